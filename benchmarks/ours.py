@@ -14,14 +14,16 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.problems import Case
-from greybox.estimation import FitOptions, fit
+from greybox.estimation.fit import fit
 from greybox.estimation.multistart import draw_starts
-from greybox.kernel import make_kernel
-from greybox.kernel.record import Record
-from greybox.result import Fit
-from greybox.transcription import to_record
-from greybox.transcription.problem import EstimationProblem, prepare_problem
-from greybox.transcription.solve import Solution, solve
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.solution import Solution
+from greybox.estimation.transcription.solve import solve
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.record import Record
+from greybox.simulation.records import to_record
 
 # The actuator is linear: greybox discretises it exactly. The other two take the same RK4 step as the peers.
 REPEATS = 7

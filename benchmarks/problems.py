@@ -15,11 +15,14 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.experiment import Experiment
-from greybox.integrators import Step, rk4
-from greybox.kernel import Record, make_kernel
-from greybox.model import Balance, Model
+from greybox.data.experiment import Experiment
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.integrators.runge_kutta import rk4
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.record import Record
 from models.micro_actuator import micro_actuator
 
 

@@ -6,7 +6,7 @@ import os
 import platform
 import subprocess
 
-from greybox.kernel.c_compiler import describe_machine
+from greybox.simulation.kernel.c_compiler import describe_machine
 
 NAMES = {
     "casadi_single_shooting": "CasADi single shooting, usual way",

@@ -24,7 +24,7 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import docs_folder, markdown, write_section
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.rendering.discovery import conclusion_text
+from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "bouc_wen_discovery.md"
 TITLE = """# The Bouc-Wen benchmark, from a mass on a spring

@@ -22,7 +22,8 @@ from typing import Any
 import control
 import numpy as np
 
-from greybox.export import Linearisation, minimal_realisation, to_state_space
+from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
+from greybox.extensions.export.python_control import to_state_space
 
 # Frequencies per decade, and decades below half the sampling rate, at which a margin over many plants is looked up.
 GRID = np.geomspace(1e-4, 1.0, 400)

@@ -13,7 +13,7 @@ from fits.control_design import Weights
 from fits.control_loop import Moves
 from fits.control_study import BLACK, COMPENSATED, PLAIN, Setting, Study, study
 from fits.control_tables import print_tables
-from greybox.signals import multisine
+from greybox.data.signals import multisine
 from models.micro_actuator import micro_actuator
 
 PERIOD, ROWS = 2.5e-4, 800  # s, rows of a record

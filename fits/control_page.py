@@ -8,7 +8,7 @@ from fits import control_micro_actuator, control_pneumatic
 from fits.control_study import BLACK, COMPENSATED, FAMILY, PLAIN, Study
 from fits.control_tables import ORDER, gentler_head, gentler_rows, print_tables, rows_of
 from fits.paper_page import MODELS, docs_folder, legend, markdown, picture, save
-from greybox.rendering.discovery import conclusion_text
+from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "control.md"
 COLOURS = dict(zip(ORDER, MODELS, strict=True))

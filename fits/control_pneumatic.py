@@ -15,7 +15,7 @@ from fits.control_design import Weights
 from fits.control_loop import Moves
 from fits.control_study import BLACK, COMPENSATED, PLAIN, Setting, Study, study
 from fits.control_tables import print_tables
-from greybox.signals import multisine
+from greybox.data.signals import multisine
 from models.pneumatic_cylinder import pneumatic_cylinder
 
 PERIOD, ROWS = 0.01, 1500  # s, rows of a record

@@ -19,7 +19,7 @@ import greybox as gb
 from fits.control_design import Compensation, Design, Margins, Weights, channel, closest, design, margins, with_force
 from fits.control_loop import Moves, Run, Verdict, closed_loop, judged
 from fits.rig_twins import Actuator, Cylinder, Effects, simulate
-from greybox.blackbox import best_black_boxes
+from greybox.comparison.blackbox.best_models import best_black_boxes
 
 FAMILY, FAMILY_SEED, LEVEL = 12, 0, 0.95
 GENTLER = (2.0, 4.0)

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 
 from fits.control_study import BLACK, COMPENSATED, GENTLER, KNOWING, LEVEL, PLAIN, Study
-from greybox.rendering.discovery import conclusion_text
-from greybox.rendering.tables import format_table
+from greybox.show.sentences.discovery import conclusion_text
+from greybox.show.sentences.wording import format_table
 
 MEASURES = (
     "settling time of each move [s]",

@@ -21,11 +21,11 @@ from scipy.sparse.linalg import eigsh
 
 import greybox as gb
 from fits.design_study import PLANTS, REST, USUAL
-from greybox.experiment_design import DesignProblem
-from greybox.experiment_design.plant import PlantScenario, make_plant
-from greybox.experiment_design.play import envelope
-from greybox.experiment_design.precision import make_precision
-from greybox.project import find_model
+from greybox.extensions.design.goals import make_precision
+from greybox.extensions.design.inputs import envelope
+from greybox.extensions.design.plant import PlantScenario, make_plant
+from greybox.extensions.design.problem import DesignProblem
+from greybox.shell.project import find_model
 
 PROBE = 1e-3  # height of the impulse, as a share of the input's limit
 

@@ -30,12 +30,14 @@ import numpy as np
 import greybox as gb
 from fits.hidden_cases import FAMILY, PERIOD, make
 from fits.rig_twins import simulate as simulate_rig
-from greybox.experiment_design import CampaignPlan, DesignProblem, GoalName, Prbs, SignalLimit, Steps, run_campaign
-from greybox.experiment_design.limits import LimitKeeper, fit_into_limits
-from greybox.experiment_design.plant import list_plants
-from greybox.experiment_design.rivals import fit_rival
-from greybox.files import write_file
-from greybox.project import find_model
+from greybox.base.files import write_file
+from greybox.extensions.design.campaign import CampaignPlan, run_campaign
+from greybox.extensions.design.inputs import Prbs, Steps
+from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
+from greybox.extensions.design.plant import list_plants
+from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.rivals import fit_rival
+from greybox.shell.project import find_model
 
 REST = gb.FitOptions(at_rest=True)
 # Model, fixed constants, limits, duration and sampling time in s, noise.

@@ -21,10 +21,12 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, Refinement
+from greybox.data.noise.noise_model import NoiseModel
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.refinement import Refinement
 from greybox.discovery.residual_noise import estimate_residual_noise
-from greybox.noise import NoiseModel
-from greybox.transcription import split_into_arcs
+from greybox.estimation.transcription.segments import split_into_arcs
 from models.emps import emps
 
 FILES = ("train.csv", "test.csv")

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import greybox as gb
 from fits import data_folder
+from greybox.base.findings import with_code
 from greybox.estimation.findings import EstimationCode
-from greybox.findings import with_code
 from models.emps import emps
 
 

@@ -12,7 +12,8 @@ import numpy as np
 
 import greybox as gb
 from fits.hidden_cases import Case
-from greybox.effects import applicable_effects, measure_scales
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.effects.scales import measure_scales
 
 # Functions of displacement, velocity, input and time, and the effects that they are read as.
 LIBRARY = {

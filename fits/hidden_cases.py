@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fits.rig_twins import Effects, simulate
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
 
 PERIOD = {"micro_actuator": 2.5e-4, "pneumatic_cylinder": 0.01}
 ROWS, FINE, QUIET_ROWS = 6000, 20, 1600

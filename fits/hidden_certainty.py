@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from greybox.discovery import CertaintyPolicy
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
+from greybox.discovery.policy import CertaintyPolicy
 
 RIDGE = 1.0  # inverse variance of the prior of each weight
 FOLDS, BINS = 10, 10

@@ -27,13 +27,15 @@ from fits.hidden_cases import Case, make
 from fits.hidden_certainty import format_weights, write_certainty
 from fits.hidden_page import VISIBLE, write
 from fits.plant_cases import make as make_plant
-from greybox.discovery import Discovery, family_of
+from greybox.base.files import write_file
+from greybox.base.parallel.jobs import JobResult, open_workers, run_jobs
+from greybox.discovery.candidates import estimate_scales, family_of
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.starting_points import estimate_scales
-from greybox.effects import CATALOGUE, Scales, find_placements, tailor_to_record
-from greybox.files import write_file
-from greybox.parallel import JobResult, open_workers, run_jobs
-from greybox.project import find_model
+from greybox.discovery.result import Discovery
+from greybox.model.effects.catalogue import CATALOGUE
+from greybox.model.effects.placement import find_placements
+from greybox.model.effects.scales import Scales, tailor_to_record
+from greybox.shell.project import find_model
 
 # Kinds of twenty cases in a row: odd seeds are on the rigs, even ones on the plants.
 KINDS = (

@@ -15,7 +15,7 @@ import numpy as np
 from fits.hidden_cases import Case
 from fits.hidden_cases import make as make_rig
 from fits.plant_cases import make as make_plant
-from greybox.expressions.formula import evaluate_formula
+from greybox.model.expressions.text import evaluate_formula
 
 Values = Mapping[str, np.ndarray]
 Constants = Mapping[str, float]

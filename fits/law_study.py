@@ -35,8 +35,8 @@ import greybox as gb
 from fits.law_plants import RIGS, TERMS, HiddenTerm, is_family, make_case
 from fits.law_systems import SYSTEMS, PublishedSystem
 from greybox import Balance, Experiment, Model, Output, Parameter, State
-from greybox.expressions.formula import evaluate_formula
-from greybox.project import find_model
+from greybox.model.expressions.text import evaluate_formula
+from greybox.shell.project import find_model
 
 CONSTANT = re.compile(r"\{([^}]*)\}")
 NOISES = {"0": 1e-4, "1": 0.01, "5": 0.05}

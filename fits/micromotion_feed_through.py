@@ -28,11 +28,13 @@ from fits import micromotion_printed as printed
 from fits.micromotion_chirp import physical
 from fits.micromotion_twin import DELAY, MICRO, SAMPLING_TIME, SEED, in_micrometres, motion, step_record
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
-from greybox.blackbox import output_error
-from greybox.blackbox.continuous import to_continuous
-from greybox.blackbox.monte_carlo_smoothing.estimate import monte_carlo_smoothing
-from greybox.blackbox.monte_carlo_smoothing.grid_search import StepResponseConstants
-from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
+from greybox.comparison.blackbox.monte_carlo_smoothing import (
+    MonteCarloSmoothing,
+    StepResponseConstants,
+    monte_carlo_smoothing,
+)
+from greybox.comparison.blackbox.prediction_error_models import output_error
+from greybox.comparison.blackbox.rounding import to_continuous
 
 SHOWN = 13  # rows in the figure
 DELAYS = (0.0, 0.5, 1.0, 1.56, 2.0)  # samples

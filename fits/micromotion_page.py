@@ -24,8 +24,8 @@ from fits.paper_page import (
     save,
     write_section,
 )
-from greybox.blackbox.continuous import to_continuous
-from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
+from greybox.comparison.blackbox.monte_carlo_smoothing import find_resonance
+from greybox.comparison.blackbox.rounding import to_continuous
 
 
 def write(s: Study, spread: tuple[np.ndarray, np.ndarray], folder: Path) -> None:

@@ -23,12 +23,19 @@ import numpy as np
 from fits import micromotion_printed as printed
 from fits.micromotion_twin import ROWS, SAMPLING_TIME, SEED, in_micrometres, step_record
 from fits.paper_page import rms_log
-from greybox.blackbox import PolynomialModel, armax, arx, output_error
-from greybox.blackbox.monte_carlo_smoothing.estimate import SmoothingProgress, monte_carlo_smoothing
-from greybox.blackbox.monte_carlo_smoothing.intervals import estimate_spectrum, find_resonance
-from greybox.blackbox.monte_carlo_smoothing.numerators import NumeratorComparison, compare_numerators
-from greybox.blackbox.monte_carlo_smoothing.result import MonteCarloSmoothing
-from greybox.experiment import Experiment
+from greybox.comparison.blackbox.arx import arx
+from greybox.comparison.blackbox.monte_carlo_smoothing import (
+    MonteCarloSmoothing,
+    NumeratorComparison,
+    SmoothingProgress,
+    compare_numerators,
+    estimate_spectrum,
+    find_resonance,
+    monte_carlo_smoothing,
+)
+from greybox.comparison.blackbox.polynomial import PolynomialModel
+from greybox.comparison.blackbox.prediction_error_models import armax, output_error
+from greybox.data.experiment import Experiment
 
 EVALUATIONS = 20
 OTHER_SEEDS = range(1, 21)

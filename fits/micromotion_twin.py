@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
 from models.micro_actuator import micro_actuator_no_inductance
 
 SAMPLING_TIME = 2.5e-4  # s, section 3

@@ -14,7 +14,7 @@ import numpy as np
 
 from fits.hidden_cases import KINDS, STRONGEST, WEAKEST, Case
 from fits.plant_twins import DRY, PLANTS, Effects, simulate
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
 
 ROOT = Path(__file__).resolve().parents[1] / "plants"
 ROWS, FINE, FINE_DRY = 1500, 20, 100

@@ -28,11 +28,13 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.effects import effect
-from greybox.estimation import fit, validate
-from greybox.experiment import Experiment
-from greybox.model import Model, System
-from greybox.result import Fit
+from greybox.data.experiment import Experiment
+from greybox.estimation.fit import fit
+from greybox.estimation.result import Fit
+from greybox.estimation.validate import validate
+from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
+from greybox.model.system import System
 from models.pneumatic_chambers import gas_chambers
 from models.pneumatic_full import pneumatic_full
 from models.pneumatic_parts import pneumatic_chain

@@ -24,8 +24,9 @@ from fits import pneumatic_printed as printed
 from fits.pneumatic_nine_experiments import AMPLITUDES
 from fits.pneumatic_printed import Cell
 from fits.pneumatic_twin import DURATION, in_volts, nine_experiments, voltage
-from greybox.blackbox import PolynomialModel, arx
-from greybox.experiment import Experiment
+from greybox.comparison.blackbox.arx import arx
+from greybox.comparison.blackbox.polynomial import PolynomialModel
+from greybox.data.experiment import Experiment
 
 PASSES = (0, 1, 2)
 SHOWN = "u2_3"  # the experiment of equation 10.12 and figures 10.8 and 10.9

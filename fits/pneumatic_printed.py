@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.blackbox import PolynomialModel
+from greybox.comparison.blackbox.polynomial import PolynomialModel
 
 SAMPLING_TIME = 0.01  # s
 # Table 10.2 by input: mean, largest, smallest value in V, variance (N - 1) in V^2, over 10001 samples in 100 s.

@@ -26,8 +26,8 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import MEASURED, MODELS, Say, docs_folder, legend, markdown, picture, save, write_section
 from fits.pneumatic_twin import NOISE, PRESSURE_NOISE, RAISED, SAMPLING_TIME, SUPPLY, UNIT, record
-from greybox.blackbox import scan_structures
-from greybox.signals import multisine
+from greybox.comparison.blackbox.structure_scan import scan_structures
+from greybox.data.signals import multisine
 from models.pneumatic_chambers import gas_chambers
 from models.pneumatic_parts import pneumatic_chain
 from models.pneumatic_pistons import viscous_piston

@@ -28,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from fits.pneumatic_nine_experiments import AMPLITUDES, DURATION, FREQUENCIES, REPEATS, SAMPLING_TIME
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
 
 FINE_STEPS = 40  # in each sampling time
 UNIT = 0.05  # m/V of the position sensor

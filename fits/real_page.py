@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fits.paper_page import write_section
-from greybox.discovery import Discovery, Refinement
-from greybox.rendering.discovery import conclusion_text
+from greybox.discovery.refinement import Refinement
+from greybox.discovery.result import Discovery
+from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "real_data.md"
 TITLE = """# What is missing, on measured records

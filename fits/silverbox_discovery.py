@@ -19,7 +19,7 @@ from pathlib import Path
 import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
-from greybox.discovery import Refinement
+from greybox.discovery.refinement import Refinement
 from models.silverbox import silverbox
 
 FILES = ("train_multisine.csv", "test_multisine.csv", "test_arrow.csv")

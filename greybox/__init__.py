@@ -14,42 +14,49 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from greybox import (
-        blackbox,
-        change_detection,
-        discovery,
-        effects,
-        errors,
-        estimation,
-        experiment,
-        experiment_design,
-        export,
-        fmu,
-        frequency,
-        identifiability,
-        plots,
-        rendering,
-        residuals,
-        result,
-        signals,
-        simulation,
-        uncertainty,
-    )
-    from greybox.change_detection import detect_changes
-    from greybox.comparison import compare
-    from greybox.discovery import discover
-    from greybox.effects import effect
-    from greybox.errors import GreyboxError
-    from greybox.estimation import FitOptions, fit, multistart, predict, smooth, validate
-    from greybox.experiment import Experiment, read_csv, read_experiments
-    from greybox.experiment_design import SignalLimit, design
-    from greybox.export import linearise
-    from greybox.model import Balance, Characteristic, DryFriction, Effect, Model
+    from greybox.base import errors
+    from greybox.base.errors import GreyboxError
+    from greybox.blackbox import __init__ as blackbox
+    from greybox.change_detection import __init__ as change_detection
+    from greybox.comparison.compare import compare
+    from greybox.data import signals
+    from greybox.data.experiment import Experiment
+    from greybox.data.read import read_csv, read_experiments
+    from greybox.discovery import __init__ as discovery
+    from greybox.discovery.pipeline import discover
+    from greybox.estimation import __init__ as estimation
+    from greybox.estimation.fit import fit
+    from greybox.estimation.linear.linearise import linearise
+    from greybox.estimation.multistart import multistart
+    from greybox.estimation.options import FitOptions
+    from greybox.estimation.predictor import predict, smooth
+    from greybox.estimation.residuals import residual_tests
+    from greybox.estimation.result import Fit, load_fit
+    from greybox.estimation.validate import validate
+    from greybox.experiment import __init__ as experiment
+    from greybox.experiment_design import __init__ as experiment_design
+    from greybox.export import __init__ as export
+    from greybox.extensions.changes.detect import detect_changes
+    from greybox.extensions.design.design import design
+    from greybox.extensions.design.problem import SignalLimit
+    from greybox.fmu import __init__ as fmu
+    from greybox.frequency import __init__ as frequency
+    from greybox.identifiability import __init__ as identifiability
+    from greybox.model.balance import Balance
+    from greybox.model.characteristic import Characteristic
+    from greybox.model.effect import DryFriction, Effect
+    from greybox.model.effects import catalogue as effects
+    from greybox.model.effects.catalogue import effect
+    from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.reports import report
-    from greybox.residuals import residual_tests
-    from greybox.result import Fit, load_fit
-    from greybox.simulation import simulate
+    from greybox.rendering import __init__ as rendering
+    from greybox.residuals import __init__ as residuals
+    from greybox.result import __init__ as result
+    from greybox.show import figures as plots
+    from greybox.show.pages.report import report
+    from greybox.simulation import __init__ as simulation
+    from greybox.simulation.simulate import simulate
+    from greybox.uncertainty import __init__ as uncertainty
 
 # Where each name lives. Loaded when first asked for: stating a model should not load a solver.
 _NAMES = {

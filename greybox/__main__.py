@@ -1,6 +1,6 @@
 """``python -m greybox`` is the command ``greybox``."""
 
-from greybox.cli import main
+from greybox.shell import main
 
 if __name__ == "__main__":
     main()

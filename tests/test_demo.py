@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from greybox import read_csv, report
-from greybox.demo import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
 from greybox.estimation.findings import EstimationCode
+from greybox.shell.demonstration import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
 
@@ -99,7 +99,7 @@ def test_the_story_is_told_in_order(result: Demo, announced: list[str]) -> None:
 def test_the_command_leaves_out_the_page_if_told(run, result: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
     contradiction = run("demo", "--open", "--no-report")
     assert contradiction.exit_code == 2 and "leave out one of the two" in contradiction.stderr
-    monkeypatch.setattr("greybox.demo.run_demo", lambda *_, **__: result)
+    monkeypatch.setattr("greybox.shell.demonstration.run_demo", lambda *_, **__: result)
     printed = run("demo", "--no-report", "--output", "there")
     assert printed.exit_code == 0 and "report:" not in printed.stdout
     assert not Path("there", "report.html").exists()

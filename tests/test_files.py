@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from greybox import files
-from greybox.errors import GreyboxError, OutputError
-from greybox.files import append_line, write_file
+from greybox.base.errors import GreyboxError, OutputError
+from greybox.base.files import append_line, write_file
 
 needs_posix = pytest.mark.skipif(sys.platform == "win32", reason="limits and signals of POSIX")
 

@@ -8,11 +8,10 @@ import sys
 
 import pytest
 
-from greybox.discovery.execution import RefitExecutor, RefitJob, RefitJournal, RefitOutcome
-from greybox.discovery.failures import FailureLog
-from greybox.errors import DataError
-from greybox.journal.findings import JournalCode
-from greybox.parallel import run_jobs
+from greybox.base.errors import DataError
+from greybox.base.journal import JournalCode
+from greybox.base.parallel.jobs import run_jobs
+from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome
 from models.micro_actuator import micro_actuator
 
 ENTRIES = {f"k{n}": RefitOutcome({"M": 0.01 * n, "K": 5000.0}, ((0.0, 1e-6),)) for n in range(4)}

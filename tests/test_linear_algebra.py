@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from greybox.linear_algebra import (
+from greybox.base.linear_algebra import (
     COLUMN_RANK,
     INFORMATION_RANK,
     RankTolerance,

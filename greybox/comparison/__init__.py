@@ -2,10 +2,17 @@
 
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.comparison_file import load_comparison, save_comparison
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.policy import ComparisonPolicy
-from greybox.comparison.result import BoxKind, Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.comparison.result import (
+    BoxKind,
+    Comparison,
+    ComparisonEntry,
+    ComparisonRun,
+    ComparisonScore,
+    load_comparison,
+    save_comparison,
+)
 
 __all__ = [
     "BoxKind",

@@ -7,25 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from greybox.blackbox import (
-    StateSpaceModel,
-    SubspaceOutput,
-    best_black_boxes,
-    keep_measured_rows,
-    monte_carlo_smoothing,
-    resample,
-    subspace,
-)
-from greybox.blackbox.subspace import WEIGHTS
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import SAME_SAMPLING_TIME
+from greybox.comparison.blackbox.best_models import best_black_boxes
+from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smoothing
+from greybox.comparison.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import BlackBoxModel
 from greybox.comparison.runs import match_sampling_time
-from greybox.errors import DataError
-from greybox.experiment import Experiment
-from greybox.findings import Finding, Severity
-from greybox.numerics import SAME_SAMPLING_TIME
+from greybox.data.experiment import Experiment
 
 SMOOTHING = "monte_carlo_smoothing"
 STATE_SPACE = "subspace"

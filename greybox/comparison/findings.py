@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class ComparisonFinding(StrEnum):
-    """Verdict and findings of a comparison; their sentences are in `greybox.rendering.comparison`."""
+    """Verdict and findings of a comparison; their sentences are in `greybox.show.sentences.comparison`."""
 
     BEST_MODEL = "best_model"
     """The model with the smallest error of one output, and the best model of the other kind."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from greybox.blackbox.policy import StructureScanPolicy
+from greybox.comparison.blackbox.policy import StructureScanPolicy
 
 
 @dataclass(frozen=True)

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
 
+from greybox.base.files import write_file
+from greybox.base.findings import Finding
+from greybox.base.json_file import ResultKind, read_json
+from greybox.base.values import Printable
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
+from greybox.data.experiment import Experiment
 from greybox.estimation.options import FitOptions
-from greybox.experiment import Experiment
-from greybox.findings import Finding
-from greybox.values import Printable
+from greybox.estimation.result_parts import to_json_data
 
 
 class BoxKind(StrEnum):
@@ -24,7 +29,7 @@ class BoxKind(StrEnum):
 
 
 class BlackBoxModel(Protocol):
-    """What a black-box model of one output offers: `greybox.blackbox.arx` and its kin give such values."""
+    """What a black-box model of one output offers: `greybox.comparison.blackbox.arx` and its kin give such values."""
 
     @property
     def kind(self) -> str:
@@ -232,3 +237,108 @@ def _sum_of_squares(error: np.ndarray) -> float:
     with np.errstate(over="ignore", invalid="ignore"):
         squares = float(error @ error)
     return squares if np.isfinite(squares) else np.inf
+
+
+# A comparison as JSON: ``compare.json``.
+
+FORMAT = 1
+"""Version of ``compare.json``."""
+
+
+def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str, Any] | None = None) -> Path:
+    """Write a comparison as JSON.
+
+    Parameters
+    ----------
+    comparison
+        What `greybox.compare` gave.
+    path
+        The file; missing folders are made.
+    extra
+        Further entries beside those of the comparison.
+
+    Returns
+    -------
+    Path
+        The file. Numbers that are not finite become null.
+
+    Examples
+    --------
+    >>> comparison = gb.compare([fit], record)  # doctest: +SKIP
+    >>> gb.comparison.save_comparison(comparison, "results/compare.json")  # doctest: +SKIP
+    """
+    data = to_json_data({**comparison_data(comparison), **(extra or {})})
+    return write_file(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+
+
+def load_comparison(path: str | Path) -> dict[str, Any]:
+    """What ``compare.json`` holds, checked.
+
+    Parameters
+    ----------
+    path
+        The file that `save_comparison` or ``greybox compare`` has written.
+
+    Returns
+    -------
+    dict
+        ``models`` -> name -> kind, parameters, validation ..., ``outputs``, ``verdict`` and more, as ``docs/result_files.md`` lists them.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, or is not a comparison as the schema says, with the first offence.
+
+    Examples
+    --------
+    >>> gb.comparison.load_comparison("results/compare.json")["verdict"]  # doctest: +SKIP
+    """
+    return read_json(path, ResultKind.COMPARISON)
+
+
+def comparison_data(comparison: Comparison) -> dict[str, Any]:
+    """The comparison as nested dictionaries: ``models`` -> name -> kind, parameters, validation ..., and the verdict."""
+    return {
+        "format": FORMAT,
+        "models": {entry.name: _entry_data(entry) for entry in comparison.entries},
+        "outputs": dict(comparison.outputs),
+        "training": list(comparison.training),
+        "validation": list(comparison.validation),
+        "skip": comparison.skip,
+        "verdict": list(map(str, comparison.verdict)),
+        "notes": list(map(str, comparison.findings)),
+        "findings": [*comparison.verdict, *comparison.findings],
+        "policy": comparison.policy,
+        "options": None if comparison.options is None else comparison.options.to_data(),
+    }
+
+
+def _entry_data(entry: ComparisonEntry) -> dict[str, Any]:
+    return {
+        "kind": str(entry.kind),
+        "parameters": entry.parameters,
+        "structure": dict(entry.structure),
+        "validation": _scores_data(entry.validation),
+        "training": _scores_data(entry.training),
+        "records": {record: _scores_data(scores) for record, scores in entry.records.items()},
+        "bic": entry.bic,
+        "stable": entry.stable,
+        "feedthrough": dict(entry.feedthrough),
+        "seconds": entry.seconds,
+        "notes": list(map(str, entry.findings)),
+        "findings": entry.findings,
+    }
+
+
+def _scores_data(scores: Mapping[str, ComparisonScore]) -> dict[str, Any]:
+    return {
+        output: {
+            "rmse": score.rmse,
+            "best_fit_percent": score.best_fit_percent,
+            "one_step_rmse": score.one_step_rmse,
+            "samples": score.samples,
+            "unit": score.unit,
+            **({"ahead_rmse": {str(k): v for k, v in score.ahead_rmse.items()}} if score.ahead_rmse else {}),
+        }
+        for output, score in scores.items()
+    }

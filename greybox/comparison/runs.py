@@ -8,17 +8,20 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.blackbox import keep_measured_rows, resample
+from greybox.base.errors import DataError
+from greybox.base.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
+from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import BlackBoxModel, ComparisonRun
-from greybox.errors import DataError
-from greybox.estimation import FitOptions, Predictor, predictor, validate
-from greybox.experiment import Experiment
-from greybox.model import Model
-from greybox.noise import AutoRegression, fit_autoregression, join_series
-from greybox.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
-from greybox.result import Fit, Trace
-from greybox.simulation import declared_initial_state
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
+from greybox.estimation.options import FitOptions
+from greybox.estimation.predictor import Predictor, predictor
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.estimation.validate import validate
+from greybox.model.model import Model
+from greybox.simulation.simulate import declared_initial_state
 
 # ---- Black boxes ----
 
@@ -78,7 +81,7 @@ def match_sampling_time(experiment: Experiment, output: str, sampling_time: floa
     if step is not None:
         raise DataError(
             f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {label} of {output!r} was identified"
-            f" at {sampling_time:.6g} s; give greybox.blackbox.resample(experiment, {sampling_time:.6g})"
+            f" at {sampling_time:.6g} s; give greybox.comparison.blackbox.resample(experiment, {sampling_time:.6g})"
         )
     return resample(experiment, sampling_time)
 

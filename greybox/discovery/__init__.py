@@ -2,16 +2,22 @@
 
 from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade
-from greybox.discovery.curve_shape import CurveShape, Parity, ShapeKind
+from greybox.discovery.curve_shape import CurveShape, Dependence, Parity, ShapeKind
 from greybox.discovery.decision import Verdict
-from greybox.discovery.dependence import Dependence
-from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
 from greybox.discovery.evidence import EffectEvidence
-from greybox.discovery.failures import SearchFailure, SearchStage
+from greybox.discovery.execution import SearchFailure, SearchStage
 from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal, localise_residual
-from greybox.discovery.misfit_windows import MisfitWindow
+from greybox.discovery.localisation import (
+    MisfitWindow,
+    RankedSite,
+    ResidualLocalisation,
+    ResidualSignal,
+    ResidualSpectrum,
+    estimate_residual_spectrum,
+    localise_residual,
+)
 from greybox.discovery.pipeline import discover
 from greybox.discovery.policy import (
     CertaintyPolicy,
@@ -28,8 +34,6 @@ from greybox.discovery.policy import (
 )
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.refinement import Refinement, RefinementStep, refine
-from greybox.discovery.remaining_error import RemainingError
-from greybox.discovery.residual_spectrum import ResidualSpectrum, estimate_residual_spectrum
 from greybox.discovery.result import Discovery, RankedCandidate, load_discovery
 from greybox.discovery.selection import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping
 from enum import StrEnum
 
+from greybox.base.numerics import TINY
 from greybox.discovery.policy import CertaintyPolicy
-from greybox.numerics import TINY
 
 
 class Grade(StrEnum):

@@ -11,12 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from greybox.base.findings import Check
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import HoldoutError, worst_output
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit
-from greybox.findings import Check
-from greybox.noise import AutoRegression
 
 
 class Verdict(StrEnum):

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from greybox.base.errors import DataError
+from greybox.base.findings import Check
+from greybox.base.values import Printable, ReadOnly
+from greybox.data.experiment import Experiment
+from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.decision import criterion_gain, excess_cost, judge_effect
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, validate_candidate
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.starting_points import estimate_scales, generate_starting_points
-from greybox.effects import effect, tailor_to_record
-from greybox.errors import DataError
-from greybox.experiment import Experiment
-from greybox.findings import Check
-from greybox.model import Effect, Model
-from greybox.result import Fit
-from greybox.values import Printable, ReadOnly
+from greybox.estimation.result import Fit
+from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import effect
+from greybox.model.effects.scales import tailor_to_record
+from greybox.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)

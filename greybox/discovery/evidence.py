@@ -15,36 +15,33 @@ from functools import partial
 
 import numpy as np
 
-from greybox.discovery.block_errors import BlockErrors, compare_errors, mean_error
-from greybox.discovery.candidates import family_of
+from greybox.base.numerics import TINY
+from greybox.base.values import Printable, ReadOnly
+from greybox.data.noise.noise_model import fit_autoregression, join_series
+from greybox.discovery.candidates import count_shapes, family_of
 from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
-from greybox.discovery.dependence import TIME, rank_dependences
+from greybox.discovery.curve_shape import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
 from greybox.discovery.effect_signal import EffectSignal, acts_as_constant, adds_constant, is_offset_on_one_side
-from greybox.discovery.execution import RefitJob
-from greybox.discovery.failures import SearchStage
-from greybox.discovery.holdout import HoldoutScores, is_level_measured
+from greybox.discovery.execution import RefitJob, SearchStage
+from greybox.discovery.holdout import BlockErrors, HoldoutScores, compare_errors, is_level_measured, mean_error
 from greybox.discovery.localisation import localise_residual
 from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, EvidencePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.screening import list_extension_starts, rank_extensions
-from greybox.discovery.shape_correction import (
+from greybox.discovery.residual_noise import (
     has_memory,
     is_shape_correction,
     list_shape_corrections,
     prepare_curve,
     prepare_power,
 )
-from greybox.discovery.starting_points import count_shapes
+from greybox.discovery.selection import list_extension_starts, rank_extensions
 from greybox.discovery.surrogate import FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
-from greybox.effects import Scales
-from greybox.effects.placement import AT
-from greybox.model import Effect
-from greybox.noise import fit_autoregression, join_series
-from greybox.numerics import TINY
-from greybox.result import Fit
-from greybox.values import Printable, ReadOnly
+from greybox.estimation.result import Fit
+from greybox.model.effect import Effect
+from greybox.model.effects.placement import AT
+from greybox.model.effects.scales import Scales
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Rules of the checks and codes of the findings of a discovery; their sentences are in ``greybox.rendering.discovery``."""
+"""Rules of the checks and codes of the findings of a discovery; their sentences are in ``greybox.show.sentences.discovery``."""
 
 from __future__ import annotations
 

@@ -10,20 +10,145 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.adaptation import AdaptedRun, Residuals, adapt_to_records
-from greybox.discovery.failures import SearchStage
+from greybox.base.findings import Check
+from greybox.base.linear_algebra import eliminate
+from greybox.base.numerics import SAME_ERROR, TINY
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import BoundDirection, NoiseModel
+from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.estimation import FitOptions, validate
-from greybox.estimation import fit as estimate
-from greybox.experiment import Experiment
-from greybox.findings import Check
-from greybox.model import Model
-from greybox.noise import BoundDirection, NoiseModel
-from greybox.result import Fit, Validation
-from greybox.result.fit_parts import FitNoise
-from greybox.values import Printable
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
+from greybox.estimation.fit import fit as estimate
+from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import FitNoise, Validation
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.validate import validate
+from greybox.model.model import Model
+
+# Errors of models in blocks of the validation records: by how much one model does worse than another, and whether that is chance.
+
+BlockErrors = Mapping[str, np.ndarray]
+"""Mean square errors (B,) of a model by output, in blocks of the validation records."""
+
+
+def compare_errors(errors: BlockErrors, others: BlockErrors) -> tuple[float, float]:
+    """How much larger the mean square errors of another model are, and how many standard errors of the blocks that is.
+
+    Each output counts relative to the error that the first model leaves in it. The standard errors are those of the logarithm, so that
+    blocks of large motion do not hide the others, or those of the errors themselves where these tell more: an effect that acts in a
+    few blocks only (a stop, an overflow). Infinitely larger for a model that cannot be run.
+    """
+    shared = [o for o in errors if o in others and len(others[o]) == len(errors[o])]
+    if not shared or not all(np.isfinite(others[o]).all() for o in shared):
+        return 1 / TINY, np.inf
+    blocks = min(len(errors[o]) for o in shared)
+    loss = float(np.mean([mean_error(others[o]) / max(mean_error(errors[o]), TINY) for o in shared])) - 1
+    relative = [[each[o][:blocks] / max(mean_error(errors[o]), TINY) for o in shared] for each in (errors, others)]
+    first, second = (np.maximum(np.mean(each, axis=0), TINY) for each in relative)
+    return loss, max((_count_standard_errors(each) for each in (np.log(second / first), second - first)), key=abs)
+
+
+def _count_standard_errors(values: np.ndarray) -> float:
+    """The mean of ``values`` (B,) in standard errors; two runs of the same model differ by rounding, and not by many of these."""
+    spread = float(values.std(ddof=1)) / math.sqrt(len(values)) if len(values) > 1 else math.inf
+    return float(values.mean()) / max(spread, SAME_ERROR)
+
+
+def mean_error(values: np.ndarray | None) -> float:
+    """The mean over the blocks; NaN without any."""
+    return np.nan if values is None else float(np.mean(values))
+
+
+# What a model leaves on records that were not fitted once its constants may move within what the fit left open.
+#
+# A free run carries the uncertainty of the constants and of the first states along: in a plant that integrates, a constant that is wrong by
+# one standard deviation moves the end of a long record by many times the noise. That is no model error. So the run is corrected by one
+# Gauss-Newton step of the first states and of the constants, which the estimation records hold as firmly as they determine them.
+
+# Residuals (N,) of each output, one array a record.
+Residuals = dict[str, list[np.ndarray]]
+
+
+@dataclass(frozen=True)
+class AdaptedRun:
+    """A run over records that were not fitted, corrected within what the fit left open.
+
+    Parameters
+    ----------
+    residuals
+        By measured output the residuals in its unit, one array a record.
+    rise
+        By how much the step raises the cost of the estimation records: what the correction has to be charged with.
+    """
+
+    residuals: Residuals
+    rise: float = 0.0
+
+
+def adapt_to_records(
+    problem: DiscoveryProblem, candidate: CandidateFit, experiments: Sequence[Experiment], run: Validation
+) -> AdaptedRun | None:
+    """``candidate`` on ``experiments`` after the step.
+
+    Parameters
+    ----------
+    problem, candidate
+        The search's records and noise, and the model as it was fitted.
+    experiments, run
+        Other records, and its free run over them.
+
+    Returns
+    -------
+    AdaptedRun or None
+        None where the model cannot be run after the step.
+    """
+    prepared = problem.prepare(candidate.model, tuple(experiments))
+    if candidate.problem.step.substeps and not prepared.step.per_interval:
+        prepared = prepared.with_substeps(candidate.problem.step.substeps)
+    names = prepared.model.system.state_names
+    guess = np.array([[trace.initial_state[name] for name in names] for trace in run.traces])
+    variables = with_start_values(prepared.variables, candidate.model.values)
+    variables = replace(variables, initial=replace(variables.initial, guess=guess))
+    model = prepared.shooting(variables).evaluate(variables.here)
+    if not (model.is_finite and len(variables.which) == len(candidate.variables.which)):
+        return None
+    held = _hold_constants(candidate, variables)
+    step = QuadraticModel(model.cost, model.gradient, model.hessian + held).bounded_step(*variables.bounds())
+    shooting = prepared.with_plain_squares().shooting(variables)
+    errors = [r for r, _ in shooting.residuals(step)]
+    # A residual that is no number is one of a sample that nobody measured, or of a model that did not survive the step.
+    present = [np.isfinite(record.samples(record.y)) for record in shooting.records]
+    if not all(np.isfinite(r[p]).all() for r, p in zip(errors, present, strict=True)):
+        return None
+    std = prepared.noise.std
+    measured = {name for experiment in experiments for name in experiment.outputs}
+    residuals = {
+        output.name: [r[:, j] * std[j] for r in errors]
+        for j, output in enumerate(prepared.model.outputs)
+        if output.name in measured
+    }
+    return AdaptedRun(residuals, float(step @ held @ step) / 2)
+
+
+def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:
+    """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states.
+
+    Beside what they tell, the size of a constant is one standard deviation of it: beyond that a linear step is not to be trusted, and one
+    that they leave open would go to its bound.
+    """
+    constants = np.arange(len(candidate.variables.which))
+    others = np.arange(len(constants), candidate.variables.size)
+    information = candidate.evaluation.hessian
+    projection = eliminate(information, constants, others)
+    scale = variables.spans / candidate.variables.spans
+    held = np.zeros((variables.size, variables.size))
+    held[np.ix_(constants, constants)] = (projection @ information @ projection.T) * np.outer(scale, scale)
+    held[constants, constants] += 1.0
+    return held
 
 
 @dataclass(frozen=True)

@@ -4,28 +4,179 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
+from greybox.base.errors import DataError, nearest
+from greybox.base.values import Printable, ReadOnly
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.discovery.curve_shape import Dependence, rank_dependences
 from greybox.discovery.decision import clean_cost_limit
-from greybox.discovery.dependence import Dependence, rank_dependences
 from greybox.discovery.disturbance_sites import (
     DisturbanceSite,
     LinearisedRun,
+    SignalSmoother,
     SiteKind,
+    SmoothedSignal,
+    absorbed_basis,
     are_indistinguishable,
     linearise_run,
     list_disturbance_sites,
     site_label,
     unwhitened_shooting,
+    whiten_columns,
 )
-from greybox.discovery.misfit_windows import MisfitTiming, MisfitWindow, divide_misfit, find_concentration
 from greybox.discovery.policy import LocalisationPolicy, SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.signal_smoother import SignalSmoother, SmoothedSignal, absorbed_basis, whiten_columns
-from greybox.model import Model
-from greybox.result import Fit
-from greybox.values import Printable, ReadOnly
+from greybox.estimation.result import Fit
+from greybox.model.model import Model
+
+# When model and data disagree: windows of time with their share of the misfit.
+
+
+@dataclass(frozen=True)
+class MisfitWindow:
+    """From ``start`` to ``end`` (seconds) of ``record``: ``share`` of the misfit beyond noise, and ``misfit`` over noise there."""
+
+    record: str
+    start: float
+    end: float
+    share: float
+    misfit: float
+
+
+@dataclass(frozen=True)
+class MisfitTiming:
+    """The windows in which most of the misfit is concentrated: stretches of time as (record, start, end) in seconds.
+
+    ``share`` of the misfit happens in ``time_share`` of the windows. Without stretches it happens throughout the records.
+    """
+
+    share: float
+    time_share: float
+    stretches: tuple[tuple[str, float, float], ...]
+
+
+def divide_misfit(
+    names: Sequence[str], times: Sequence[np.ndarray], residuals: Sequence[np.ndarray], count: int
+) -> tuple[MisfitWindow, ...]:
+    """Every record in ``count`` windows of equal length; ``residuals`` (N, ny) are over the noise, NaN in gaps."""
+    rows = []
+    for name, time, r in zip(names, times, residuals, strict=True):
+        edges = np.linspace(0, len(time), min(count, len(time)) + 1).astype(int)
+        for first, last in pairwise(edges):
+            part = r[first:last]
+            is_measured = np.isfinite(part)
+            samples, squares = is_measured.sum(), float(np.sum(part[is_measured] ** 2))
+            excess = max(squares - samples, 0.0)
+            rows.append((name, float(time[first]), float(time[last - 1]), excess, squares, samples))
+    total = sum(row[3] for row in rows) or 1.0
+    return tuple(
+        MisfitWindow(name, start, end, excess / total, float(np.sqrt(squares / max(samples, 1))))
+        for name, start, end, excess, squares, samples in rows
+    )
+
+
+def find_concentration(windows: Sequence[MisfitWindow], policy: LocalisationPolicy) -> MisfitTiming | None:
+    """In which stretches most of the misfit happens; None where there is none beyond noise."""
+    if not windows or not any(w.share for w in windows):
+        return None
+    ranked = sorted(windows, key=lambda w: -w.share)
+    shares = np.cumsum([w.share for w in ranked])
+    needed = int(np.searchsorted(shares, policy.concentrated_misfit)) + 1
+    if needed > policy.concentrated_time * len(windows):
+        return MisfitTiming(1.0, 1.0, ())
+    stretches: list[tuple[str, float, float]] = []
+    for w in sorted(ranked[:needed], key=lambda w: (w.record, w.start)):
+        adjoins = stretches and stretches[-1][0] == w.record and w.start - stretches[-1][2] <= 0.5 * (w.end - w.start)
+        if adjoins:
+            stretches[-1] = (w.record, stretches[-1][1], w.end)
+        else:
+            stretches.append((w.record, w.start, w.end))
+    return MisfitTiming(float(shares[needed - 1]), needed / len(windows), tuple(stretches))
+
+
+# The residual of a fit by frequency, beside the noise.
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualSpectrum(ReadOnly):
+    """Amplitude density of the free-run error of ``output``, and of its noise ``floor``: ``frequency`` (F,) in Hz, both (F,) in ``unit``.
+
+    The square, summed over the frequencies, is the mean square of the error.
+    """
+
+    output: str
+    frequency: np.ndarray
+    density: np.ndarray
+    floor: np.ndarray
+    unit: str
+
+
+def estimate_residual_spectrum(
+    fit: Fit, output: str, *, coloured: bool = True, segment: int = 512, stretches: int = 8
+) -> ResidualSpectrum:
+    """Spectrum of the residual of one output, by Welch's method; gaps count as zero.
+
+    Parameters
+    ----------
+    fit
+        Its validation records count, or the estimation records where there are none.
+    output
+        A measured output.
+    coloured
+        Whether the floor has the colour that the fit took the noise for; a missing effect may have passed for it.
+    segment
+        Samples of one stretch at most.
+    stretches
+        Stretches that a record gives at least.
+
+    Returns
+    -------
+    ResidualSpectrum
+        Frequencies (F,) in Hz, the density of the residual and that of the noise (F,) in the unit of the output.
+
+    Raises
+    ------
+    DataError
+        For an output that was not measured.
+    """
+    traces = [t for t in (fit.validation.traces or fit.traces) if output in t.measured]
+    if not traces:
+        raise DataError(f"spectrum of {output!r}: not measured; {nearest(output, list(fit.misfit))}")
+    period = float(np.median(np.diff(traces[0].time)))
+    shortest = min(len(t.time) for t in traces)
+    length = min(segment, max(shortest // stretches * 2, 8), shortest)
+    powers = [estimate_power_density(np.nan_to_num(t.residual(output)), period, length) * len(t.time) for t in traces]
+    power = sum(powers) / sum(len(t.time) for t in traces)
+    frequency = np.fft.rfftfreq(length, period)
+    step = frequency[1] - frequency[0]
+    std, reflection = fit.noise.std.get(output, np.nan), fit.noise.colour.get(output, ()) if coloured else ()
+    floor = std**2 * 2 * period * _noise_shape(AutoRegression(tuple(reflection)), frequency * period)
+    unit = next(o.unit for o in fit.model.outputs if o.name == output)
+    return ResidualSpectrum(output, frequency[1:], np.sqrt(power * step)[1:], np.sqrt(floor * step)[1:], unit)
+
+
+def estimate_power_density(values: np.ndarray, period: float, length: int) -> np.ndarray:
+    """One-sided power density (length // 2 + 1,) of ``values`` (N,), sampled every ``period`` seconds, by Welch's method.
+
+    The mean over stretches of ``length`` samples that overlap by half, each under a Hann window; what is constant stays in.
+    """
+    # As `scipy.signal.welch` without detrending: that takes half a second to import.
+    stretches = np.lib.stride_tricks.sliding_window_view(values, length)[:: length - length // 2]
+    window = np.hanning(length + 1)[:-1]
+    power = (np.abs(np.fft.rfft(window * stretches)) ** 2).mean(axis=0) * period / (window @ window)
+    # A frequency stands for its negative too, but for zero and half the sampling rate.
+    power[1 : None if length % 2 else -1] *= 2
+    return np.asarray(power)
+
+
+def _noise_shape(colour: AutoRegression, cycles: np.ndarray) -> np.ndarray:
+    """Power spectrum of noise of this colour and unit variance over that of white noise, at ``cycles`` per sample."""
+    lags = np.arange(1, colour.order + 1)
+    response = 1 - np.exp(-2j * np.pi * np.outer(cycles, lags)) @ colour.coefficients
+    return colour.innovation_variance / np.abs(response) ** 2
 
 
 @dataclass(frozen=True)

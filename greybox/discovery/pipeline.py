@@ -16,26 +16,21 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.candidates import CandidateList, failed_candidates, list_candidates
+from greybox.base.errors import DataError
+from greybox.base.findings import Check, Finding, Severity
+from greybox.data.experiment import Experiment, number_unnamed_records
+from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
-from greybox.discovery.decision import (
-    Conclusion,
-    Verdict,
-    decide_verdict,
-    judge_validation_only,
-    visible_rms_limit,
+from greybox.discovery.decision import Conclusion, Verdict, decide_verdict, judge_validation_only, visible_rms_limit
+from greybox.discovery.effect_signal import (
+    EffectSignal,
+    RemainingError,
+    estimate_effect_signals,
+    measure_remaining_error,
 )
-from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
-from greybox.discovery.evidence import (
-    EffectEvidence,
-    EvidenceInputs,
-    gather_evidence,
-    lower_grade,
-    measure_structure,
-)
-from greybox.discovery.execution import RefitExecutor, RefitJournal
-from greybox.discovery.failures import SearchStage
+from greybox.discovery.evidence import EffectEvidence, EvidenceInputs, gather_evidence, lower_grade, measure_structure
+from greybox.discovery.execution import RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     HoldoutError,
@@ -59,27 +54,23 @@ from greybox.discovery.proposals import (
     propose_noise_check,
 )
 from greybox.discovery.refinement import Refinement, refine_candidate, with_residual_noise
-from greybox.discovery.remaining_error import RemainingError, measure_remaining_error
 from greybox.discovery.residual_noise import (
     estimate_residual_noise,
     excess_autocorrelation,
     is_level_known,
     is_noise_known,
     is_same_noise,
+    is_shape_correction,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
-from greybox.discovery.shape_correction import is_shape_correction
-from greybox.discovery.starting_points import estimate_scales
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
-from greybox.effects import Scales, applicable_effects
-from greybox.errors import DataError
-from greybox.estimation import FitOptions
-from greybox.experiment import Experiment
-from greybox.experiment.experiment import number_unnamed_records
-from greybox.findings import Check, Finding, Severity
-from greybox.model import Effect, Model
-from greybox.result import Fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.effects.scales import Scales
+from greybox.model.model import Model
 
 Records = Experiment | Sequence[Experiment]
 

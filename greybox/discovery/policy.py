@@ -58,7 +58,7 @@ class ResidualNoisePolicy:
     white_correlation: float = 0.1
     """Correlation from sample to sample below which a residual counts as white."""
     longest_correlation: float = 0.95
-    """Largest correlation from sample to sample of a sensor's noise, as in `greybox.noise.NoisePolicy`: a residual that remembers for
+    """Largest correlation from sample to sample of a sensor's noise, as in `greybox.data.noise.NoisePolicy`: a residual that remembers for
     longer is a model's error."""
     level_tolerance: float = 0.05
     """Relative change of the level below which the noise stands still."""

@@ -10,22 +10,23 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.discovery.execution import RefitExecutor, RefitJob, RefitOutcome
-from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
+from greybox.base.numerics import OVERFLOWING_CURVATURE
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel
+from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.policy import SearchBudget
-from greybox.estimation import FitOptions
+from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.options import Transcription
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.solution import Solution
+from greybox.estimation.transcription.solve import solve
 from greybox.estimation.versions import read_versions
-from greybox.experiment import Experiment
-from greybox.model import Model
-from greybox.noise import AutoRegression, NoiseModel
-from greybox.numerics import OVERFLOWING_CURVATURE
-from greybox.optim import TerminationStatus
-from greybox.result import Fit
-from greybox.transcription import DecisionVector, Evaluation
-from greybox.transcription.options import Transcription
-from greybox.transcription.problem import EstimationProblem, prepare_problem
-from greybox.transcription.select import select_transcription
-from greybox.transcription.solve import Solution, solve
+from greybox.model.model import Model
 
 StartValues = Mapping[str, float]
 # Cost that one step predicts from a starting point, and the variables there.

@@ -15,28 +15,25 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.discovery.block_errors import compare_errors
-from greybox.discovery.candidates import list_candidates
+from greybox.base.findings import Check, Finding
+from greybox.base.numerics import TINY
+from greybox.base.values import Printable, ReadOnly
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.decision import make_check
-from greybox.discovery.execution import RefitExecutor, RefitJournal
-from greybox.discovery.failures import SearchStage
+from greybox.discovery.execution import RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
-from greybox.discovery.holdout import HoldoutScores, ValidationSet, validate_candidate
+from greybox.discovery.holdout import HoldoutScores, ValidationSet, compare_errors, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
-from greybox.discovery.screening import list_extension_starts, rank_extensions
-from greybox.discovery.selection import MessageCallback
-from greybox.discovery.shape_correction import is_shape_correction
-from greybox.discovery.starting_points import estimate_scales
-from greybox.effects import Scales
-from greybox.experiment import Experiment
-from greybox.findings import Check, Finding
-from greybox.model import Effect, Model
-from greybox.noise import AutoRegression
-from greybox.numerics import TINY
-from greybox.result import Fit
-from greybox.values import Printable, ReadOnly
+from greybox.discovery.residual_noise import is_shape_correction
+from greybox.discovery.selection import MessageCallback, list_extension_starts, rank_extensions
+from greybox.estimation.result import Fit
+from greybox.model.effect import Effect
+from greybox.model.effects.scales import Scales
+from greybox.model.model import Model
 
 
 @dataclass(frozen=True)

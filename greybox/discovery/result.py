@@ -7,26 +7,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from greybox.base.files import write_file
+from greybox.base.findings import Check, Finding
+from greybox.base.json_file import ResultKind, read_json
+from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
 from greybox.discovery.decision import Verdict
-from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.evidence import EffectEvidence
-from greybox.discovery.failures import SearchFailure
+from greybox.discovery.execution import SearchFailure
 from greybox.discovery.holdout import HoldoutError, worst_output
 from greybox.discovery.laws.search import Law
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.refinement import Refinement
-from greybox.discovery.remaining_error import RemainingError
+from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SelectionStep
-from greybox.discovery.shape_correction import is_shape_correction
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation.options import FitOptions
-from greybox.files import write_file
-from greybox.findings import Check, Finding
-from greybox.result import Fit, format_json, to_json_data
-from greybox.schemas import ResultKind, read_json
-from greybox.values import Printable
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import format_json, to_json_data
 
 FORMAT = 1
 """Version of ``discovery.json``."""

@@ -14,22 +14,64 @@ from typing import Any
 
 import numpy as np
 
+from greybox.base.findings import Check, Finding
+from greybox.discovery.candidates import count_shapes, generate_child_starting_points, generate_starting_points
 from greybox.discovery.decision import clean_cost_limit, judge_effect, make_check, noise_cost_limit
-from greybox.discovery.execution import RefitJob
-from greybox.discovery.failures import SearchStage
+from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
-from greybox.discovery.residual_noise import excess_autocorrelation
-from greybox.discovery.shape_correction import fit_shape_correction
-from greybox.discovery.starting_points import (
-    count_shapes,
-    generate_child_starting_points,
-    generate_starting_points,
-)
-from greybox.effects import Scales
-from greybox.findings import Check, Finding
-from greybox.model import Effect, Model
+from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
+from greybox.model.effect import Effect
+from greybox.model.effects.scales import Scales
+from greybox.model.model import Model
+
+# Which further effects are worth a refit: those whose predicted cost is lowest.
+
+
+def rank_extensions(
+    problem: DiscoveryProblem,
+    selected: CandidateFit,
+    effects: Sequence[Effect],
+    scales: Scales,
+    budget: SearchBudget,
+    most: int,
+) -> list[Effect]:
+    """The ``most`` effects whose addition to ``selected`` predicts the lowest cost, best first; none that cannot be simulated.
+
+    All are predicted nearly absent, the better ones from the usual amplitudes too.
+    """
+    predicted = {
+        e.name: predict_extension(problem, selected, e, scales, (budget.near_zero_amplitude,)) for e in effects
+    }
+    possible = sorted((e for e in effects if np.isfinite(predicted[e.name])), key=lambda e: predicted[e.name])
+    for e in possible[: 2 * most]:
+        larger = predict_extension(problem, selected, e, scales, budget.amplitude_grid)
+        predicted[e.name] = min(predicted[e.name], larger)
+    return sorted(possible, key=lambda e: predicted[e.name])[:most]
+
+
+def predict_extension(
+    problem: DiscoveryProblem, selected: CandidateFit, effect: Effect, scales: Scales, amplitudes: Sequence[float]
+) -> float:
+    """The lowest cost that one step predicts for ``selected`` with one effect more, from these amplitudes of it."""
+
+    def predict() -> float:
+        model = selected.model + effect
+        starts = generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)
+        return problem.predict_cost(model, starts, selected)
+
+    return problem.failures.attempt(SearchStage.SCREENING, (*selected.effects, effect.name), predict, np.inf)
+
+
+def list_extension_starts(
+    selected: CandidateFit, effect: Effect, scales: Scales, budget: SearchBudget
+) -> list[StartValues]:
+    """Where the refit with a further effect starts: with nothing of it, and at the usual amplitudes and shapes."""
+    model = selected.model + effect
+    amplitudes = budget.amplitude_grid
+    return [model.values, *generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)]
+
 
 MessageCallback = Callable[[str], None]
 Key = frozenset[str]

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.discovery.curve_shape import CurveShape, ShapeKind, classify_shape
-from greybox.discovery.dependence import TIME, Dependence, rank_dependences
+from greybox.base.values import Printable, ReadOnly
+from greybox.data.experiment import Experiment
+from greybox.discovery.curve_shape import TIME, CurveShape, Dependence, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
     HoldoutError,
@@ -36,14 +37,12 @@ from greybox.discovery.surrogate_effects import (
     make_sinusoid_effect,
     make_tone_effect,
 )
-from greybox.estimation import fit as estimate
-from greybox.estimation import validate
+from greybox.estimation.fit import fit as estimate
 from greybox.estimation.policy import InitialStatePolicy
-from greybox.experiment import Experiment
-from greybox.model import Model
-from greybox.result import Fit
-from greybox.transcription.select import select_transcription
-from greybox.values import Printable, ReadOnly
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.validate import validate
+from greybox.model.model import Model
 
 
 @dataclass(frozen=True)

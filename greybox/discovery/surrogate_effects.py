@@ -15,12 +15,13 @@ from collections.abc import Callable, Mapping, Sequence
 import casadi as ca
 import numpy as np
 
-from greybox.discovery.dependence import TIME, Dependence
+from greybox.base.linear_algebra import decompose_columns
+from greybox.discovery.curve_shape import TIME, Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.discovery.policy import SurrogatePolicy
-from greybox.linear_algebra import decompose_columns
-from greybox.model import Balance, Effect
+from greybox.model.balance import Balance
+from greybox.model.effect import Effect
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # Names of the effects.

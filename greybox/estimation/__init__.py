@@ -7,19 +7,59 @@ again where the residual shows more of the noise, and becomes a `greybox.result.
 from greybox.estimation.fit import fit
 from greybox.estimation.multistart import MultiStartResult, multistart
 from greybox.estimation.options import FitOptions
-from greybox.estimation.predictor import Predictor, predict, predictor
-from greybox.estimation.smoother import SmoothedStates, smooth
+from greybox.estimation.predictor import Predictor, SmoothedStates, predict, predictor, smooth
+from greybox.estimation.result import Fit, fit_data, load_fit, restore_fit
+from greybox.estimation.result_parts import (
+    Estimate,
+    FitConstraints,
+    FitDiscretisation,
+    FitNoise,
+    FitUncertainty,
+    IntervalKind,
+    Misfit,
+    PredictionReport,
+    PriorCheck,
+    Provenance,
+    RobustReport,
+    SolverReport,
+    StartResult,
+    Trace,
+    Validation,
+    format_json,
+    to_json_data,
+)
 from greybox.estimation.validate import validate
 
 __all__ = [
+    "Estimate",
+    "Fit",
+    "FitConstraints",
+    "FitDiscretisation",
+    "FitNoise",
     "FitOptions",
+    "FitUncertainty",
+    "IntervalKind",
+    "Misfit",
     "MultiStartResult",
+    "PredictionReport",
     "Predictor",
+    "PriorCheck",
+    "Provenance",
+    "RobustReport",
     "SmoothedStates",
+    "SolverReport",
+    "StartResult",
+    "Trace",
+    "Validation",
     "fit",
+    "fit_data",
+    "format_json",
+    "load_fit",
     "multistart",
     "predict",
     "predictor",
+    "restore_fit",
     "smooth",
+    "to_json_data",
     "validate",
 ]

@@ -1,4 +1,4 @@
-"""Codes of what a fit finds about itself, its records and its options; `greybox.rendering.estimation` has their sentences."""
+"""Codes of what a fit finds about itself, its records and its options; `greybox.show.sentences.estimation` has their sentences."""
 
 from __future__ import annotations
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.errors import FitError, ModelError, nearest
-from greybox.estimation.estimates import (
+from greybox.base.errors import FitError, ModelError, nearest
+from greybox.data.experiment import Experiment, refuse_long_time_gaps
+from greybox.data.noise.noise_model import NoiseModel, NoiseSource
+from greybox.estimation.covariance import (
     check_priors,
     locate_fitted,
     to_estimates,
@@ -26,17 +28,13 @@ from greybox.estimation.fit_issues import (
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.prediction_error import estimate_by_prediction_error
-from greybox.estimation.process_noise_tests import likelihood_ratio_tests, set_intensity_limits
-from greybox.estimation.validate import validate
-from greybox.estimation.versions import read_versions
-from greybox.experiment import Experiment
-from greybox.experiment.time_gaps import refuse_long_time_gaps
-from greybox.model import Model
-from greybox.model.equations import equations_text
-from greybox.noise import NoiseModel, NoiseSource
-from greybox.result import (
-    Fit,
+from greybox.estimation.prediction_error import (
+    estimate_by_prediction_error,
+    likelihood_ratio_tests,
+    set_intensity_limits,
+)
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import (
     FitConstraints,
     FitDiscretisation,
     FitNoise,
@@ -45,9 +43,12 @@ from greybox.result import (
     Provenance,
     SolverReport,
 )
-from greybox.transcription.progress import FitProgressCallback
-from greybox.transcription.records import to_experiments
-from greybox.transcription.solution import make_strategy
+from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
+from greybox.estimation.validate import validate
+from greybox.estimation.versions import read_versions
+from greybox.model.equations import equations_text
+from greybox.model.model import Model
+from greybox.simulation.records import to_experiments
 
 
 def fit(

@@ -2,31 +2,97 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from greybox.errors import GreyboxError, ModelError, WorkersLostError
+from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
+from greybox.base.findings import Finding, Severity
+from greybox.base.journal import add_entry, read_journal
+from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
-from greybox.estimation.start_journal import StartJournal, hash_start
-from greybox.experiment import Experiment
-from greybox.findings import Finding, Severity
-from greybox.model import Model
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import StartResult
+from greybox.estimation.transcription.solve import solve
+from greybox.estimation.versions import read_versions
+from greybox.model.model import Model
 from greybox.model.signals import Parameter
-from greybox.noise import NoiseModel
-from greybox.optim.status import TerminationStatus
-from greybox.parallel import JobProgressCallback, JobResult, run_jobs
-from greybox.result import Fit, StartResult
-from greybox.transcription.solve import solve
-from greybox.values import Printable
+
+# Finished starts of a multi-start, kept in a file so that an interrupted run goes on.
+
+StartEnd = tuple[dict[str, float], float, str]
+"""Where a start ended: values, misfit over noise, status."""
+
+
+@dataclass
+class StartJournal:
+    """Where starts ended, one JSON object a line, by a hash of model, records, noise, options, versions and start.
+
+    Raises
+    ------
+    DataError
+        If the file is no journal.
+    """
+
+    path: Path
+    known: dict[str, JobResult] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.known = dict(read_journal(self.path, _parse).entries)
+
+    def add(self, key: str, result: JobResult) -> None:
+        """Keep one more, on the disk when this returns. Raises OutputError."""
+        values, ratio, status = result.value
+        number = ratio if abs(ratio) < float("inf") else None
+        add_entry(
+            self.path, {"key": key, "values": values, "ratio": number, "status": status, "seconds": result.seconds}
+        )
+
+
+def hash_start(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: NoiseModel,
+    options: FitOptions,
+    begin: Mapping[str, float],
+) -> str:
+    """The hash by which a start is known: equal if everything that decides its end is."""
+    system = model.system
+    identity = [
+        str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
+        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
+        [(tie.name, tie.formula) for tie in model.ties],
+        [(s.name, s.bounds) for s in model.all_states],
+        [e.hold for e in model.effects],
+        [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
+        noise.std.tolist(),
+        [c.reflection for c in noise.colour],
+        repr(options),
+        sorted(begin.items()),
+        sorted(read_versions().items()),
+    ]
+    return hashlib.sha256(repr(identity).encode(errors="backslashreplace")).hexdigest()[:32]
+
+
+def _parse(data: Mapping[str, Any]) -> tuple[str, JobResult]:
+    values = {str(name): float(value) for name, value in data["values"].items()}
+    ratio = float("inf") if data["ratio"] is None else float(data["ratio"])
+    return str(data["key"]), JobResult((values, ratio, str(data["status"])), "", float(data["seconds"]))
 
 
 @dataclass(frozen=True)

@@ -12,19 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.noise.noise_model import NoiseSource
+from greybox.data.noise.spectrum import estimate_spread
 from greybox.estimation.objective import SimulationErrorObjective
+from greybox.estimation.optim.methods import MinimisationMethod, minimise
+from greybox.estimation.optim.minimisation import Termination
 from greybox.estimation.options import ColourTreatment, FitOptions
 from greybox.estimation.policy import NoiseLoopPolicy
+from greybox.estimation.result_parts import Misfit, RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.noise.differences import estimate_spread
-from greybox.noise.noise_sources import NoiseSource
-from greybox.optim import MinimisationMethod, Termination, minimise
-from greybox.result import Misfit, RobustReport
-from greybox.transcription.problem import EstimationProblem
-from greybox.transcription.progress import FitProgressCallback
-from greybox.transcription.robust_loss import LossKind
-from greybox.transcription.solution import Runs, Solution
-from greybox.transcription.solve import solve
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.simulation_error import LossKind
+from greybox.estimation.transcription.solution import FitProgressCallback, Runs, Solution
+from greybox.estimation.transcription.solve import solve
 
 
 def estimate_by_simulation_error(

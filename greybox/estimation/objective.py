@@ -13,14 +13,13 @@ from typing import NamedTuple, Protocol, Self
 import numpy as np
 
 from greybox.estimation.policy import LikelihoodSearchPolicy
-from greybox.filtering import InnovationSensitivities, KalmanFilter, predict_outputs
-from greybox.filtering.batch_filter import BatchFilter
-from greybox.filtering.kalman_filter import LOG_TWO_PI
-from greybox.kernel import Record
-from greybox.transcription import DecisionVector, Evaluation
-from greybox.transcription.decision_vector import NoiseLevels
-from greybox.transcription.problem import EstimationProblem
-from greybox.transcription.solution import Runs
+from greybox.estimation.transcription.decision_vector import DecisionVector, NoiseLevels
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.solution import Runs
+from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI, InnovationSensitivities, KalmanFilter
+from greybox.simulation.filtering.smoother import BatchFilter, predict_outputs
+from greybox.simulation.kernel.record import Record
 
 
 def add_noise_levels(
@@ -131,7 +130,7 @@ class SimulationErrorObjective:
 class PredictionErrorObjective:
     """``-2 log L = sum (v / s)^2 + 2 log s + log(2 pi)`` over all innovations ``v`` with their standard deviations ``s``, and the priors.
 
-    The first states are unknowns (`greybox.filtering.initial_covariance`), exact ones without process noise, so that it is then
+    The first states are unknowns (`greybox.simulation.filtering.kalman_filter`), exact ones without process noise, so that it is then
     the free-run cost plus a constant (where the noise of the outputs is known).
     """
 

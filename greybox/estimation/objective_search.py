@@ -9,10 +9,12 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from greybox.estimation.objective import Objective, PredictionErrorObjective
+from greybox.estimation.optim.methods import MinimisationMethod, minimise
+from greybox.estimation.optim.minimisation import Termination, TerminationStatus
+from greybox.estimation.optim.policy import TerminationPolicy
 from greybox.estimation.options import FitOptions
-from greybox.optim import MinimisationMethod, Termination, TerminationPolicy, TerminationStatus, minimise
-from greybox.transcription import Evaluation
-from greybox.transcription.progress import FitProgress, FitProgressCallback
+from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback
 
 ObjectiveT = TypeVar("ObjectiveT", bound=Objective)
 

@@ -8,15 +8,15 @@ from enum import StrEnum
 from functools import lru_cache
 from typing import Any
 
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
-from greybox.experiment import Experiment
-from greybox.model import Model
-from greybox.noise import NoiseModel
-from greybox.result import to_json_data
-from greybox.transcription.options import SolverOptions
-from greybox.transcription.problem import EstimationProblem, prepare_problem
-from greybox.transcription.robust_loss import RobustLoss, parse_loss
+from greybox.estimation.result_parts import to_json_data
+from greybox.estimation.transcription.options import SolverOptions
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.simulation_error import RobustLoss, parse_loss
+from greybox.model.model import Model
 
 
 class ColourTreatment(StrEnum):

@@ -10,14 +10,13 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtri
 
+from greybox.base.linear_algebra import decompose_symmetric
+from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
 from greybox.estimation.sandwich import ResidualColour, sum_scores
-from greybox.linear_algebra import decompose_symmetric
-from greybox.noise import AutoRegression, NoiseModel
-from greybox.numerics import ROWS_AT_A_TIME
-from greybox.transcription import DecisionVector
-from greybox.transcription.decision_vector import SHARED
-from greybox.transcription.solution import Runs
+from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
+from greybox.estimation.transcription.solution import Runs
 
 
 class PartKind(StrEnum):

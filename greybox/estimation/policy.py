@@ -14,9 +14,9 @@ from typing import Any
 
 from scipy.special import chdtri
 
-from greybox.noise import NoiseModel, NoiseSource
-from greybox.optim import GaussNewtonPolicy, TerminationPolicy
-from greybox.transcription.policy import SolverPolicy
+from greybox.data.noise.noise_model import NoiseModel, NoiseSource
+from greybox.estimation.optim.policy import GaussNewtonPolicy, TerminationPolicy
+from greybox.estimation.transcription.policy import SolverPolicy
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.errors import FitError
+from greybox.base.errors import FitError
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.estimation.objective import Objective, PredictionErrorObjective, ResidualRows, SimulationErrorObjective
 from greybox.estimation.options import FitOptions, prepare_estimation
-from greybox.noise import AutoRegression, NoiseModel
-from greybox.result import Fit
-from greybox.transcription.problem import EstimationProblem
-from greybox.transcription.robust_loss import RobustLoss
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.simulation_error import RobustLoss
 
 
 def restore_options(fit: Fit) -> FitOptions:

@@ -16,9 +16,10 @@ from typing import Protocol
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
+from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
+from greybox.data.noise.policy import NoisePolicy
 from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
-from greybox.noise import AutoRegression, NoisePolicy, fit_autoregression, join_series
-from greybox.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def estimate_residual_colour(
 
 
 class ColumnLayout(Protocol):
-    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.transcription.DecisionVector`)."""
+    """Where the Jacobian's columns of each record belong among all unknowns (`greybox.estimation.transcription.DecisionVector`)."""
 
     @property
     def size(self) -> int:

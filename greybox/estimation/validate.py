@@ -7,21 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.errors import DataError
+from greybox.base.errors import DataError
+from greybox.data.experiment import Experiment
 from greybox.estimation.noise_loop import estimate_by_simulation_error
+from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.optimum import compute_misfits, make_traces
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.traces import compute_misfits, make_traces
-from greybox.experiment import Experiment
-from greybox.model import Model
-from greybox.optim import TerminationStatus
-from greybox.result import Validation
-from greybox.transcription import DecisionVector
-from greybox.transcription.options import Hessian, Transcription
-from greybox.transcription.problem import EstimationProblem, guess_initial_states
-from greybox.transcription.select import select_transcription
-from greybox.transcription.solution import Solution
-from greybox.transcription.solve import solve
-from greybox.transcription.step_refinement import refine_step, solve_with_refined_steps
+from greybox.estimation.result_parts import Validation
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.options import Hessian, Transcription
+from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
+from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
+from greybox.estimation.transcription.solution import Solution
+from greybox.estimation.transcription.solve import solve
+from greybox.model.model import Model
 
 
 def validate(

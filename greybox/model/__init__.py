@@ -4,7 +4,7 @@ from greybox.model.balance import Balance
 from greybox.model.characteristic import Characteristic
 from greybox.model.effect import DryFriction, Effect
 from greybox.model.model import Model
-from greybox.model.rules import Rule
 from greybox.model.system import System
+from greybox.model.validation import Rule
 
 __all__ = ["Balance", "Characteristic", "DryFriction", "Effect", "Model", "Rule", "System"]

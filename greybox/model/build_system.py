@@ -7,10 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import casadi as ca
 
-from greybox.errors import MissingNameError, ModelError, nearest
+from greybox.base.errors import MissingNameError, ModelError, nearest
+from greybox.base.numerics import STATE_BOUND_MARGIN
+from greybox.base.units import format_unit
 from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
 from greybox.model.balance import Balance
-from greybox.model.effect_hooks import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
+from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
@@ -25,8 +27,6 @@ from greybox.model.system import (
     named_symbols,
 )
 from greybox.model.ties import apply_ties
-from greybox.numerics import STATE_BOUND_MARGIN
-from greybox.units import format_unit
 
 NOWHERE = Site("", PlaceKind.BALANCE, "")
 

@@ -7,13 +7,13 @@ from weakref import WeakKeyDictionary
 
 import casadi as ca
 
-from greybox.expressions.text import expression_text, signed_text
+from greybox.base.units import format_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
+from greybox.model.expressions.text import expression_text, signed_text
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
 from greybox.model.system import System
-from greybox.units import format_unit
 
 Line = Callable[[str, str, str], str]  # name, unit, text -> one line of the equations
 

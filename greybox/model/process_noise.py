@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from greybox.errors import ModelError, nearest
+from greybox.base.errors import ModelError, nearest
+from greybox.base.units import format_unit
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 from greybox.model.system import PlacedEffect, System
-from greybox.units import format_unit
 
 
 def build_diffusion(states: Sequence[State], effects: Sequence[PlacedEffect], p: NamedValues) -> ca.SX:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from greybox.model.effect import Effect
 from greybox.model.signals import Expression, NamedValues, Parameter
 

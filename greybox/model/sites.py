@@ -15,11 +15,11 @@ from enum import StrEnum
 
 import casadi as ca
 
-from greybox.errors import MissingNameError, ModelError, nearest
+from greybox.base.errors import MissingNameError, ModelError, nearest
+from greybox.base.units import parse_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.signals import Input, Output, State
-from greybox.units import parse_unit
 
 MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE, SENSOR = (
     *("force", "store", "pressure", "heat", "voltage", "angle", "shaft"),

@@ -14,13 +14,11 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.expressions.derivatives import FLAT
-from greybox.expressions.graph import as_scalar, count_operands, nodes
-from greybox.expressions.operations import OPERATIONS
 from greybox.model.algebraic import AlgebraicState, eliminate
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect
-from greybox.model.effect_hooks import InputDelay, StateUpdate
+from greybox.model.effect import Effect, InputDelay, StateUpdate
+from greybox.model.expressions.graph import as_scalar, count_operands, nodes
+from greybox.model.expressions.operations import FLAT, OPERATIONS
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.ties import Tie

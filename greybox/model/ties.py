@@ -9,10 +9,10 @@ from graphlib import CycleError, TopologicalSorter
 import casadi as ca
 import numpy as np
 
-from greybox.errors import ModelError, nearest
-from greybox.expressions.formula import evaluate_formula, format_formula, list_formula_names
+from greybox.base.errors import ModelError, nearest
+from greybox.base.units import format_unit
+from greybox.model.expressions.text import evaluate_formula, format_formula, list_formula_names
 from greybox.model.signals import Expression, NamedValues, Parameter
-from greybox.units import format_unit
 
 Formula = str | Callable[[NamedValues], Expression]
 

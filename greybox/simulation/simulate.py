@@ -2,20 +2,86 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+import io
+import math
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.errors import DataError, ModelError, nearest
-from greybox.experiment import Experiment
-from greybox.experiment.experiment import UNNAMED
-from greybox.integrators import DiscretisationPolicy, Step, choose_substeps, discretise
-from greybox.kernel import Record, make_kernel
-from greybox.model import Model
-from greybox.transcription import to_record
-from greybox.transcription.policy import BandLimitedPolicy
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.files import write_file
+from greybox.data.columns import ColumnMapping
+from greybox.data.experiment import UNNAMED, Experiment, Hold
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.problems import find_array_problems, raise_problems
+from greybox.data.read import read_arrays
+from greybox.estimation.transcription.policy import BandLimitedPolicy
+from greybox.model.model import Model
+from greybox.simulation.integrators.discretisation import choose_substeps, discretise
+from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.record import Record
+from greybox.simulation.records import to_record
+
+# The inputs of a file alone, for simulating where nothing was measured.
+
+
+def read_inputs(
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
+    reading: ReadingPolicy = READING_POLICY,
+) -> Experiment:
+    """Read time and the inputs of a model from a file, to simulate where nothing was measured. Other columns are not read.
+
+    Parameters
+    ----------
+    path
+        The file, of a kind that `greybox.read_csv` reads.
+    model
+        Its inputs are looked for, and their units are those of the record.
+    columns, sampling_time, interpolation, reading
+        As of `greybox.read_csv`.
+    hold
+        How the inputs move between samples, see `greybox.Experiment`.
+
+    Returns
+    -------
+    Experiment
+        A record without outputs.
+
+    Raises
+    ------
+    DataError
+        For a file that is missing, cannot be read, or lacks an input.
+    """
+    record = read_arrays(
+        path,
+        model,
+        columns=columns,
+        sampling_time=sampling_time,
+        inputs_only=True,
+        hold=hold,
+        interpolation=interpolation,
+        reading=reading,
+    )
+    file, labels = record.file.path, record.file.table.row_labels
+    if len(record.time) > 1:
+        raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
+    else:
+        raise_problems(file.name, [f"{len(record.time)} rows; a record needs at least 2"])
+    return Experiment(file.stem, record.time, record.inputs, {}, hold, source=file.name)
 
 
 @dataclass(frozen=True)
@@ -209,3 +275,40 @@ def _has_settled(before: np.ndarray, after: np.ndarray, max_change: float) -> bo
         return False
     change, movement = after[rows] - before[rows], after[rows] - after[0]
     return bool(np.all(np.sum(change**2, axis=0) <= max_change**2 * np.sum(movement**2, axis=0)))
+
+
+# Records as CSV files that `read_csv` reads back without loss.
+
+
+def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]) -> Path:
+    """Write a record as a CSV file that `greybox.read_csv` reads back without loss.
+
+    Parameters
+    ----------
+    experiment
+        The record; gaps become empty fields.
+    model
+        Its units go into the headers, ``name [unit]``; signals that it does not have are left out.
+    path
+        The file; folders are made.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    inputs = [(s.name, s.unit, experiment.inputs[s.name]) for s in model.inputs if s.name in experiment.inputs]
+    outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]
+    signals = [("time", "s", experiment.time), *inputs, *outputs]
+    heads = [f"{name} [{unit}]" if unit else name for name, unit, _ in signals]
+    columns = [values.tolist() for _, _, values in signals]
+
+    def write_rows(file: BinaryIO) -> None:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(heads)
+        writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
+        text.flush()
+        text.detach()
+
+    return write_file(path, write_rows)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.simulation import write_csv
+from greybox.simulation.simulate import write_csv
 
 PLANT = '''"""A carriage on a slide, pushed by a force."""
 
@@ -34,7 +34,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the model file, ``train.csv`` and ``test.csv``: the rig has Coulomb friction of 0.5 N and B = 1.5."""
     folder = tmp_path_factory.mktemp("rig")
     (folder / "carriage.py").write_text(PLANT, encoding="utf-8")
-    from greybox.project import find_model
+    from greybox.shell.project import find_model
 
     plain = find_model(str(folder / "carriage.py"))
     real = (plain + gb.effect("coulomb_friction")).start(B=1.5, Fc=0.5)

@@ -14,15 +14,16 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from greybox.app import Session, Workbench
-from greybox.app.page import page_policy, page_text
-from greybox.cli.app import app
-from greybox.cli.browser import StudyOnFile
-from greybox.cli.inputs import build_model
-from greybox.cli.study import Study
+from greybox.extensions.app.command import StudyOnFile
+from greybox.extensions.app.server import page_policy, page_text
+from greybox.extensions.app.session import Session
+from greybox.extensions.app.workbench import Workbench
+from greybox.shell.inputs import build_model
+from greybox.shell.main import app
+from greybox.shell.study import Study
 
 pytest.importorskip("tornado", reason="the app's server is not installed")
-from greybox.app.server import AppServer
+from greybox.extensions.app.server import AppServer
 
 
 class Served:

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.app import Session, Workbench
-from greybox.app.jobs import JobKind, _fit
-from greybox.app.session import ValueRange
-from greybox.cli.browser import StudyOnFile
-from greybox.cli.inputs import build_model, constrain, fit_options
-from greybox.cli.study import Study
-from greybox.cli.study_file import read_study
-from greybox.errors import DataError, GreyboxError, ModelError
+from greybox.base.errors import DataError, GreyboxError, ModelError
+from greybox.extensions.app.command import StudyOnFile
+from greybox.extensions.app.jobs import JobKind, _fit
+from greybox.extensions.app.session import Session, ValueRange
+from greybox.extensions.app.workbench import Workbench
 from greybox.model.signals import Parameter
-from greybox.project import find_model
+from greybox.shell.inputs import build_model, constrain, fit_options
+from greybox.shell.project import find_model
+from greybox.shell.study import Study
+from greybox.shell.study_file import read_study
 
 NOISE = {"v": 2e-3}
 

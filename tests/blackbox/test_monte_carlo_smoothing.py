@@ -9,18 +9,20 @@ import pytest
 import greybox as gb
 from fits import micromotion_printed as wang
 from fits.micromotion_twin import ROWS, in_micrometres, step_record
-from greybox.blackbox.continuous import to_continuous
-from greybox.blackbox.findings import BlackBoxFinding
-from greybox.blackbox.monte_carlo_smoothing.estimate import SmoothingProgress
-from greybox.blackbox.monte_carlo_smoothing.grid_search import DrawCounts, search_grid
-from greybox.blackbox.monte_carlo_smoothing.intervals import (
+from greybox.base.findings import with_code
+from greybox.comparison.blackbox.monte_carlo_smoothing import (
+    NUMERATOR_STRUCTURES,
+    DrawCounts,
     DrawIntervals,
+    SmoothingProgress,
+    compare_numerators,
     estimate_intervals,
     estimate_spectrum,
     find_resonance,
+    search_grid,
 )
-from greybox.blackbox.monte_carlo_smoothing.numerators import NUMERATOR_STRUCTURES, compare_numerators
-from greybox.findings import with_code
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding
+from greybox.comparison.blackbox.rounding import to_continuous
 
 TS = wang.SAMPLING_TIME
 FEW = DrawCounts(amplitude=6, ratio=3, phase=3, frequency=4, decay=3)

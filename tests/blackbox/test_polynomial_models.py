@@ -11,7 +11,7 @@ from statsmodels.tsa.ar_model import AutoReg
 from statsmodels.tsa.statespace.varmax import VARMAX
 
 import greybox as gb
-from greybox.blackbox.findings import BlackBoxFinding
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 
 A, B, C = [1.0, -1.5, 0.7], [0.0, 1.0, 0.5], [1.0, 0.6]
 TRUE = {"a1": -1.5, "a2": 0.7, "b1": 1.0, "b2": 0.5}

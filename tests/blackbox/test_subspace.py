@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from greybox.blackbox import subspace
-from greybox.errors import DataError
-from greybox.experiment import Experiment
+from greybox.base.errors import DataError
+from greybox.comparison.blackbox.subspace import subspace
+from greybox.data.experiment import Experiment
 
 
 def two_mass_drive():

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.change_detection import ChangeVerdict, chart_changes, survey_population
-from greybox.change_detection.findings import ChangeCode
-from greybox.change_detection.result import change_data
-from greybox.effects import effect
-from greybox.errors import DataError
-from greybox.result import to_json_data
-from greybox.schemas import ResultKind
+from greybox.base.errors import DataError
+from greybox.base.json_file import ResultKind
+from greybox.estimation.result_parts import to_json_data
+from greybox.extensions.changes.chart import chart_changes
+from greybox.extensions.changes.findings import ChangeCode
+from greybox.extensions.changes.population import survey_population
+from greybox.extensions.changes.result import ChangeVerdict, change_data
+from greybox.model.effects.catalogue import effect
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.oscillator import oscillator

@@ -11,12 +11,12 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox import Balance, Input, Model, Output, Parameter, State, fit
-from greybox.check import check
-from greybox.cli.app import app
-from greybox.errors import DataError, ModelError
-from greybox.identifiability.findings import IdentifiabilityCode as Code
-from greybox.signals import multisine
-from greybox.simulation import simulate
+from greybox.base.errors import DataError, ModelError
+from greybox.data.signals import multisine
+from greybox.estimation.check import check
+from greybox.estimation.identifiability.findings import IdentifiabilityCode as Code
+from greybox.shell.main import app
+from greybox.simulation.simulate import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

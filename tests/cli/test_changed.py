@@ -10,9 +10,9 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.cli.changed import list_record_files
-from greybox.simulation import write_csv
+from greybox.extensions.changes.command import list_record_files
+from greybox.shell.main import app
+from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.result_schema import strict_offences

@@ -16,12 +16,12 @@ from typer.main import get_command
 from typer.testing import Result
 
 from greybox import Experiment, FitOptions, fit, load_fit, read_csv
-from greybox.cli import fit as fit_command
-from greybox.cli.app import app
-from greybox.cli.interrupts import hold_interrupts
-from greybox.experiment.findings import RecordCode
-from greybox.signals import multisine
-from greybox.simulation import simulate, write_csv
+from greybox.data.findings import RecordCode
+from greybox.data.signals import multisine
+from greybox.shell import fit as fit_command
+from greybox.shell.main import app
+from greybox.shell.terminal import hold_interrupts
+from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
 Run = Callable[..., Result]
@@ -493,14 +493,14 @@ def test_help_ends_with_an_example_and_speaks_no_python(run: Run, command: str) 
 def test_ctrl_c_while_the_command_is_being_loaded_is_told_in_one_line() -> None:
     # What is imported first stands still until the signal comes.
     code = (
-        "import sys, time, greybox.cli\n"
+        "import sys, time, greybox.shell\n"
         "class Slow:\n"
         "    def find_spec(self, name, *_):\n"
         "        if name == 'typer':\n"
         "            print('loading', flush=True)\n"
         "            time.sleep(30)\n"
         "sys.meta_path.insert(0, Slow())\n"
-        "greybox.cli.main()\n"
+        "greybox.shell.main()\n"
     )
     command = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert command.stdout.readline() == "loading\n"
@@ -511,11 +511,11 @@ def test_ctrl_c_while_the_command_is_being_loaded_is_told_in_one_line() -> None:
 
 def test_help_and_version_load_nothing_heavy() -> None:
     heavy = {"casadi", "numpy", "pandas", "scipy", "matplotlib", "control", "pint"}
-    code = f"import sys, greybox.cli; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, greybox.shell; print(sorted({heavy} & set(sys.modules)))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
     shown = subprocess.run(
-        [sys.executable, "-m", "greybox.cli", "--version"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "greybox.shell", "--version"], capture_output=True, text=True, check=False
     )
     assert shown.returncode == 0
     assert shown.stdout.startswith("greybox ")

@@ -11,12 +11,12 @@ import pytest
 from typer.testing import Result
 
 from greybox import read_csv
-from greybox.cli.inputs import read_records
-from greybox.cli.study import Study
-from greybox.cli.study_values import Conditions
-from greybox.errors import DataError, GreyboxError
-from greybox.experiment.findings import RecordCode
-from greybox.simulation import write_csv
+from greybox.base.errors import DataError, GreyboxError
+from greybox.data.findings import RecordCode
+from greybox.shell.inputs import read_records
+from greybox.shell.study import Study
+from greybox.shell.study_values import Conditions
+from greybox.simulation.simulate import write_csv
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record
 

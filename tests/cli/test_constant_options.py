@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from greybox.cli.app import app
 from greybox.estimation.findings import EstimationCode
-from greybox.simulation import write_csv
+from greybox.shell.main import app
+from greybox.simulation.simulate import write_csv
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, with_gaps
 
 FILE = """
@@ -30,7 +30,7 @@ mass = Model(
     ],
 )
 """
-fit_module = importlib.import_module("greybox.cli.fit")
+fit_module = importlib.import_module("greybox.shell.fit")
 Run = Callable[..., Result]
 
 

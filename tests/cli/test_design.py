@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.simulation import read_inputs, write_csv
+from greybox.shell.main import app
+from greybox.simulation.simulate import read_inputs, write_csv
 from models.silverbox import silverbox
 from tests.support.result_schema import strict_offences
 

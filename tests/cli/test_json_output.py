@@ -14,10 +14,10 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
-from greybox.cli.app import app
-from greybox.result import load_fit
-from greybox.schemas import PRINTED, ResultKind, schema_of_command
-from greybox.simulation import write_csv
+from greybox.base.json_file import PRINTED, ResultKind, schema_of_command
+from greybox.estimation.result import load_fit
+from greybox.shell.main import app
+from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences
 
@@ -102,7 +102,7 @@ def test_what_a_command_prints_is_one_json_value_as_its_schema_says(
         announce("http://127.0.0.1:1/token/")
 
     if command == "app":
-        server = pytest.importorskip("greybox.app.server", reason="the app's server is not installed")
+        server = pytest.importorskip("greybox.extensions.app.server", reason="the app's server is not installed")
         monkeypatch.setattr(server, "serve", announce_only)
     done = run(command, *EXAMPLES[command].split(), "--json")
     assert done.exit_code == 0, done.output

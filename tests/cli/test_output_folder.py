@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox.cli.options import check_writable
-from greybox.errors import GreyboxError
+from greybox.base.errors import GreyboxError
+from greybox.shell.options import check_writable
 
 
 def test_a_folder_that_can_be_made_is_not_made(tmp_path: Path):

@@ -7,9 +7,10 @@ import io
 import pytest
 from rich.console import Console
 
-from greybox.cli import progress
-from greybox.cli.compare import scan_share
-from greybox.cli.progress import (
+from greybox.estimation.transcription.solution import FitProgress
+from greybox.shell import progress
+from greybox.shell.compare import scan_share
+from greybox.shell.progress import (
     ProgressLine,
     expected_share,
     format_duration,
@@ -17,7 +18,6 @@ from greybox.cli.progress import (
     show_search_progress,
     time_left,
 )
-from greybox.transcription.progress import FitProgress
 
 
 @pytest.mark.parametrize(("share", "left"), [(0.25, 30.0), (0.5, 10.0), (1.0, 0.0), (None, None), (0.0, None)])

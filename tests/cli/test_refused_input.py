@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from greybox import FitOptions, fit, simulate
-from greybox.cli.app import app
-from greybox.simulation import write_csv
+from greybox.shell.main import app
+from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 
 NOISE = {"x": 2e-7, "i": 5e-3}

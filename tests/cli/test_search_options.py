@@ -11,8 +11,8 @@ import pytest
 from typer.testing import Result
 
 from greybox.estimation.findings import EstimationCode
-from greybox.simulation import simulate, write_csv
-from greybox.transcription.findings import TranscriptionReason
+from greybox.estimation.transcription.solution import TranscriptionReason
+from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import multisine
 

@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import Result
 
-from greybox.cli.study import SPECS, STUDY_COMMANDS, Study, fields_of
-from greybox.cli.study_file import read_study, study_text
-from greybox.errors import GreyboxError
-from greybox.signals import multisine
-from greybox.simulation import simulate, write_csv
+from greybox.base.errors import GreyboxError
+from greybox.data.signals import multisine
+from greybox.shell.study import SPECS, STUDY_COMMANDS, Study, fields_of
+from greybox.shell.study_file import read_study, study_text
+from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
 Run = Callable[..., Result]

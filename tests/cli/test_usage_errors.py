@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from greybox import FitOptions, compare, fit, linearise
-from greybox.cli.app import app
-from greybox.errors import DataError
-from greybox.export.findings import ExportFinding
-from greybox.residuals import score
-from greybox.signals import multisine
-from greybox.simulation import write_csv
+from greybox.base.errors import DataError
+from greybox.data.signals import multisine
+from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.residuals import score
+from greybox.shell.main import app
+from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
 

@@ -10,12 +10,15 @@ from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, load_comparison, save_comparison
-from greybox.findings import with_code
-from greybox.plots import draw_comparison
-from greybox.schemas import ResultKind
-from greybox.simulation import write_csv
+from greybox.base.findings import with_code
+from greybox.base.json_file import ResultKind
+from greybox.comparison.black_box_candidates import fit_black_boxes
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.policy import ComparisonPolicy
+from greybox.comparison.result import load_comparison, save_comparison
+from greybox.shell.main import app
+from greybox.show.figures.pictures import draw_comparison
+from greybox.simulation.simulate import write_csv
 from tests.support.result_schema import strict_offences
 
 STEP, NOISE, M, D, K = 0.05, 2e-3, 1.0, 0.8, 9.0
@@ -79,7 +82,7 @@ def plant(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(plant):
-    from greybox.project import find_model
+    from greybox.shell.project import find_model
 
     return find_model(str(plant))
 
@@ -226,7 +229,7 @@ def test_a_run_that_leaves_all_bounds_is_said_and_drawn(compared, tmp_path):
         (lambda m, r: gb.compare([m["arx"]], r, steps=[0]), "steps ahead: 0; give whole numbers from 1"),
         (
             lambda m, r: gb.compare([m["arx"]], gb.blackbox.resample(r[1], 0.1)),
-            r"every 0.1 s, but arx\(2, 2, 1\) of 'y' was identified at 0.05 s; give greybox.blackbox.resample\(experiment, 0.05\)",
+            r"every 0.1 s, but arx\(2, 2, 1\) of 'y' was identified at 0.05 s; give greybox.comparison.blackbox.resample\(experiment, 0.05\)",
         ),
     ],
 )
@@ -310,7 +313,7 @@ def test_a_step_has_smoothing_among_its_models(run, tmp_path, model):
         (["train.csv", "--arc-length", "1", "--transcription", "single"], "leave out one of the two"),
         (["train.csv", "--process-noise", "w"], "w"),
         (["train.csv", "--predict", "-1"], "--predict"),
-        (["train.csv", "--validate", "slow.csv"], "greybox.blackbox.resample(experiment, 0.05)"),
+        (["train.csv", "--validate", "slow.csv"], "greybox.comparison.blackbox.resample(experiment, 0.05)"),
         (["train.csv", "--output", "train.csv"], "it is a file"),
     ],
 )

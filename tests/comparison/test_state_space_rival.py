@@ -9,9 +9,12 @@ import pytest
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from greybox.comparison import ComparisonFinding, ComparisonPolicy, fit_black_boxes, save_comparison
-from greybox.experiment import Experiment
-from greybox.schemas import ResultKind
+from greybox.base.json_file import ResultKind
+from greybox.comparison.black_box_candidates import fit_black_boxes
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.policy import ComparisonPolicy
+from greybox.comparison.result import save_comparison
+from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 
 SMALL = ComparisonPolicy(

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery.adaptation import _hold_constants
-from greybox.discovery.holdout import HoldoutScores, ValidationSet
+from greybox.discovery.holdout import HoldoutScores, ValidationSet, _hold_constants
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.optim import QuadraticModel
+from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 PERIOD, NOISE = 0.01, 0.01
 AT_REST = gb.FitOptions(at_rest=True)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery import DiscoveryProblem
+from greybox.base.errors import ModelError
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
-from greybox.discovery.failures import NOT_SIMULATED, FailureLog, SearchStage
+from greybox.discovery.execution import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.findings import DiscoveryCode as Code
-from greybox.errors import ModelError
+from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.support.fake_candidates import toy_effect

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, ShapeKind, localise_residual
-from greybox.discovery.curve_shape import Parity
+from greybox.base.findings import with_code
+from greybox.discovery.curve_shape import Parity, ShapeKind
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.localisation import localise_residual
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.proposals import propose_next_steps, propose_noise_check
 from greybox.discovery.surrogate import find_missing_sites, fit_curve_surrogate
 from greybox.discovery.surrogate_effects import make_power_effect
-from greybox.findings import with_code
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.decision import (
     Verdict,
     clean_cost_limit,
@@ -18,7 +19,6 @@ from greybox.discovery.decision import (
 from greybox.discovery.findings import DiscoveryRule as Rule
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.policy import SelectionPolicy
-from greybox.noise import AutoRegression
 from tests.support.fake_candidates import COUNT, candidate
 
 POLICY = SelectionPolicy()

@@ -5,12 +5,15 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, drop_effect, localise_residual, try_effect
 from greybox.discovery.effect_signal import acts_as_constant, find_own_variable, is_offset_on_one_side
+from greybox.discovery.effect_test import drop_effect, try_effect
 from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import validate_candidate
-from greybox.estimation import FitOptions
+from greybox.discovery.localisation import localise_residual
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.estimation.options import FitOptions
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 

@@ -7,20 +7,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
 from greybox.discovery import evidence
-from greybox.discovery.adaptation import AdaptedRun
-from greybox.discovery.block_errors import compare_errors
 from greybox.discovery.certainty import Grade
-from greybox.discovery.evidence import (
-    EffectEvidence,
-    _measure_change,
-    _represents,
-    _share_of_error,
-    measure_structure,
-)
-from greybox.discovery.failures import FailureLog
+from greybox.discovery.evidence import EffectEvidence, _measure_change, _represents, _share_of_error, measure_structure
+from greybox.discovery.execution import FailureLog
+from greybox.discovery.holdout import AdaptedRun, compare_errors
 from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
-from greybox.noise import BoundDirection, NoiseBound, NoiseSource
 from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import candidate, toy_effect
 

@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.discovery.execution import RefitExecutor, RefitJob, RefitJournal, RefitOutcome
-from greybox.discovery.failures import FailureLog, SearchStage
+from greybox.base.errors import DataError, ModelError
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel
+from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome, SearchStage
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.errors import DataError, ModelError
-from greybox.estimation import FitOptions
-from greybox.noise import AutoRegression, NoiseModel
-from greybox.transcription.options import Transcription
+from greybox.estimation.options import FitOptions
+from greybox.estimation.transcription.options import Transcription
 from models.micro_actuator import micro_actuator
 
 

@@ -3,12 +3,12 @@
 import pytest
 
 import greybox as gb
-from greybox.discovery import SearchStage, discover
-from greybox.discovery.execution import RefitJob
+from greybox.base.errors import FitError
+from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.pipeline import discover
 from greybox.discovery.selection import StepwiseSelection
-from greybox.errors import FitError
-from greybox.model import Effect
+from greybox.model.effect import Effect
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 from tests.discovery.test_selection import select

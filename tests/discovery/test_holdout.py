@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.discovery.failures import FailureLog, SearchStage
+from greybox.discovery.execution import FailureLog, SearchStage
 from greybox.discovery.holdout import (
     HoldoutError,
     HoldoutScores,
@@ -16,7 +16,7 @@ from greybox.discovery.holdout import (
     worst_output,
 )
 from greybox.discovery.policy import SearchBudget, SelectionPolicy
-from greybox.result import Misfit, Trace, Validation
+from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
 
 

@@ -9,13 +9,15 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.discovery import discover, estimate_residual_spectrum, pipeline
+from greybox.base.errors import DataError
+from greybox.base.json_file import ResultKind
+from greybox.discovery import pipeline
 from greybox.discovery.findings import DiscoveryCode
-from greybox.errors import DataError
-from greybox.project import find_model
-from greybox.schemas import ResultKind
-from greybox.simulation.write import write_csv
+from greybox.discovery.localisation import estimate_residual_spectrum
+from greybox.discovery.pipeline import discover
+from greybox.shell.main import app
+from greybox.shell.project import find_model
+from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import ACTUATOR, AT_REST, plain_model, simulate_records
 from tests.support.result_schema import strict_offences

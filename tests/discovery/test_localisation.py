@@ -5,12 +5,16 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.discovery import LocalisationPolicy, Parity, ShapeKind, ShapePolicy, localise_residual
-from greybox.discovery.curve_shape import classify_shape
-from greybox.discovery.dependence import rank_dependences
+from greybox.discovery.curve_shape import Parity, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
-from greybox.discovery.localisation import find_worst_stretch
-from greybox.discovery.misfit_windows import MisfitWindow, divide_misfit, find_concentration
+from greybox.discovery.localisation import (
+    MisfitWindow,
+    divide_misfit,
+    find_concentration,
+    find_worst_stretch,
+    localise_residual,
+)
+from greybox.discovery.policy import LocalisationPolicy, ShapePolicy
 from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records

@@ -4,11 +4,12 @@ import json
 
 import pytest
 
-from greybox.discovery import Verdict, discover
+from greybox.base.errors import DataError
+from greybox.base.findings import with_code
+from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
-from greybox.effects import effect
-from greybox.errors import DataError
-from greybox.findings import with_code
+from greybox.discovery.pipeline import discover
+from greybox.model.effects.catalogue import effect
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records

@@ -5,11 +5,11 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.discovery import DiscoveryPolicy
-from greybox.discovery.discriminating_experiments import InputKind, candidate_inputs
+from greybox.base.errors import ModelError
 from greybox.discovery.findings import DiscoveryCode
-from greybox.effects import effect
-from greybox.errors import ModelError
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.proposals import InputKind, candidate_inputs
+from greybox.model.effects.catalogue import effect
 
 POLICY = DiscoveryPolicy().proposals
 HEATED = Model(

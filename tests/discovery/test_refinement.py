@@ -10,13 +10,16 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox import Experiment, FitOptions, fit, simulate
-from greybox.cli.app import app
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, SelectionPolicy, refine, refinement
+from greybox.discovery import refinement
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, reject_on_validation
-from greybox.effects import effect
-from greybox.project import find_model
-from greybox.simulation.write import write_csv
+from greybox.discovery.policy import DiscoveryPolicy, SelectionPolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.refinement import refine
+from greybox.model.effects.catalogue import effect
+from greybox.shell.main import app
+from greybox.shell.project import find_model
+from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox
 from tests.support.fake_candidates import candidate, toy_effect
 
@@ -67,7 +70,7 @@ def test_an_effect_that_a_later_one_makes_needless_is_out_again(hardening):
 def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_path, monkeypatch):
     truth = (silverbox + effect("cubic_stiffness") + effect("quadratic_stiffness")).start(K3=7e5, K2=-4e3)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("greybox.plots.draw_discovery", lambda *_: [])  # they are drawn in another test
+    monkeypatch.setattr("greybox.show.figures.pictures.draw_discovery", lambda *_: [])  # they are drawn in another test
 
     # As if the search had ended with the large effect.
     monkeypatch.setattr("greybox.discovery.selection.StepwiseSelection._has_structure_left", lambda *_: False)

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 from greybox.discovery import residual_noise
 from greybox.discovery.policy import ResidualNoisePolicy
 from greybox.discovery.residual_noise import (
@@ -15,7 +16,6 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
 )
 from greybox.estimation.policy import EstimationPolicy
-from greybox.noise import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 
 WHITE = AutoRegression()
 POLICY = ResidualNoisePolicy()

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import pytest
 
-from greybox.discovery import DiscoveryPolicy, SearchBudget, StepKind
 from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import RefitJob
+from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
 from greybox.discovery.problem import CandidateFit
-from greybox.discovery.selection import StepwiseSelection
+from greybox.discovery.selection import StepKind, StepwiseSelection
 from tests.support.fake_candidates import COUNT, FakeProblem, costs, leaves_noise, toy_effect
 
 NOISE = 1000.0  # a thousand samples of noise

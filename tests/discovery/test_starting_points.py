@@ -2,13 +2,9 @@
 
 import pytest
 
+from greybox.discovery.candidates import count_shapes, generate_child_starting_points, generate_starting_points
 from greybox.discovery.problem import CandidateFit
-from greybox.discovery.starting_points import (
-    count_shapes,
-    generate_child_starting_points,
-    generate_starting_points,
-)
-from greybox.model import Effect
+from greybox.model.effect import Effect
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import toy_effect

@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.discovery import DiscoveryPolicy, Verdict
-from greybox.discovery.decision import Conclusion
+from greybox.discovery.decision import Conclusion, Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.pipeline import _summarise
+from greybox.discovery.policy import DiscoveryPolicy
 
 LOCATION = SimpleNamespace(
     is_missing=True,

@@ -8,12 +8,11 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.discovery.execution import RefitExecutor
-from greybox.discovery.failures import FailureLog
+from greybox.base.errors import DataError
+from greybox.base.parallel.jobs import run_jobs
+from greybox.discovery.execution import FailureLog, RefitExecutor
 from greybox.discovery.findings import DiscoveryCode
-from greybox.effects import effect
-from greybox.errors import DataError
-from greybox.parallel import run_jobs
+from greybox.model.effects.catalogue import effect
 
 STAGE = Model(
     "stage",

@@ -6,16 +6,20 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery import DiscoveryPolicy, DiscoveryProblem, Verdict, discover, localise_residual
+from greybox.base.errors import DataError
+from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.localisation import to_candidate_fit
+from greybox.discovery.localisation import localise_residual, to_candidate_fit
+from greybox.discovery.pipeline import discover
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.surrogate import fit_tone_surrogate
-from greybox.errors import DataError
-from greybox.estimation import FitOptions, validate
-from greybox.export import to_python
-from greybox.plots import draw_discovery
-from greybox.project import find_model
-from greybox.reports import report
+from greybox.estimation.options import FitOptions
+from greybox.estimation.validate import validate
+from greybox.extensions.export.python_model import to_python
+from greybox.shell.project import find_model
+from greybox.show.figures.pictures import draw_discovery
+from greybox.show.pages.report import report
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 

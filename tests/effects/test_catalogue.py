@@ -8,8 +8,9 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
-from greybox.effects import CATALOGUE, applicable_effects, effect, measure_scales, tailor_to_record
-from greybox.errors import ModelError, UnitError
+from greybox.base.errors import ModelError, UnitError
+from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect
+from greybox.model.effects.scales import measure_scales, tailor_to_record
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance

@@ -8,9 +8,9 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.effects import CATALOGUE, effect, find_placements, place_effect
-from greybox.project import find_model
-from greybox.project.folders import template_root
+from greybox.model.effects.catalogue import CATALOGUE, effect
+from greybox.model.effects.placement import find_placements, place_effect
+from greybox.shell.project import find_model, template_root
 
 FINE = 200
 Rate = Callable[[list[float], float], list[float]]

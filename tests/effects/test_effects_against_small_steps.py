@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.effects import effect
+from greybox.model.effects.catalogue import effect
 
 PERIOD, ROWS, FINE = 5e-3, 300, 200
 MASS, DAMPING, STIFFNESS = 0.5, 2.0, 300.0

@@ -5,8 +5,8 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, Model, Output, Parameter, State
-from greybox.effects import formula_effect
-from greybox.errors import ModelError, UnitError
+from greybox.base.errors import ModelError, UnitError
+from greybox.model.effects.formula import formula_effect
 
 
 def decay() -> Model:

@@ -4,7 +4,7 @@ import numpy as np
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.effects import effect
+from greybox.model.effects.catalogue import effect
 
 M, K, B, M2, K2, C2 = 2.0, 800.0, 4.0, 0.3, 300.0, 0.6
 # Isolated body, position relative to the base.

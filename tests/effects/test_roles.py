@@ -4,15 +4,17 @@ import ast
 import re
 from pathlib import Path
 
+import greybox.effects
 import numpy as np
 
-import greybox.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.check import check
-from greybox.effects import CATALOGUE, ROLES, find_placements, measure_scales
-from greybox.effects.roles import RoleOwner
+from greybox.estimation.check import check
+from greybox.model.effects.catalogue import CATALOGUE
+from greybox.model.effects.placement import find_placements
+from greybox.model.effects.roles import ROLES, RoleOwner
+from greybox.model.effects.scales import measure_scales
 from greybox.model.sites import NEEDED
-from greybox.rendering.effects import describe_missing, write_roles_page
+from greybox.show.sentences.model import describe_missing, write_roles_page
 
 # What an effect sees at its site under these words, whatever the model calls it; and other balances by their names.
 OF_THE_SITE = {*NEEDED, "transmitted", "driven"}

@@ -8,16 +8,19 @@ import cloudpickle
 import numpy as np
 import pytest
 
-from greybox.effects import effect
-from greybox.errors import DataError, FitError, ModelError
-from greybox.estimation import FitOptions, fit, validate
+from greybox.base.errors import DataError, FitError, ModelError
+from greybox.base.findings import Finding
+from greybox.data.experiment import Experiment
+from greybox.data.findings import RecordCode
 from greybox.estimation.findings import EstimationCode
-from greybox.experiment import Experiment
-from greybox.experiment.findings import RecordCode
-from greybox.findings import Finding
-from greybox.model import Balance, Model
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import load_fit
+from greybox.estimation.validate import validate
+from greybox.model.balance import Balance
+from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.result import load_fit
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -9,16 +9,19 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from greybox.effects import effect
-from greybox.errors import DataError, FitError, ModelError
-from greybox.estimation import FitOptions, fit, validate
-from greybox.model import Balance, Model
+from greybox.base.errors import DataError, FitError, ModelError
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.residuals import residual_tests
+from greybox.estimation.result import load_fit
+from greybox.estimation.transcription.solution import SolutionCode, TranscriptionReason
+from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.validate import validate
+from greybox.model.balance import Balance
+from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.residuals import residual_tests
-from greybox.result import load_fit
-from greybox.simulation import simulate
-from greybox.transcription.findings import SolutionCode, TranscriptionReason
-from greybox.uncertainty import profile
+from greybox.simulation.simulate import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

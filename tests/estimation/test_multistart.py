@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from greybox import GreyboxError
-from greybox.errors import ModelError
-from greybox.estimation import FitOptions, multistart
-from greybox.estimation.multistart import draw_starts, group_by_optimum, summarise_starts
-from greybox.result import StartResult
+from greybox.base.errors import ModelError
+from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result_parts import StartResult
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine

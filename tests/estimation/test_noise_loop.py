@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from greybox import FitOptions
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.noise_loop import estimate_by_simulation_error, update_noise
 from greybox.estimation.options import prepare_estimation
 from greybox.estimation.policy import EstimationPolicy, NoiseLoopPolicy
-from greybox.experiment import Experiment
-from greybox.noise import NoiseSource
 from tests.estimation.test_robust_estimation import LEVEL, TRUTH, record, spoiled
 from tests.support.published_plants import REST, SATURATION, TIMES, VALUES
 

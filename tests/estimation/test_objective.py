@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from greybox import FitOptions, fit
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import compute_lag_one_correlation
 from greybox.estimation.objective import PredictionErrorObjective, SimulationErrorObjective
 from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
 from greybox.estimation.options import prepare_estimation
 from greybox.estimation.restore import restore_objective
-from greybox.noise import AutoRegression
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 KINDS = {"simulation": SimulationErrorObjective, "prediction": PredictionErrorObjective}
@@ -137,7 +137,7 @@ def test_a_long_record_is_whitened_in_its_place_to_the_same_numbers(monkeypatch)
     problem = prepare_estimation(MASS, data.with_outputs({**data.outputs, "x": x}), LEVEL, FitOptions())
     problem = replace(problem, noise=replace(problem.noise, colour=tuple(colour.values())))
     usual = problem.shooting().residuals(problem.variables.here)
-    monkeypatch.setattr("greybox.transcription.simulation_error.NUMBERS_AT_A_TIME", 10)
+    monkeypatch.setattr("greybox.estimation.transcription.simulation_error.NUMBERS_AT_A_TIME", 10)
     for computed, expected in zip(problem.shooting().residuals(problem.variables.here)[0], usual[0], strict=True):
         assert np.array_equal(computed, expected, equal_nan=True)
         assert np.isnan(expected).any() and not np.isnan(expected).all()

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.errors import ModelError
-from greybox.optim import minimise, solve_sparse
-from greybox.transcription import (
-    Collocation,
-    DecisionVector,
-    MultipleShooting,
-    SegmentedProblem,
-)
-from greybox.transcription.problem import prepare_problem
-from greybox.transcription.segments import cut_in_rows
+from greybox.base.errors import ModelError
+from greybox.estimation.optim.ipopt import solve_sparse
+from greybox.estimation.optim.methods import minimise
+from greybox.estimation.transcription.collocation import Collocation
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.multiple_shooting import MultipleShooting
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_record, values
 

@@ -7,25 +7,28 @@ import json
 import numpy as np
 import pytest
 
-from greybox.check import check
-from greybox.comparison import compare, save_comparison
-from greybox.discovery import DiscoveryProblem
-from greybox.estimation import FitOptions, fit
+from greybox.comparison.compare import compare
+from greybox.comparison.result import save_comparison
+from greybox.data.noise.policy import NoisePolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.estimation.check import check
+from greybox.estimation.fit import fit
+from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
+from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.estimation.predictor import restore_integration_options
 from greybox.estimation.restore import restore_problem
-from greybox.integrators import DiscretisationPolicy
-from greybox.noise import NoisePolicy
-from greybox.optim import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
-from greybox.result import load_fit
-from greybox.transcription.policy import (
+from greybox.estimation.result import load_fit
+from greybox.estimation.transcription.policy import (
     RobustLossPolicy,
     SegmentPolicy,
     TranscriptionChoicePolicy,
     TranscriptionPolicy,
 )
-from greybox.uncertainty import bootstrap, profile
-from greybox.uncertainty.policy import BootstrapPolicy, ProfilePolicy
+from greybox.estimation.uncertainty.bootstrap import bootstrap
+from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
+from greybox.estimation.uncertainty.profile import profile
+from greybox.simulation.integrators.policy import DiscretisationPolicy
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 

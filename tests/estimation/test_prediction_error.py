@@ -9,11 +9,11 @@ from scipy.optimize import minimize
 
 import greybox as gb
 from greybox import FitOptions, fit
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.restore import restore_objective
-from greybox.filtering import KalmanFilter
-from greybox.result import load_fit
+from greybox.estimation.result import load_fit
+from greybox.simulation.filtering.kalman_filter import KalmanFilter
 from models.cascaded_tanks import cascaded_tanks
 from tests.support.filters import check_slopes, filter_of, tank, tank_record
 from tests.support.findings import codes, find

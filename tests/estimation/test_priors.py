@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from greybox import FitOptions, Parameter, fit, load_fit
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from greybox.estimation.findings import EstimationCode
-from greybox.transcription.problem import prepare_problem
-from greybox.uncertainty import bootstrap, profile
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.uncertainty.bootstrap import bootstrap
+from greybox.estimation.uncertainty.profile import profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find

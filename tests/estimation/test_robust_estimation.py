@@ -8,15 +8,16 @@ from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from greybox import FitOptions, fit, load_fit, validate
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_sources import estimate_noise
+from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.findings import EstimationCode
-from greybox.experiment import Experiment
-from greybox.noise import estimate_noise, estimate_noise_from_differences
-from greybox.residuals import residual_tests
-from greybox.transcription.problem import prepare_problem
-from greybox.transcription.robust_loss import parse_loss
-from greybox.transcription.simulation_error import RobustShooting
-from greybox.uncertainty import bootstrap, profile
+from greybox.estimation.residuals import residual_tests
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.simulation_error import RobustShooting, parse_loss
+from greybox.estimation.uncertainty.bootstrap import bootstrap
+from greybox.estimation.uncertainty.profile import profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import codes, find

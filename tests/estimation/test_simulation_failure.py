@@ -4,10 +4,11 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimation.findings import EstimationCode
-from greybox.estimation.simulation_failure import locate_simulation_failure
-from greybox.model import Balance, Model
+from greybox.estimation.fit_issues import locate_simulation_failure
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.transcription.problem import prepare_problem
 from tests.oracles.independent import experiment
 from tests.support.explosive import explosive
 

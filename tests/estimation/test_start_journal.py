@@ -8,9 +8,8 @@ import sys
 import numpy as np
 import pytest
 
-from greybox.errors import WorkersLostError
-from greybox.estimation import multistart
-from greybox.estimation.start_journal import StartJournal
+from greybox.base.errors import WorkersLostError
+from greybox.estimation.multistart import StartJournal, multistart
 from tests.oracles.independent import linear_record
 from tests.parallel.test_jobs import lag
 
@@ -82,7 +81,7 @@ def test_damaged_lines_are_skipped(tmp_path, record, begun, damage):
 
 
 def test_a_start_without_a_finite_end_is_kept_as_such(tmp_path):
-    from greybox.parallel import JobResult
+    from greybox.base.parallel.jobs import JobResult
 
     journal = StartJournal(tmp_path / "starts.jsonl")
     journal.add("a", JobResult(({}, float("inf"), "overflow"), "", 1.0))
@@ -93,7 +92,7 @@ def test_a_start_without_a_finite_end_is_kept_as_such(tmp_path):
 def test_a_lost_cluster_leaves_the_finished_starts_in_the_journal(tmp_path, record, begun, monkeypatch):
     from concurrent.futures import ThreadPoolExecutor
 
-    from greybox.parallel import jobs
+    from greybox.base.parallel import jobs
 
     class Lost:
         def find_fault(self, finished, is_alone=False):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.experiment.columns import propose_columns
-from greybox.experiment.formats import open_record_file
-from greybox.model import Balance, Model
+from greybox.data.columns import propose_columns
+from greybox.data.formats import open_record_file
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 
 CART = Model(

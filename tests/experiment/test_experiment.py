@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from greybox.errors import DataError
-from greybox.experiment import Experiment, collect_record_findings
-from greybox.experiment.experiment import number_unnamed_records
-from greybox.experiment.findings import RecordCode, is_sensor_fault
-from greybox.experiment.sampling import estimate_time_resolution, find_sampling_time
+from greybox.base.errors import DataError
+from greybox.data.experiment import Experiment, collect_record_findings, number_unnamed_records
+from greybox.data.findings import RecordCode, is_sensor_fault
+from greybox.data.sampling import estimate_time_resolution, find_sampling_time
 
 N = 40
 TIME = 0.5 * np.arange(N)

@@ -12,12 +12,12 @@ import pytest
 from scipy.io import loadmat, savemat
 from scipy.sparse import csc_array
 
-from greybox.errors import DataError
-from greybox.experiment import read_csv
-from greybox.experiment.findings import RecordCode
-from greybox.experiment.mat_file import read_mat
-from greybox.project import find_model
-from greybox.simulation import read_inputs
+from greybox.base.errors import DataError
+from greybox.data.findings import RecordCode
+from greybox.data.read import read_csv
+from greybox.extensions.formats.mat_file import read_mat
+from greybox.shell.project import find_model
+from greybox.simulation.simulate import read_inputs
 from tests.experiment.test_read import ANSWER, DRIVE, RIG, TIME, N
 
 ROWS = [f"{t!r},{u!r},{x!r}" for t, u, x in np.column_stack([TIME, DRIVE, ANSWER]).tolist()]

@@ -10,14 +10,20 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.errors import DataError
-from greybox.experiment.clock_offset import estimate_clock_offset
-from greybox.experiment.columns import SignalKind
-from greybox.experiment.findings import RecordCode
-from greybox.experiment.policy import ReadingPolicy
-from greybox.experiment.survey import survey_file
-from greybox.experiment.time_base import ChannelUse, Samples, bring_to_one_base, interpolate_band_limited
-from greybox.model import Balance, Model
+from greybox.base.errors import DataError
+from greybox.data.columns import SignalKind
+from greybox.data.findings import RecordCode
+from greybox.data.policy import ReadingPolicy
+from greybox.data.survey import survey_file
+from greybox.data.time_base import (
+    ChannelUse,
+    Samples,
+    bring_to_one_base,
+    estimate_clock_offset,
+    interpolate_band_limited,
+)
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 
 FAST, SLOW, OFFSET = 0.001, 0.01, 0.2373

@@ -12,13 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from greybox.errors import DataError
-from greybox.experiment import read_csv, read_experiments
-from greybox.experiment.columns import parse_header
-from greybox.experiment.findings import RecordCode
-from greybox.experiment.policy import ReadingPolicy
-from greybox.experiment.text_table import read_text
-from greybox.model import Balance, Model
+from greybox.base.errors import DataError
+from greybox.data.columns import parse_header
+from greybox.data.findings import RecordCode
+from greybox.data.policy import ReadingPolicy
+from greybox.data.read import read_csv, read_experiments
+from greybox.data.text_table import read_text
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 
 N = 30

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
-from greybox.errors import DataError
-from greybox.experiment import read_experiments
-from greybox.experiment.findings import RecordCode, is_sensor_fault
-from greybox.experiment.time_gaps import refuse_unknown_input
-from greybox.simulation import write_csv
+from greybox.base.errors import DataError
+from greybox.data.experiment import refuse_unknown_input
+from greybox.data.findings import RecordCode, is_sensor_fault
+from greybox.data.read import read_experiments
+from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
 

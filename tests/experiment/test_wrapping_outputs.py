@@ -5,10 +5,10 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.errors import ModelError
-from greybox.experiment.findings import RecordCode
-from greybox.export import to_python
-from greybox.project import find_model
+from greybox.base.errors import ModelError
+from greybox.data.findings import RecordCode
+from greybox.extensions.export.python_model import to_python
+from greybox.shell.project import find_model
 
 SPINDLE = Model(
     "spindle",

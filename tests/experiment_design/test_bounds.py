@@ -6,9 +6,9 @@ import numpy as np
 
 import greybox as gb
 from fits.design_bounds import bound_precision
-from greybox.experiment_design import DesignProblem, SignalLimit
-from greybox.experiment_design.plant import make_plant
-from greybox.experiment_design.precision import make_precision
+from greybox.extensions.design.goals import make_precision
+from greybox.extensions.design.plant import make_plant
+from greybox.extensions.design.problem import DesignProblem, SignalLimit
 from tests.support.first_order import first_order
 
 

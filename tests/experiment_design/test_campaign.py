@@ -17,15 +17,15 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.errors import DataError
-from greybox.experiment_design import CampaignPlan, CampaignStatus, DesignPolicy, SignalLimit, run_campaign
-from greybox.experiment_design.campaign import Knowledge, choose_shares
-from greybox.experiment_design.policy import CAMPAIGN_POLICY
-from greybox.files import hold_file
-from greybox.rendering.reports import PageText
-from greybox.reports import build_page
-from greybox.schemas import ResultKind, read_json
+from greybox.base.errors import DataError
+from greybox.base.files import hold_file
+from greybox.base.json_file import ResultKind, read_json
+from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, Knowledge, choose_shares, run_campaign
+from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
+from greybox.extensions.design.problem import SignalLimit
+from greybox.shell.main import app
+from greybox.show.pages.report import build_page
+from greybox.show.sentences.pages import PageText
 from tests.support.result_schema import strict_offences
 
 PROGRAM = Path(__file__).parents[1] / "support" / "rig_program.py"

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.errors import DataError, GreyboxError, ModelError
-from greybox.experiment_design import DesignPolicy, DesignProblem, GoalName, SignalLimit
-from greybox.experiment_design.adjoint import SensitivityRun
-from greybox.experiment_design.detection import HiddenEffect, make_detection
-from greybox.experiment_design.discrimination import make_discrimination
-from greybox.experiment_design.plant import make_plant
-from greybox.experiment_design.precision import make_precision
-from greybox.experiment_design.result import design_data
-from greybox.result import to_json_data
-from greybox.schemas import ResultKind
-from greybox.simulation import read_inputs
+from greybox.base.errors import DataError, GreyboxError, ModelError
+from greybox.base.json_file import ResultKind
+from greybox.estimation.result_parts import to_json_data
+from greybox.extensions.design.adjoint import SensitivityRun
+from greybox.extensions.design.goals import HiddenEffect, make_detection, make_discrimination, make_precision
+from greybox.extensions.design.plant import make_plant
+from greybox.extensions.design.policy import DesignPolicy
+from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.result import design_data
+from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
 from tests.support.result_schema import strict_offences
 
@@ -148,7 +147,7 @@ GOALS = {
 @pytest.mark.parametrize("goal", GOALS)
 def test_the_gradient_of_a_goal_is_that_of_finite_differences(goal: str, kernel: str, monkeypatch) -> None:
     monkeypatch.setenv("GREYBOX_KERNEL", kernel)
-    from greybox.experiment_design.adjoint_loops import make_loops
+    from greybox.extensions.design.adjoint import make_loops
 
     make_loops.cache_clear()
     rival = PLANT.start(c=0.5, d=1.4)

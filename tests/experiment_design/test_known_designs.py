@@ -9,17 +9,12 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.errors import DataError
-from greybox.experiment_design import (
-    DesignPolicy,
-    DesignProblem,
-    SignalLimit,
-    choose_sampling_times,
-    compress_multisine,
-    crest_factor,
-    weigh_optimally,
-)
-from greybox.experiment_design.plant import make_plant
+from greybox.base.errors import DataError
+from greybox.extensions.design.inputs import compress_multisine, crest_factor
+from greybox.extensions.design.plant import make_plant
+from greybox.extensions.design.policy import DesignPolicy
+from greybox.extensions.design.problem import DesignProblem, SignalLimit
+from greybox.extensions.design.sampling_times import choose_sampling_times, weigh_optimally
 from tests.support.first_order import box_lucas, first_order, rooney_biegler
 
 REST = gb.FitOptions(at_rest=True)

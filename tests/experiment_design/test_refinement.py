@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.experiment_design import DesignPolicy, DesignProblem, Multisine, SignalLimit
-from greybox.experiment_design.limits import LimitKeeper, fit_into_limits
-from greybox.experiment_design.plant import list_plants
-from greybox.experiment_design.play import play
-from greybox.experiment_design.precision import make_precision
-from greybox.experiment_design.refinement import InputRefinement, refine
+from greybox.extensions.design.goals import make_precision
+from greybox.extensions.design.inputs import Multisine, play
+from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
+from greybox.extensions.design.plant import list_plants
+from greybox.extensions.design.policy import DesignPolicy
+from greybox.extensions.design.problem import DesignProblem, SignalLimit
+from greybox.extensions.design.refinement import InputRefinement, refine
 from tests.support.oscillator import oscillator
 
 POLICY = DesignPolicy()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.effects import applicable_effects
-from greybox.errors import GreyboxError
-from greybox.kernel.c_compiler import find_compiler
+from greybox.base.errors import GreyboxError
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.simulation.kernel.c_compiler import find_compiler
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

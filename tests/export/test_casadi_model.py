@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import greybox as gb
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 

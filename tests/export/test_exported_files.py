@@ -13,10 +13,10 @@ from scipy.io import loadmat
 from scipy.signal import StateSpace, dstep, step
 
 import greybox as gb
-from greybox.effects import applicable_effects
-from greybox.export.linear_files import write_control
-from greybox.model import Rule
-from greybox.project.find import find_model
+from greybox.extensions.export.linear_files import write_control
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.validation import Rule
+from greybox.shell.project import find_model
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -247,7 +247,7 @@ def test_another_program_reads_the_same_rates_from_modelica(tmp_path, monkeypatc
 
 
 def test_names_of_other_languages_are_kept_apart():
-    from greybox.export.identifiers import to_identifier, to_identifiers
+    from greybox.base.texts import to_identifier, to_identifiers
 
     assert to_identifier("micro_actuator + coulomb_friction") == "micro_actuator_coulomb_friction"
     assert to_identifiers(["a.b", "a_b", "int", "2x"], ["int"]) == ["a_b", "a_b_2", "int_2", "_2x"]

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.export.discrete_step import make_discrete_step
-from greybox.export.fmu import write_description
-from greybox.export.linear_files import LINEAR_FORMATS
-from greybox.export.plant import to_plant
-from greybox.export.texts import escape_line, to_comment, to_line
-from greybox.result import Fit
+from greybox.base.texts import escape_line, to_comment, to_line
+from greybox.estimation.linear.plant import to_plant
+from greybox.estimation.result import Fit
+from greybox.extensions.export.discrete_step import make_discrete_step
+from greybox.extensions.export.fmu import write_description
+from greybox.extensions.export.linear_files import LINEAR_FORMATS
 from models.micro_actuator import micro_actuator
 from tests.support.hostile import CODE, MARKUP
 

@@ -9,11 +9,11 @@ from scipy.io import loadmat
 from scipy.signal import cont2discrete, dlsim
 
 import greybox as gb
-from greybox.export import ExportFinding
-from greybox.export.parameter_samples import make_parameter_distribution
-from greybox.export.plant import to_plant
-from greybox.signals import multisine
-from greybox.twin import simulate_twin
+from greybox.data.signals import multisine
+from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.model_family import make_parameter_distribution
+from greybox.estimation.linear.plant import to_plant
+from greybox.simulation.twin import simulate_twin
 from models.micro_actuator import micro_actuator
 
 NOISE = {"x": 2e-6, "i": 5e-2}

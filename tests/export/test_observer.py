@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.experiment import Experiment
-from greybox.filtering import KalmanFilter
-from greybox.integrators import discretise
-from greybox.kernel.c_compiler import find_compiler
-from greybox.transcription import to_record
+from greybox.data.experiment import Experiment
+from greybox.simulation.filtering.kalman_filter import KalmanFilter
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.kernel.c_compiler import find_compiler
+from greybox.simulation.records import to_record
 from models.micro_actuator import micro_actuator
 from tests.support.filters import tank
 

@@ -3,7 +3,7 @@
 import casadi as ca
 import pytest
 
-from greybox.expressions import expression_latex, symbol_latex
+from greybox.model.expressions.text import expression_latex, symbol_latex
 
 
 @pytest.mark.parametrize(

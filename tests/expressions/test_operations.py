@@ -9,17 +9,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError, ModelError
-from greybox.expressions import LATEX, MODELICA, NUMPY, OPERATIONS, PYTHON, TEXT, Operation, Printer
-from greybox.expressions.c import c_instruction, c_literal, c_type
-from greybox.expressions.derivatives import FLAT, Slopes
-from greybox.expressions.formula import evaluate_formula, format_formula
-from greybox.expressions.operations import Binding, function, operation_name
-from greybox.expressions.text import expression_text
-from greybox.expressions.units import infer_unit
-from greybox.kernel.interpreted import evaluate_tape
-from greybox.kernel.tape import read_tape
-from greybox.units import ONE
+from greybox.base.errors import GreyboxError, ModelError
+from greybox.base.units import ONE
+from greybox.model.expressions.operations import FLAT, OPERATIONS, Binding, Operation, Slopes, function, operation_name
+from greybox.model.expressions.printer import MODELICA, NUMPY, PYTHON, Printer, c_instruction, c_literal, c_type
+from greybox.model.expressions.text import LATEX, TEXT, evaluate_formula, expression_text, format_formula
+from greybox.model.expressions.units import infer_unit
+from greybox.simulation.kernel.interpreted import evaluate_tape
+from greybox.simulation.kernel.tape import read_tape
 
 A, B = ca.SX.sym("a"), ca.SX.sym("b")
 POINTS = {ca.OP_ACOSH: (1.6, 1.7), ca.OP_FMOD: (3.1, 1.7), ca.OP_REMAINDER: (3.1, 1.7)}

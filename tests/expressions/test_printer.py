@@ -5,9 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import pytest
 
-from greybox.expressions import MODELICA, PYTHON, Printer
-from greybox.expressions.graph import nodes, walk
-from greybox.expressions.printer import Binding
+from greybox.model.expressions.graph import nodes, walk
+from greybox.model.expressions.operations import Binding
+from greybox.model.expressions.printer import MODELICA, PYTHON, Printer
 
 x, y, z = (ca.SX.sym(name) for name in "xyz")
 SYMBOLS = {"x": "x", "y": "y", "z": "z"}

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greybox.expressions import text
-from greybox.expressions.text import expression_text
+from greybox.model.expressions import text
+from greybox.model.expressions.text import expression_text
 
 x, y, v, k, a, b = (ca.SX.sym(name) for name in ("x", "y", "v", "k", "a", "b"))
 

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
-from greybox.effects import effect
-from greybox.experiment import Experiment
-from greybox.filtering import KalmanFilter, predict_outputs, smooth_states
-from greybox.filtering.discrete_process_noise import discretise_process_noise
-from greybox.filtering.symmetric_matrices import to_symmetric_arrays
-from greybox.integrators import discretise
-from greybox.transcription import to_record
+from greybox.data.experiment import Experiment
+from greybox.model.effects.catalogue import effect
+from greybox.simulation.filtering.kalman_filter import KalmanFilter, discretise_process_noise, to_symmetric_arrays
+from greybox.simulation.filtering.smoother import predict_outputs, smooth_states
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.records import to_record
 from models.micro_actuator import micro_actuator
 from models.pneumatic_full import pneumatic_full
 from tests.oracles.independent import linear_matrices, multisine, values
@@ -222,7 +221,7 @@ def test_the_extended_filter_is_the_textbook_one():
     ids=lambda m: m.effects[-1].name,
 )
 def test_the_filter_of_every_kind_of_step_follows_its_record_and_has_exact_slopes(model):
-    from greybox.simulation import simulate
+    from greybox.simulation.simulate import simulate
 
     start = {"Fc": 0.05, "Fs": 0.06, "gap": 2e-7, "delay": 1e-4}
     model = model.start(**{n: v for n, v in start.items() if n in model.values}).with_process_noise(v=0.2)
@@ -249,7 +248,7 @@ def test_the_filter_of_every_kind_of_step_follows_its_record_and_has_exact_slope
 def test_a_large_plant_can_be_filtered():
     model = pneumatic_full.with_process_noise(v=0.05)
     rng = np.random.default_rng(4)
-    from greybox.simulation import simulate
+    from greybox.simulation.simulate import simulate
 
     time = np.arange(150) * 0.005
     data = simulate(model, {"time": time, model.inputs[0].name: 2 * np.sign(np.sin(6 * time))})

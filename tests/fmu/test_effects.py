@@ -11,12 +11,14 @@ from scipy.signal import lsim
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.discovery import Verdict
-from greybox.errors import ModelError
-from greybox.experiment import Experiment
-from greybox.fmu import discover_fmu, fit_fmu, fit_fmu_effects, prepare_fmu, read_fmu
-from greybox.schemas import ResultKind
+from greybox.base.errors import ModelError
+from greybox.base.json_file import ResultKind
+from greybox.data.experiment import Experiment
+from greybox.discovery.decision import Verdict
+from greybox.extensions.fmu.description import read_fmu
+from greybox.extensions.fmu.effects import discover_fmu, fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.shell.main import app
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 

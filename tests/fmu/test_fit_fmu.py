@@ -15,11 +15,13 @@ from scipy.signal import lsim
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
-from greybox.errors import DataError, ModelError, OutputError
-from greybox.experiment import Experiment
-from greybox.fmu import FmuRunError, FmuSimulator, fit_fmu, read_fmu
-from greybox.schemas import ResultKind, read_json
+from greybox.base.errors import DataError, ModelError, OutputError
+from greybox.base.json_file import ResultKind, read_json
+from greybox.data.experiment import Experiment
+from greybox.extensions.fmu.description import read_fmu
+from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
+from greybox.shell.main import app
 from models.micro_actuator import micro_actuator
 from tests.support.reference_fmus import BOUNCING_BALL, DAHLQUIST, MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from greybox.experiment import Experiment
-from greybox.fmu import FmuSimulator, fit_fmu, read_fmu
+from greybox.data.experiment import Experiment
+from greybox.extensions.fmu.description import read_fmu
+from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.simulator import FmuSimulator
 from tests.support.reference_fmus import DAHLQUIST, MASS, VAN_DER_POL, build_reference_fmu
 
 pytest.importorskip("fmpy", reason="fmpy comes with the extra 'fmu'")
@@ -80,7 +82,7 @@ def test_where_there_are_none_differences_take_their_place(tmp_path):
 
 
 def test_derivatives_that_fail_are_not_asked_for_again(tmp_path, monkeypatch):
-    from greybox.fmu.sensitivities import SensitivityRunner
+    from greybox.extensions.fmu.sensitivities import SensitivityRunner
 
     plant = read_fmu(build_reference_fmu(VAN_DER_POL, tmp_path, "2.0", "ModelExchange"))
     record = Experiment("r", TIME, {}, {"x0": van_der_pol_slopes(1.4)[0]})

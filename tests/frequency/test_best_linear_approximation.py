@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.errors import DataError
-from greybox.experiment import Experiment
-from greybox.frequency import estimate_best_linear_approximation, find_period
+from greybox.base.errors import DataError
+from greybox.comparison.frequency.best_linear_approximation import estimate_best_linear_approximation, find_period
+from greybox.data.experiment import Experiment
 
 ROWS, PERIODS, STEP, AMPLITUDE = 1024, 6, 1e-3, 0.1
 ODD = np.arange(1, 200, 2)

@@ -8,8 +8,9 @@ from scipy import signal
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.experiment import Experiment
-from greybox.frequency import FrequencyResponse, fit_frequency_response
+from greybox.comparison.frequency.fit_response import fit_frequency_response
+from greybox.comparison.frequency.response import FrequencyResponse
+from greybox.data.experiment import Experiment
 
 J1, J2, DAMPING, SHAFT, SLIP = 0.02, 0.05, 0.01, 40.0, 0.03
 R1, R2, C1, C2 = 1e3, 4.7e3, 1e-6, 2.2e-6

@@ -7,8 +7,9 @@ import pytest
 from scipy import signal
 
 import greybox as gb
-from greybox.errors import DataError
-from greybox.frequency import FrequencyResponse, fit_frequency_response, read_frequency_response
+from greybox.base.errors import DataError
+from greybox.comparison.frequency.fit_response import fit_frequency_response
+from greybox.comparison.frequency.response import FrequencyResponse, read_frequency_response
 from models.micro_actuator import micro_actuator
 
 TRUE = micro_actuator.fix("M", "Ra", "La", "Kf", "Kv")

@@ -19,9 +19,9 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.cli.app import app
+from greybox.base.files import PART
 from greybox.discovery.execution import RefitJournal, RefitOutcome
-from greybox.files import PART
+from greybox.shell.main import app
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.child import run_in_child

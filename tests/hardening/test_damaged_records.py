@@ -18,10 +18,10 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import savemat
 
-from greybox.errors import DataError, ModelError
-from greybox.experiment import read_csv
-from greybox.experiment.policy import READING_POLICY, ReadingPolicy
-from greybox.units import parse_unit
+from greybox.base.errors import DataError, ModelError
+from greybox.base.units import parse_unit
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.read import read_csv
 from tests.experiment.test_read import ANSWER, DRIVE, RIG, TIME, N, good
 
 SIGNALS = {"time": TIME, "u": DRIVE, "x": ANSWER}

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from greybox.errors import DataError
-from greybox.experiment import read_csv
+from greybox.base.errors import DataError
+from greybox.data.read import read_csv
 from models.silverbox import silverbox
 from tests.hardening.mutations import mutate_bytes, mutate_text
 from tests.hardening.record_files import odd_files, packed_lies, valid_files
@@ -118,7 +118,7 @@ def test_mutations_of_valid_files_of_every_format(tmp_path):
 
 def judge_command(folder: Path, command: list[str], file: str) -> str:
     """What a command comes to on one file: "done", "refused", or what is wrong with it."""
-    from greybox.cli.app import app
+    from greybox.shell.main import app
 
     before = {path.relative_to(folder) for path in folder.rglob("*")}
     with time_limit(120):

@@ -18,24 +18,26 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.change_detection import ChangeVerdict
-from greybox.change_detection.result import load_changes
-from greybox.cli.study_file import read_study
-from greybox.comparison import load_comparison
-from greybox.discovery import load_discovery
+from greybox.base.errors import GreyboxError
+from greybox.base.findings import Finding
+from greybox.base.json_file import ResultKind, read_json
+from greybox.comparison.result import load_comparison
 from greybox.discovery.execution import RefitJournal, RefitOutcome
-from greybox.errors import GreyboxError
-from greybox.experiment_design import CampaignPlan, DesignPolicy, SignalLimit
-from greybox.experiment_design import campaign as campaigns
-from greybox.experiment_design.findings import CampaignCode
-from greybox.experiment_design.policy import InputSearchPolicy, MarginPolicy
-from greybox.findings import Finding
-from greybox.fmu import fit_fmu, read_fmu
-from greybox.model import Model
-from greybox.project.effects import find_own_effects, keep_effect
-from greybox.result import load_fit
-from greybox.schemas import ResultKind, read_json
-from greybox.uncertainty import load_bootstrap, load_profile
+from greybox.discovery.result import load_discovery
+from greybox.estimation.result import load_fit
+from greybox.estimation.uncertainty.bootstrap import load_bootstrap
+from greybox.estimation.uncertainty.profile import load_profile
+from greybox.extensions.changes.result import ChangeVerdict, load_changes
+from greybox.extensions.design import campaign as campaigns
+from greybox.extensions.design.campaign import CampaignPlan
+from greybox.extensions.design.findings import CampaignCode
+from greybox.extensions.design.policy import DesignPolicy, InputSearchPolicy, MarginPolicy
+from greybox.extensions.design.problem import SignalLimit
+from greybox.extensions.fmu.description import read_fmu
+from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.model.model import Model
+from greybox.shell.own_effects import find_own_effects, keep_effect
+from greybox.shell.study_file import read_study
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.hardening.mutations import mutate_bytes, mutate_json, places_of

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from greybox.cli.app import app
-from greybox.schemas import ResultKind, read_json
+from greybox.base.json_file import ResultKind, read_json
+from greybox.shell.main import app
 from models.silverbox import silverbox
 from tests.hardening.test_fuzz_records import time_limit
 from tests.oracles.independent import linear_record, multisine

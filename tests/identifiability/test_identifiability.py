@@ -9,18 +9,14 @@ import numpy as np
 import pytest
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit
-from greybox.errors import DataError, ModelError
-from greybox.identifiability import IdentifiabilityVerdict as Verdict
-from greybox.identifiability import (
-    analyse_excitation,
-    analyse_practical_identifiability,
-    analyse_structural_identifiability,
-    recommend_after_fit,
-)
-from greybox.identifiability.excitation import excitation_order
-from greybox.identifiability.findings import IdentifiabilityCode as Code
-from greybox.signals import multisine
-from greybox.simulation import simulate
+from greybox.base.errors import DataError, ModelError
+from greybox.data.signals import multisine
+from greybox.estimation.identifiability.excitation import analyse_excitation, excitation_order
+from greybox.estimation.identifiability.findings import IdentifiabilityCode as Code
+from greybox.estimation.identifiability.practical import analyse_practical_identifiability, recommend_after_fit
+from greybox.estimation.identifiability.structural import IdentifiabilityVerdict as Verdict
+from greybox.estimation.identifiability.structural import analyse_structural_identifiability
+from greybox.simulation.simulate import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance

@@ -8,11 +8,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox import Effect, Model, Output, Parameter
-from greybox.effects import effect
-from greybox.errors import DataError, ModelError, UnitError
-from greybox.integrators import discretise, exact_hold
-from greybox.integrators.step import InputHistory
-from greybox.kernel import Record
+from greybox.base.errors import DataError, ModelError, UnitError
+from greybox.model.effects.catalogue import effect
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.integrators.exact_hold import exact_hold
+from greybox.simulation.integrators.step import InputHistory
+from greybox.simulation.kernel.record import Record
 from models.micro_actuator import micro_actuator
 from tests.support.stepping import KERNELS, delay, differences, orders, path, record, slopes, stribeck, values
 

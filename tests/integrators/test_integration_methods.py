@@ -7,8 +7,10 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
-from greybox.errors import ModelError
-from greybox.integrators import choose_substeps, discretise, exact_hold, rk4
+from greybox.base.errors import ModelError
+from greybox.simulation.integrators.discretisation import choose_substeps, discretise
+from greybox.simulation.integrators.exact_hold import exact_hold
+from greybox.simulation.integrators.runge_kutta import rk4
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from greybox import Balance, Effect, Parameter, State
-from greybox.errors import ModelError, UnitError
-from greybox.integrators import discretise, rk4
+from greybox.base.errors import ModelError, UnitError
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.integrators.runge_kutta import rk4
 from tests.support.stepping import (
     KERNELS,
     bouc_wen,

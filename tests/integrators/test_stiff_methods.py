@@ -8,11 +8,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
-from greybox.effects import effect
-from greybox.errors import ModelError
-from greybox.integrators import choose_substeps, discretise, midpoint, mixed, radau, rk4
-from greybox.integrators.exponential_relaxation import find_fast_relaxing_states
-from greybox.integrators.substeps import run_step
+from greybox.base.errors import ModelError
+from greybox.model.effects.catalogue import effect
+from greybox.simulation.integrators.discretisation import choose_substeps, discretise, run_step
+from greybox.simulation.integrators.implicit import midpoint, radau
+from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states, mixed, rk4
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import quick

@@ -14,12 +14,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
-import greybox.kernel as kernels
-from greybox.integrators.step import Step
-from greybox.kernel import CompiledKernel, CompilerError, GreyboxWarning, UnsupportedOperationError, make_kernel
-from greybox.kernel import c_compiler as compiling
-from greybox.kernel.policy import CACHE_POLICY, CachePolicy
-from greybox.kernel.record import Record
+import greybox.simulation.kernel.make_kernel as kernels
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel import c_compiler as compiling
+from greybox.simulation.kernel.c_compiler import CompilerError, GreyboxWarning
+from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.policy import CACHE_POLICY, CachePolicy
+from greybox.simulation.kernel.record import Record
+from greybox.simulation.kernel.tape import UnsupportedOperationError
 
 RECORD = Record(np.zeros((4, 1)), np.zeros((4, 1)), np.ones(3), np.zeros(3, np.int32), np.ones(1))
 
@@ -449,7 +452,7 @@ def test_a_compiler_ends_with_the_process_that_has_asked(tmp_path, ending):
     wrapper.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {tmp_path}/pid\nwait\n")
     wrapper.chmod(0o700)
     script = (
-        "import os, sys, threading, time\nfrom greybox.kernel import c_compiler\n"
+        "import os, sys, threading, time\nfrom greybox.simulation.kernel import c_compiler\n"
         f"threading.Thread(target=c_compiler.run_compiler, args=([{str(wrapper)!r}],), daemon=True).start()\n"
         f"while not os.path.exists({str(tmp_path / 'pid')!r}): time.sleep(0.05)\n"
         f"time.sleep(0.2)\n{ending}"

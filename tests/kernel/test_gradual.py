@@ -10,15 +10,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.integrators import exact_hold
-from greybox.integrators.rk4 import rk4
-from greybox.kernel import CompiledKernel, gradual, llvm_routine
-from greybox.kernel import c_compiler as compiling
-from greybox.kernel.gradual import GradualKernel
-from greybox.kernel.llvm_routine import has_llvm
-from greybox.kernel.policy import GradualPolicy
-from greybox.kernel.record import Record
-from greybox.kernel.tape_machine import TapeMachine
+from greybox.simulation.integrators.exact_hold import exact_hold
+from greybox.simulation.integrators.runge_kutta import rk4
+from greybox.simulation.kernel import c_compiler as compiling
+from greybox.simulation.kernel import gradual, llvm_routine
+from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.gradual import GradualKernel
+from greybox.simulation.kernel.llvm_routine import has_llvm
+from greybox.simulation.kernel.policy import GradualPolicy
+from greybox.simulation.kernel.record import Record
+from greybox.simulation.kernel.tape_machine import TapeMachine
 from models.micro_actuator import micro_actuator
 from tests.kernel.test_kernels import OPERATIONS, operation_step
 

@@ -7,14 +7,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.errors import DataError, GreyboxError
-from greybox.integrators.composition import as_coefficients
-from greybox.integrators.step import Step
-from greybox.kernel import make_kernel
-from greybox.kernel.gradual import GradualKernel
-from greybox.kernel.interface import check_sums
-from greybox.kernel.policy import GradualPolicy
-from greybox.kernel.record import Record
+from greybox.base.errors import DataError, GreyboxError
+from greybox.simulation.integrators.composition import as_coefficients
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.gradual import GradualKernel
+from greybox.simulation.kernel.interface import check_sums
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.policy import GradualPolicy
+from greybox.simulation.kernel.record import Record
 
 KERNELS = ["compiled", "interpreted", "machine"]
 

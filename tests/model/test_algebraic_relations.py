@@ -5,13 +5,15 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
-from greybox.effects import effect, find_placements, measure_scales
-from greybox.errors import ModelError, UnitError
+from greybox.base.errors import ModelError, UnitError
+from greybox.base.numerics import RELATION_MET
 from greybox.estimation.findings import EstimationCode
-from greybox.export import to_python
+from greybox.extensions.export.python_model import to_python
+from greybox.model.effects.catalogue import effect
+from greybox.model.effects.placement import find_placements
+from greybox.model.effects.scales import measure_scales
 from greybox.model.equations import equations_text
-from greybox.numerics import RELATION_MET
-from greybox.project import find_model
+from greybox.shell.project import find_model
 
 
 def _divider(x, u, p):

@@ -8,7 +8,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Characteristic, Input, Model, Output, Parameter, State
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 
 AT = (0.0, 50.0, 120.0, 200.0)
 TORQUE = (0.0, 0.02, 0.15, 0.5)

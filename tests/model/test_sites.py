@@ -5,8 +5,10 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
-from greybox.effects import CATALOGUE, applicable_effects, effect, find_placements, measure_scales
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
+from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect
+from greybox.model.effects.placement import find_placements
+from greybox.model.effects.scales import measure_scales
 
 
 def _two_bodies(x, u, p):

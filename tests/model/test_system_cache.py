@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.effects import applicable_effects
-from greybox.errors import ModelError, UnitError
-from greybox.model import Model, Rule, System
+from greybox.base.errors import ModelError, UnitError
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.model import Model
 from greybox.model.signals import Parameter
+from greybox.model.system import System
 from greybox.model.system_cache import SystemCache, build_checked_system
+from greybox.model.validation import Rule
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 

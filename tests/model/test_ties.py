@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greybox import Balance, Experiment, Model, Parameter, fit, load_fit
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from tests.support.linear_regression import LINE, NOISE, REST, regression
 from tests.support.pushed_mass import LEVEL, MASS, STARTS, irregular, record, with_gaps
 

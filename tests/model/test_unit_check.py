@@ -6,7 +6,7 @@ import casadi as ca
 import pytest
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
-from greybox.errors import ModelError, UnitError
+from greybox.base.errors import ModelError, UnitError
 
 
 def rig(

@@ -10,7 +10,7 @@ import casadi as ca
 import pytest
 
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.errors import ModelError
+from greybox.base.errors import ModelError
 from greybox.model.signals import NamedValues
 from greybox.model.system import unused_parameters
 

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox import Balance, Effect, State
-from greybox.effects import effect
-from greybox.errors import DataError, ModelError
-from greybox.model import Rule
-from greybox.simulation import simulate
+from greybox.base.errors import DataError, ModelError
+from greybox.model.effects.catalogue import effect
+from greybox.model.validation import Rule
+from greybox.simulation.simulate import simulate
 from models.pneumatic_chambers import gas_chambers, linear_chambers
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full

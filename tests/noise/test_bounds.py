@@ -5,10 +5,11 @@ import pytest
 from scipy.signal import lfilter
 
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.experiment import Experiment
-from greybox.noise import BoundDirection, NoiseSource, estimate_noise
-from greybox.noise.flat_pieces import estimate_resolution
-from greybox.noise.spectrum import leftover_spectrum, spectral_level
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import BoundDirection, NoiseSource
+from greybox.data.noise.noise_sources import estimate_noise
+from greybox.data.noise.repeats import estimate_resolution
+from greybox.data.noise.spectrum import leftover_spectrum, spectral_level
 
 ROWS = 2500
 

@@ -8,21 +8,16 @@ import pytest
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.signal import lfilter
 
-from greybox.errors import DataError, ModelError
-from greybox.estimation import FitOptions, fit
-from greybox.experiment import Experiment
-from greybox.noise import (
-    AutoRegression,
-    BoundDirection,
-    NoiseSource,
-    estimate_noise,
-    estimate_noise_from_differences,
-    fit_autoregression,
-    join_series,
-)
-from greybox.noise.repeats import deviations_from_mean, find_period
-from greybox.transcription.problem import prepare_problem
-from greybox.transcription.simulation_error import WhitenedShooting
+from greybox.base.errors import DataError, ModelError
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseSource, fit_autoregression, join_series
+from greybox.data.noise.noise_sources import estimate_noise
+from greybox.data.noise.repeats import deviations_from_mean, find_period
+from greybox.data.noise.spectrum import estimate_noise_from_differences
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.simulation_error import WhitenedShooting
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 
@@ -91,7 +86,7 @@ def test_a_series_is_whitened_in_place_and_a_block_at_a_time(monkeypatch, rows):
     values[[20, 21, 24]] = np.nan
     model = AutoRegression((0.8, -0.5, 0.3))
     white = model.whiten(values)
-    monkeypatch.setattr("greybox.noise.autoregression.ROWS_AT_A_TIME", rows)
+    monkeypatch.setattr("greybox.data.noise.noise_model.ROWS_AT_A_TIME", rows)
     assert np.array_equal(model.whiten(values), white, equal_nan=True)
     assert model.whiten(values, overwrite_input=True) is values
     assert np.array_equal(values, white, equal_nan=True)
@@ -110,7 +105,7 @@ def test_correlations_and_forecasts_are_those_of_the_process():
 @pytest.mark.parametrize("reflection", [(0.9,), (0.8, -0.5, 0.3), (0.99, 0.99, 0.99), (0.999, -0.7, 0.2, 0.1, 0.5)])
 @pytest.mark.parametrize("rows", [7, 64, 10_000])
 def test_correlations_are_the_same_however_many_lags_are_looked_at_together(monkeypatch, reflection, rows):
-    monkeypatch.setattr("greybox.noise.autoregression.ROWS_AT_A_TIME", rows)
+    monkeypatch.setattr("greybox.data.noise.noise_model.ROWS_AT_A_TIME", rows)
     model = AutoRegression(reflection)
     for count in (1, 2, 6, 7, 8, 15, 500):
         expected = list(model.autocorrelation(model.order + 1))
@@ -168,8 +163,8 @@ def test_the_period_of_a_long_record_is_that_of_a_short_one(monkeypatch, period,
     once[: len(once) // 3] = 0.0
     inputs = np.stack([np.resize(once, rows), np.resize(np.roll(once, 5), rows)], axis=1)
     expected = find_period(inputs)
-    monkeypatch.setattr("greybox.noise.repeats.NUMBERS_AT_A_TIME", 1000)
-    monkeypatch.setattr("greybox.noise.repeats.ROWS_AT_A_TIME", 100)
+    monkeypatch.setattr("greybox.data.noise.repeats.NUMBERS_AT_A_TIME", 1000)
+    monkeypatch.setattr("greybox.data.noise.repeats.ROWS_AT_A_TIME", 100)
     assert find_period(inputs) == expected
     assert expected == (period if period and 2 * period <= rows and np.ptp(once) else expected)
     inputs[-1, 0] += 0.5  # the last row breaks it

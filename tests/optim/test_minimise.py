@@ -7,15 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from greybox.optim import (
-    MinimisationMethod,
-    MinimisationPolicy,
-    QuadraticModel,
-    Termination,
-    TerminationStatus,
-    ipopt_dense,
-    minimise,
-)
+from greybox.estimation.optim import ipopt as ipopt_dense
+from greybox.estimation.optim.methods import MinimisationMethod, minimise
+from greybox.estimation.optim.minimisation import Termination, TerminationStatus
+from greybox.estimation.optim.policy import MinimisationPolicy
+from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 
 def bowl(z, target=3.0):

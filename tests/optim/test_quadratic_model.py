@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from greybox.optim import QuadraticModel
+from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 
 def random_problem(seed):

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from greybox.optim import QuadraticModel, Termination, TerminationPolicy, TerminationStatus
+from greybox.estimation.optim.minimisation import Termination, TerminationStatus
+from greybox.estimation.optim.policy import TerminationPolicy
+from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 
 def parabola(distance, cost=200.0):

@@ -5,7 +5,7 @@ import numpy as np
 from scipy.integrate import ode
 from scipy.signal import cont2discrete
 
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
 
 
 def values(model):

@@ -3,16 +3,17 @@
 import json
 from dataclasses import replace
 
+import greybox.effects
 import numpy as np
 import pytest
 
-import greybox.effects
 from fits import rig_twins
-from greybox.effects import CATALOGUE, effect
-from greybox.experiment import Experiment, read_csv
-from greybox.integrators import discretise
-from greybox.kernel import make_kernel
-from greybox.transcription import to_record
+from greybox.data.experiment import Experiment
+from greybox.data.read import read_csv
+from greybox.model.effects.catalogue import CATALOGUE, effect
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.records import to_record
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 
@@ -181,7 +182,10 @@ def test_every_effect_of_the_catalogue_is_compared_here_or_by_hand():
 
 def test_every_effect_of_both_rigs_is_compared():
     for rig, model in MODELS.items():
-        assert set(TRUTHS[rig]) == {entry.name for entry in greybox.effects.applicable_effects(model)} - BY_HAND
+        assert (
+            set(TRUTHS[rig])
+            == {entry.name for entry in greybox.model.effects.catalogue.applicable_effects(model)} - BY_HAND
+        )
         for name, values in TRUTHS[rig].items():
             assert set(values) == {q.name for q in effect(name).parameters}
 
@@ -230,9 +234,9 @@ def test_absent_effects_leave_the_outputs_and_probes_move_them_a_little(rig):
     record, p = to_record(model, experiment), np.array(list(model.values.values()))
     start = np.asarray(model.system.start_function(p)[0]).ravel()
     _, x = make_kernel(step).simulate(record, step.coefficients(p, record.lengths, np.empty(0, int))[0], p, start)
-    scales = greybox.effects.measure_scales(model, x, record.u, PERIOD[rig])
+    scales = greybox.model.effects.scales.measure_scales(model, x, record.u, PERIOD[rig])
     peak = np.abs(plain - plain[0]).max(axis=0)
-    for entry in greybox.effects.applicable_effects(model, scales):
+    for entry in greybox.model.effects.catalogue.applicable_effects(model, scales):
         absent = model + entry
         own = absent.bound_effects[0].model_names
         if entry.amplitudes:

@@ -10,12 +10,12 @@ import pytest
 from scipy import signal
 from scipy.ndimage import uniform_filter1d
 
-from greybox.discovery.residual_spectrum import estimate_power_density
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.discovery.localisation import estimate_power_density
 from greybox.estimation.parameter_constancy import compute_running_mean
-from greybox.noise import AutoRegression
 
 SLOW = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "control", "matplotlib.pyplot"}
-NEEDED = "greybox.cli.app, greybox.discovery.pipeline, greybox.export, greybox.plots.discovery, greybox.reports.discovery_page"
+NEEDED = "greybox.shell.main, greybox.discovery.pipeline, greybox.extensions.export, greybox.show.figures.discovery, greybox.show.pages.discovery_page"
 
 
 @pytest.mark.parametrize(("rows", "length"), [(1000, 512), (1000, 255), (3000, 512), (9, 8), (13, 13)])

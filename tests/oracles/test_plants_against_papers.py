@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from greybox.base.errors import ModelError
 from greybox.discovery.disturbance_sites import list_disturbance_sites
-from greybox.effects import effect
-from greybox.errors import ModelError
+from greybox.model.effects.catalogue import effect
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance

@@ -21,10 +21,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox.errors import GreyboxError, WorkersLostError
-from greybox.estimation import fit, multistart
-from greybox.parallel import cluster, jobs, open_cluster, run_jobs
-from greybox.parallel.cluster import DaskHealth
+from greybox.base.errors import GreyboxError, WorkersLostError
+from greybox.base.parallel import cluster, jobs
+from greybox.base.parallel.cluster import DaskHealth, open_cluster
+from greybox.base.parallel.jobs import run_jobs
+from greybox.estimation.fit import fit
+from greybox.estimation.multistart import multistart
 from tests.oracles.independent import linear_record
 from tests.parallel.test_jobs import dies_once, lag
 from tests.support.reliability import note_row

@@ -5,7 +5,8 @@ import threading
 
 import pytest
 
-from greybox.parallel import note_interrupts, run_jobs
+from greybox.base.parallel.jobs import run_jobs
+from greybox.base.parallel.local_pool import note_interrupts
 
 
 class Lossy:

@@ -12,11 +12,12 @@ from multiprocessing import get_context
 import numpy as np
 import pytest
 
-from greybox.errors import DataError
-from greybox.estimation import fit
-from greybox.model import Balance, Model
+from greybox.base.errors import DataError
+from greybox.base.parallel.jobs import run_jobs
+from greybox.estimation.fit import fit
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.parallel import run_jobs
 from tests.oracles.independent import linear_record
 
 
@@ -131,7 +132,7 @@ def test_ctrl_c_keeps_what_is_finished():
 def test_a_script_without_main_guard_works(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from greybox.parallel import run_jobs\nresults, _ = run_jobs(lambda c, i: c * i, 2, [1, 2, 3], workers=2)\n"
+        "from greybox.base.parallel import run_jobs\nresults, _ = run_jobs(lambda c, i: c * i, 2, [1, 2, 3], workers=2)\n"
         "print([r.value for r in results])\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}

@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 
-from greybox.findings import Finding, Severity
-from greybox.plots.figure import (
+from greybox.base.findings import Finding, Severity
+from greybox.show.figures.figure import (
     Area,
     Axis,
     Band,
@@ -26,10 +26,10 @@ from greybox.plots.figure import (
     Symbol,
     Thinning,
 )
-from greybox.plots.matplotlib_backend import draw_sheet, save_sheet
-from greybox.plots.sheet import Cell, Sheet
-from greybox.plots.style import PALETTE
-from greybox.rendering.plots import FigureText, phrase
+from greybox.show.figures.matplotlib_backend import draw_sheet, save_sheet
+from greybox.show.figures.sheet import PALETTE, Cell, Sheet
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
 
 HEADING = phrase(FigureText.COMPARISON_HEADING, "test", validation=True)
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from greybox.plots.figure import (
+from greybox.show.figures.figure import (
     Area,
     Axis,
     Band,
@@ -26,9 +26,10 @@ from greybox.plots.figure import (
     draw_sizes,
     size_axis,
 )
-from greybox.plots.plotly_backend import css_variable, height_on_page, to_plotly
-from greybox.plots.style import PAGE, PALETTE
-from greybox.rendering.plots import FigureText, phrase
+from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
+from greybox.show.figures.sheet import PAGE, PALETTE
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
 
 X = np.array([0.0, 1.0, 2.0])
 TIME, POSITION = Axis("time", "s"), Axis("x", "µm")

@@ -8,14 +8,24 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
-from greybox.estimation.traces import compute_record_misfits
-from greybox.plots.figure import Band, Curve, Role, Scale, Thinning
-from greybox.plots.pictures import fit_sheets
-from greybox.plots.plotly_backend import to_plotly
-from greybox.plots.records import liveliest_window, plot_inputs, plot_residual, plot_run, plot_signals, plot_spectrum
-from greybox.plots.spectrum import amplitude_density, uniform_sampling_time
-from greybox.rendering.plots import FigureText, phrase
-from greybox.result import Fit, FitNoise, Misfit, Trace, Validation
+from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import FitNoise, Misfit, Trace, Validation
+from greybox.show.figures.figure import Band, Curve, Role, Scale, Thinning
+from greybox.show.figures.pictures import fit_sheets
+from greybox.show.figures.plotly_backend import to_plotly
+from greybox.show.figures.records import (
+    amplitude_density,
+    liveliest_window,
+    plot_inputs,
+    plot_residual,
+    plot_run,
+    plot_signals,
+    plot_spectrum,
+    uniform_sampling_time,
+)
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
 UNITS = {"x": "m", "i": "A", "u": "V"}

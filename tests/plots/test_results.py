@@ -8,21 +8,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.comparison import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
-from greybox.discovery.dependence import rank_dependences
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.discovery.curve_shape import rank_dependences
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal
 from greybox.discovery.policy import LocalisationPolicy
-from greybox.export import linearise
-from greybox.plots.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.plots.discovery import plot_effect_signal, plot_unexplained_signal
-from greybox.plots.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
-from greybox.plots.linear import plot_bode, plot_poles, response_frequencies
-from greybox.plots.parameters import plot_intervals
-from greybox.plots.pictures import comparison_sheet
-from greybox.rendering.english import phrase
-from greybox.rendering.plots import FigureText
+from greybox.estimation.linear.linearise import linearise
+from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
+from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
+from greybox.show.figures.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
+from greybox.show.figures.linear import plot_bode, plot_poles, response_frequencies
+from greybox.show.figures.parameters import plot_intervals
+from greybox.show.figures.pictures import comparison_sheet
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
 TIME = np.arange(1000.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from greybox.plots.scaling import (
+from greybox.show.figures.figure import (
     root_mean_square,
     scale_to_prefix,
     typeset_exponents,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.plots.figure import Thinning
-from greybox.plots.thinning import choose_evenly, min_max_envelope, thin_curve, thin_spectrum
+from greybox.show.figures.figure import Thinning, choose_evenly, min_max_envelope, thin_curve, thin_spectrum
 
 
 def test_an_envelope_keeps_every_peak() -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from greybox.errors import ModelError
-from greybox.project import find_model, folders, list_models, project_root
+from greybox.base.errors import ModelError
+from greybox.shell import project as folders
+from greybox.shell.project import find_model, list_models, project_root
 from tests.project.test_outline import TRAP
 
 SUPERUSER = hasattr(os, "geteuid") and os.geteuid() == 0

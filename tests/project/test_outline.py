@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from greybox.project import list_models
-from greybox.project.outline import find_outline, list_outlines, read_outlines
+from greybox.shell.outline import find_outline, list_outlines, read_outlines
+from greybox.shell.project import list_models
 
 TRAP = """
 from pathlib import Path

@@ -10,8 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox import GreyboxError
-from greybox.cli.app import app
-from greybox.project import plant_names, write_project
+from greybox.shell.main import app
+from greybox.shell.template import plant_names, write_project
 
 HIDDEN = {
     "circuit": "input_saturation",

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from greybox import GreyboxError, Model
-from greybox.errors import ModelError
-from greybox.project import find_model, find_shipped_model, list_models, project_root, template_root, write_project
-from greybox.project.template import STUDIES
+from greybox.base.errors import ModelError
+from greybox.shell.project import find_model, find_shipped_model, list_models, project_root, template_root
+from greybox.shell.template import STUDIES, write_project
 
 RIG = """
 from greybox import Balance, Input, Model, Output, Parameter, State

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import greybox as gb
-from greybox.blackbox.findings import BlackBoxFinding as Code
-from greybox.findings import Finding
+from greybox.base.findings import Finding
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding as Code
 
 SENTENCES = {
     Code.WEAK_EXCITATION: (

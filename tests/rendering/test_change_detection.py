@@ -6,12 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from greybox.change_detection import ConstantChange
-from greybox.change_detection.findings import ChangeCode, ChangeRule
-from greybox.change_detection.result import PopulationConstant
-from greybox.findings import Check, Finding, Severity
-from greybox.rendering import sentence
-from greybox.rendering.change_detection import (
+from greybox.base.findings import Check, Finding, Severity
+from greybox.extensions.changes.findings import ChangeCode, ChangeRule
+from greybox.extensions.changes.result import ConstantChange, PopulationConstant
+from greybox.extensions.changes.sentences import (
     constant_row,
     is_determined,
     machine_head,
@@ -21,6 +19,7 @@ from greybox.rendering.change_detection import (
     population_rows,
     spread_text,
 )
+from greybox.show.sentences.registry import sentence
 
 C = ChangeCode
 MOVED = {"before": 5.0, "after": 4.5, "unit": "N/m", "low": -0.6, "high": -0.4}

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from greybox.check import check
-from greybox.identifiability import OpenDirection
-from greybox.signals import multisine
-from greybox.simulation import simulate
+from greybox.data.signals import multisine
+from greybox.estimation.check import check
+from greybox.estimation.identifiability.combinations import OpenDirection
+from greybox.simulation.simulate import simulate
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from greybox.cli.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer
-from greybox.cli.findings import CommandCode as Code
-from greybox.findings import Finding
-from greybox.rendering.cli import report_line, study_line, written
-from greybox.result import Misfit
+from greybox.base.findings import Finding
+from greybox.estimation.result_parts import Misfit
+from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer
+from greybox.shell.terminal import CommandCode as Code
+from greybox.show.sentences.shell import report_line, study_line, written
 
 SENTENCES = {
     Code.SPLIT_WITHOUT_EFFECT: (

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from greybox.base.findings import Finding
 from greybox.comparison.findings import ComparisonFinding as Code
-from greybox.findings import Finding
 
 PHYSICS = {"name": "mass", "kind": "grey", "parameters": 2}
 ARX = {"name": "arx", "kind": "black", "parameters": 5}

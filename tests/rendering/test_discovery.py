@@ -2,12 +2,13 @@
 
 import pytest
 
-from greybox.discovery import HoldoutError, RefinementStep
+from greybox.base.findings import Check, Finding
 from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.discovery.findings import DiscoveryRule as Rule
-from greybox.discovery.misfit_windows import MisfitTiming
-from greybox.findings import Check, Finding
-from greybox.rendering.discovery import (
+from greybox.discovery.holdout import HoldoutError
+from greybox.discovery.localisation import MisfitTiming
+from greybox.discovery.refinement import RefinementStep
+from greybox.show.sentences.discovery import (
     _percent,
     dependence_text,
     explained_share_text,

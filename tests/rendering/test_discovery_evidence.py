@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from greybox.discovery.certainty import Grade
-from greybox.rendering.discovery import _evidence
+from greybox.show.sentences.discovery import _evidence
 
 
 @pytest.mark.parametrize(

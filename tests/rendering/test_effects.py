@@ -1,8 +1,9 @@
 """Golden texts of the catalogue's listing and of its page."""
 
-from greybox.effects import CATALOGUE, EffectListing, Placement, effect, place_effect
+from greybox.model.effects.catalogue import CATALOGUE, effect
+from greybox.model.effects.placement import EffectListing, Placement, place_effect
 from greybox.model.signals import Parameter
-from greybox.rendering.effects import write_catalogue_page, write_places
+from greybox.show.sentences.model import write_catalogue_page, write_places
 
 FRICTION = effect("coulomb_friction")
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from greybox.base.findings import Finding
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.predictor import CorrectionKind, PredictionCorrection
-from greybox.findings import Finding
-from greybox.noise import AutoRegression
-from greybox.result import SolverReport
+from greybox.estimation.result_parts import SolverReport
 
 POINT = [{"name": "level", "value": "-0.1", "unit": "m"}, {"name": "pump", "value": "0.1", "unit": "m/s"}]
 PLACE = {"experiment": 2, "time": 0.5, "row": 6, "point": POINT}

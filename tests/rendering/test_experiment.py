@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from greybox.experiment import Experiment
-from greybox.experiment.findings import RecordCode
-from greybox.experiment.survey import FileSurvey, SignalSurvey
-from greybox.findings import Finding
-from greybox.rendering import sentence
+from greybox.base.findings import Finding
+from greybox.data.experiment import Experiment
+from greybox.data.findings import RecordCode
+from greybox.data.survey import FileSurvey, SignalSurvey
+from greybox.show.sentences.registry import sentence
 
 GAP = {"gaps": 2, "start": 10.0, "stop": 40.5, "usual_step": 0.5}
 GOLDEN = {

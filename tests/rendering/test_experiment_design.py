@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.experiment_design.findings import CampaignCode, DesignCode
-from greybox.experiment_design.result import Alternative, AlternativeKind
-from greybox.findings import Finding
-from greybox.rendering import sentence
-from greybox.rendering.experiment_design import gain_text, name_alternative
+from greybox.base.findings import Finding
+from greybox.extensions.design.findings import CampaignCode, DesignCode
+from greybox.extensions.design.result import Alternative, AlternativeKind
+from greybox.extensions.design.sentences import gain_text, name_alternative
+from greybox.show.sentences.registry import sentence
 
 GOLDEN = [
     (

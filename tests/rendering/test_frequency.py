@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from greybox.findings import Check
-from greybox.frequency import BestLinearApproximation, FrequencyResponse
-from greybox.frequency.findings import LinearityCheck
+from greybox.base.findings import Check
+from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation, LinearityCheck
+from greybox.comparison.frequency.response import FrequencyResponse
 
 GOLDEN = {
     LinearityCheck.REALISATIONS_AGREE: (

@@ -2,11 +2,13 @@
 
 import pytest
 
-from greybox.findings import Finding
-from greybox.identifiability import Excitation, OpenDirection, StructuralIdentifiability
-from greybox.identifiability.findings import IdentifiabilityCode
-from greybox.rendering import sentence
-from greybox.rendering.identifiability import describe_closing
+from greybox.base.findings import Finding
+from greybox.estimation.identifiability.combinations import OpenDirection
+from greybox.estimation.identifiability.excitation import Excitation
+from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.structural import StructuralIdentifiability
+from greybox.show.sentences.identifiability import describe_closing
+from greybox.show.sentences.registry import sentence
 
 ONE = {"missing": 1, "constants": ["M", "B"], "relations": [{"constants": ["Kf", "Kv"], "equal": True}]}
 GOLDEN = {

@@ -2,9 +2,9 @@
 
 import pytest
 
-from greybox.findings import Finding
-from greybox.journal.findings import JournalCode
-from greybox.rendering import sentence
+from greybox.base.findings import Finding
+from greybox.base.journal import JournalCode
+from greybox.show.sentences.registry import sentence
 
 GOLDEN = [
     (

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.noise import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
+from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 
 WHITE, COLOURED = AutoRegression(), AutoRegression((0.9,))
 GOLDEN = [

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from greybox.rendering import sentence
-from greybox.rendering.plots import FigureText, phrase
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.registry import sentence
+from greybox.show.sentences.wording import phrase
 
 T = FigureText
 GOLDEN = [

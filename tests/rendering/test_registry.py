@@ -9,15 +9,15 @@ from importlib import import_module
 import pytest
 
 import greybox
-from greybox.findings import Check, Finding, Severity, with_code
-from greybox.rendering import register, sentence, templates, text
+from greybox.base.findings import Check, Finding, Severity, with_code
+from greybox.show.sentences.registry import register, sentence, templates, text
 
 
 def codes() -> dict[str, str]:
     """Every code of findings and checks that a package declares in its ``findings.py`` -> the enumeration it belongs to."""
     declared: dict[str, str] = {}
     for module in pkgutil.walk_packages(greybox.__path__, "greybox."):
-        if module.name.endswith(".findings") and module.name != "greybox.findings":
+        if module.name.endswith(".findings") and module.name != "greybox.base.findings":
             for value in vars(import_module(module.name)).values():
                 if isinstance(value, type) and issubclass(value, StrEnum) and value.__module__ == module.name:
                     for code in value:

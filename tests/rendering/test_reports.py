@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from greybox.rendering import sentence
-from greybox.rendering.english import as_sentence, count_noun, join_names, phrase
-from greybox.rendering.reports import SECTIONS
-from greybox.rendering.reports import PageText as T
+from greybox.show.sentences.pages import SECTIONS
+from greybox.show.sentences.pages import PageText as T
+from greybox.show.sentences.registry import sentence
+from greybox.show.sentences.wording import as_sentence, count_noun, join_names, phrase
 
 GOLDEN = [
     (phrase(T.RECORD, "a"), "Record a"),

@@ -2,9 +2,9 @@
 
 import pytest
 
-from greybox.noise import AutoRegression
-from greybox.rendering.residuals import name_test
-from greybox.residuals import OutputScore, PredictionScores, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation.residuals import OutputScore, PredictionScores, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.show.sentences.estimation import name_test
 
 GOLDEN = {
     (ResidualTestKind.WHITENESS, False): ("whiteness, 5 lags", "no correlation over 5 samples"),

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, FitOptions, fit
-from greybox.findings import Finding, Severity
-from greybox.noise import NoiseSource
-from greybox.rendering.tables import format_with_std, make_formatter
-from greybox.result import FitNoise, FitUncertainty
-from greybox.result.findings import ResultCode
-from greybox.signals import multisine
-from greybox.simulation import simulate
+from greybox.base.findings import Finding, Severity
+from greybox.data.noise.noise_model import NoiseSource
+from greybox.data.signals import multisine
+from greybox.estimation.result import ResultCode
+from greybox.estimation.result_parts import FitNoise, FitUncertainty
+from greybox.show.sentences.wording import format_with_std, make_formatter
+from greybox.simulation.simulate import simulate
 from models.silverbox import silverbox
 
 

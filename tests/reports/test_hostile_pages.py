@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.check import check
-from greybox.comparison import compare
-from greybox.experiment_design import Campaign, CampaignPlan, CampaignStatus, SignalLimit
-from greybox.experiment_design.campaign import CampaignStep
-from greybox.experiment_design.findings import CampaignCode
-from greybox.findings import Finding
-from greybox.reports import build_page, write_page
-from greybox.reports.export_page import Export
-from greybox.reports.html import mathml, render_page
-from greybox.reports.page import Page
+from greybox.base.findings import Finding
+from greybox.comparison.compare import compare
+from greybox.estimation.check import check
+from greybox.extensions.design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep
+from greybox.extensions.design.findings import CampaignCode
+from greybox.extensions.design.problem import SignalLimit
+from greybox.extensions.export.page import Export
+from greybox.show.pages.html import mathml, render_page, write_page
+from greybox.show.pages.page import Page
+from greybox.show.pages.report import build_page
 from models.micro_actuator import micro_actuator
 from tests.experiment_design.test_design import QUICK
 from tests.support.browser import opened

@@ -17,23 +17,23 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.check import check
-from greybox.cli.app import app
+from greybox.base.findings import Finding
+from greybox.data.noise.noise_model import NoiseSource
+from greybox.estimation.check import check
 from greybox.estimation.findings import EstimationCode
-from greybox.findings import Finding
-from greybox.noise import NoiseSource
-from greybox.plots.figure import Axis, Band, Curve, Figure, Panel, Role
-from greybox.plots.records import plot_residual
-from greybox.rendering.english import phrase
-from greybox.rendering.plots import FigureText
-from greybox.rendering.reports import PageText
-from greybox.reports import build_page, write_page
-from greybox.reports.fit_page import misfit_table
-from greybox.reports.html import render_page, say
-from greybox.reports.page import BulletList, FigureBlock, Page, Paragraphs, Section, Subheading
-from greybox.reports.policy import REPORT
-from greybox.residuals import residual_tests
-from greybox.result import FitNoise, Misfit, Trace
+from greybox.estimation.residuals import residual_tests
+from greybox.estimation.result_parts import FitNoise, Misfit, Trace
+from greybox.shell.main import app
+from greybox.show.figures.figure import Axis, Band, Curve, Figure, Panel, Role
+from greybox.show.figures.records import plot_residual
+from greybox.show.pages.fit_page import misfit_table
+from greybox.show.pages.html import render_page, say, write_page
+from greybox.show.pages.page import BulletList, FigureBlock, Page, Paragraphs, Section, Subheading
+from greybox.show.pages.policy import REPORT
+from greybox.show.pages.report import build_page
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.pages import PageText
+from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
 HOSTILE = """</script><script>alert(1)</script><img src=x onerror="alert(2)">{{ 7 * 7 }}'&amp;"""
@@ -286,7 +286,7 @@ def luminance(colour: str) -> float:
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_text_can_be_read_on_its_ground(theme: str) -> None:
     """Contrast of at least 4.5 to 1 (WCAG 2.2, 1.4.3)."""
-    css = files("greybox.reports").joinpath("template", "page.css").read_text(encoding="utf-8")
+    css = files("greybox.show.pages").joinpath("template", "page.css").read_text(encoding="utf-8")
     block = re.findall(r":root[^{]*\{([^}]*)\}", css)[theme == "dark"]
     colours = dict(re.findall(r"--(\w+): (#[0-9a-f]{6})", block))
     for ground in ("paper", "panel"):

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.check import check
-from greybox.comparison import compare
-from greybox.reports import build_page, write_page
+from greybox.comparison.compare import compare
+from greybox.estimation.check import check
+from greybox.show.pages.html import write_page
+from greybox.show.pages.report import build_page
 from models.micro_actuator import micro_actuator
 from tests.support.browser import opened
 

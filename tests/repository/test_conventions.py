@@ -132,7 +132,7 @@ def writes_by_name(call: ast.Call) -> bool:
 
 
 def test_one_module_writes_files() -> None:
-    """A result is whole or it is the old one because `greybox.files` writes it."""
+    """A result is whole or it is the old one because `greybox.base.files` writes it."""
     elsewhere = [
         f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(node)[:60]}"
         for path in LIBRARY
@@ -140,4 +140,4 @@ def test_one_module_writes_files() -> None:
         for node in ast.walk(parsed(path))
         if isinstance(node, ast.Call) and writes_by_name(node)
     ]
-    assert not elsewhere, "\n".join(["write with greybox.files.write_file or append_line:", *elsewhere])
+    assert not elsewhere, "\n".join(["write with greybox.base.files.write_file or append_line:", *elsewhere])

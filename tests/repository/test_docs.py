@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import greybox
-from greybox.rendering.effects import write_catalogue_page
+from greybox.show.sentences.model import write_catalogue_page
 from tests.support.documented import ROOT, blocks, commands, missing, run_page, same
 
 DOCS = ROOT / "docs"
@@ -135,13 +135,13 @@ def test_the_reference_holds_every_public_name(hooks) -> None:
 
 
 def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
-    from greybox.cli.app import app
+    from greybox.shell.main import app
 
     text = hooks.commands()
     for command in app.registered_commands:
         assert f"## greybox {command.callback.__name__}\n" in text
     assert "--json" in text and "\x1b" not in text
-    page = write_catalogue_page(greybox.effects.CATALOGUE)
+    page = write_catalogue_page(greybox.model.effects.CATALOGUE)
     assert (DOCS / "catalogue.md").read_text(encoding="utf-8") == page, "run python docs/hooks.py"
 
 

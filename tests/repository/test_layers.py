@@ -41,7 +41,7 @@ ROWS = [
     {"__init__", "__main__"},  # the front doors: they may import everything, and nothing imports them
 ]
 # A value that is printed finds its text by the name of its class: the one import that points upward.
-PRINTING = ("greybox.values", "greybox.rendering")
+PRINTING = ("greybox.base.values", "greybox.show.sentences")
 LEVEL = {room: level for level, row in enumerate(ROWS) for room in row}
 
 

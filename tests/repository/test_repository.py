@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from greybox.project.template import STUDIES
+from greybox.shell.template import STUDIES
 
 ROOT = Path(__file__).resolve().parents[2]
 Function = ast.FunctionDef | ast.AsyncFunctionDef

@@ -7,13 +7,19 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2, jarque_bera, kstest
 
-from greybox.errors import DataError
-from greybox.estimation import fit
-from greybox.noise import AutoRegression
-from greybox.residuals import ResidualTestKind as Kind
-from greybox.residuals import residual_tests, score
-from greybox.residuals.hypothesis_tests import run_residual_tests
-from greybox.residuals.statistics import input_independence_test, lagged_matrix, ljung_box_test, normality_test
+from greybox.base.errors import DataError
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation.fit import fit
+from greybox.estimation.residuals import ResidualTestKind as Kind
+from greybox.estimation.residuals import (
+    input_independence_test,
+    lagged_matrix,
+    ljung_box_test,
+    normality_test,
+    residual_tests,
+    run_residual_tests,
+    score,
+)
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 

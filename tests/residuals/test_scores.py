@@ -5,9 +5,11 @@ import pytest
 
 import greybox as gb
 from greybox import Experiment, FitOptions, fit
-from greybox.blackbox import armax, arx, box_jenkins, hammerstein, output_error
-from greybox.residuals import score
-from greybox.simulation import simulate
+from greybox.comparison.blackbox.arx import arx
+from greybox.comparison.blackbox.hammerstein import hammerstein
+from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
+from greybox.estimation.residuals import score
+from greybox.simulation.simulate import simulate
 from tests.support.filters import tank, tank_record
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 

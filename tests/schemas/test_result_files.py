@@ -11,14 +11,15 @@ import pytest
 from jsonschema import Draft202012Validator
 
 import greybox as gb
-from greybox.check import check
+from greybox.base.errors import DataError
+from greybox.base.findings import Severity
+from greybox.base.json_file import ResultKind, parse_json, read_json, read_schema
+from greybox.data.experiment import Hold
+from greybox.data.noise.noise_model import NoiseSource
 from greybox.discovery.decision import Verdict
-from greybox.errors import DataError
-from greybox.experiment.experiment import Hold
-from greybox.findings import Severity
-from greybox.noise import NoiseSource
-from greybox.result import IntervalKind, load_fit
-from greybox.schemas import ResultKind, parse_json, read_json, read_schema
+from greybox.estimation.check import check
+from greybox.estimation.result import load_fit
+from greybox.estimation.result_parts import IntervalKind
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.result_schema import strict_offences
@@ -197,7 +198,7 @@ def test_what_is_no_file_is_refused(tmp_path):
 def test_long_lists_of_numbers_are_checked_as_the_schema_says(saved):
     """The way around for long lists gives what the plain validator gives."""
     plain = Draft202012Validator({"$ref": "#/$defs/numbers", "$defs": read_schema()["$defs"]})
-    from greybox.schemas.json_file import _validator
+    from greybox.base.json_file import _validator
 
     quick = _validator(ResultKind.FIT).evolve(schema=plain.schema)
     for values in ([1.0, None], [1.0, 2], [1.0, "x"], [True], [10**400], [float("inf")], [[1.0]], "x", [None, {}]):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from greybox.errors import DataError
-from greybox.signals import chirp, multisine, prbs, steps
+from greybox.base.errors import DataError
+from greybox.data.signals import chirp, multisine, prbs, steps
 
 TIME = 1e-3 * np.arange(1000)
 

@@ -9,12 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
-from greybox.errors import DataError, ModelError
-from greybox.integrators import DiscretisationPolicy
-from greybox.signals import multisine
-from greybox.simulation import read_inputs, simulate, write_csv
-from greybox.simulation.simulate import SimulationPolicy
-from greybox.twin import simulate_twin
+from greybox.base.errors import DataError, ModelError
+from greybox.data.signals import multisine
+from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.simulate import SimulationPolicy, read_inputs, simulate, write_csv
+from greybox.simulation.twin import simulate_twin
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -13,12 +13,13 @@ from fits import micromotion_printed as wang
 from fits import pneumatic_printed as chapter
 from fits.micromotion_twin import in_micrometres, step_record
 from fits.pneumatic_nine_experiments import AMPLITUDES, FREQUENCIES
-from greybox.blackbox import PolynomialModel, arx
-from greybox.blackbox.continuous import to_continuous
-from greybox.blackbox.monte_carlo_smoothing.numerators import compare_numerators
-from greybox.errors import DataError
-from greybox.experiment import Experiment
-from greybox.units import parse_unit
+from greybox.base.errors import DataError
+from greybox.base.units import parse_unit
+from greybox.comparison.blackbox.arx import arx
+from greybox.comparison.blackbox.monte_carlo_smoothing import compare_numerators
+from greybox.comparison.blackbox.polynomial import PolynomialModel
+from greybox.comparison.blackbox.rounding import to_continuous
+from greybox.data.experiment import Experiment
 from models.micro_actuator_geometry import PLAUSIBLE, as_printed, corrected
 from models.pneumatic_chambers import gas_chambers
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fits import cascaded_tanks_base, emps_dry_friction, silverbox_hardening
-from greybox.project import write_project
+from greybox.shell.template import write_project
 
 ROOT = Path(__file__).resolve().parents[2]
 STUDIES = ("emps_dry_friction", "cascaded_tanks_base", "silverbox_hardening")

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from greybox.estimation import fit
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
+from greybox.estimation.fit import fit
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_matrices, linear_record, multisine

@@ -18,7 +18,7 @@ from fits import (
 from fits import micromotion_printed as wang
 from fits import pneumatic_printed as chapter
 from fits.paper_page import rms_log
-from greybox.blackbox.monte_carlo_smoothing.intervals import find_resonance
+from greybox.comparison.blackbox.monte_carlo_smoothing import find_resonance
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "paper_tables.md"
 

@@ -8,7 +8,7 @@ import pytest
 import greybox as gb
 from fits.plant_cases import SETUPS, make
 from fits.plant_twins import PLANTS, simulate
-from greybox.project import find_model
+from greybox.shell.project import find_model
 
 AT_REST = gb.FitOptions(at_rest=True)
 

@@ -6,9 +6,9 @@ import pytest
 from fits import cascaded_tanks_discovery, emps_discovery, silverbox_discovery
 from fits.real_page import arguments
 from greybox import Experiment, FitOptions, fit, simulate
-from greybox.effects import applicable_effects, effect
+from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.signals import NamedValues
-from greybox.transcription import to_record
+from greybox.simulation.records import to_record
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 from greybox.discovery.decision import noise_cost_limit
-from greybox.discovery.execution import RefitJob
-from greybox.discovery.failures import FailureLog
+from greybox.discovery.execution import FailureLog, RefitJob
 from greybox.discovery.problem import CandidateFit
-from greybox.model import Effect, Model
+from greybox.model.effect import Effect
+from greybox.model.model import Model
 from greybox.model.signals import Parameter
 from models.micro_actuator import micro_actuator
 

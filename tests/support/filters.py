@@ -6,10 +6,10 @@ import pytest
 from scipy.linalg import expm
 
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.experiment import Experiment
-from greybox.filtering import KalmanFilter
-from greybox.integrators import discretise
-from greybox.transcription import to_record
+from greybox.data.experiment import Experiment
+from greybox.simulation.filtering.kalman_filter import KalmanFilter
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.records import to_record
 from tests.oracles.independent import linear_matrices, values
 
 NOISE = {"x": 2e-7, "i": 5e-3}

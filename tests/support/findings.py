@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from greybox.findings import Finding
+from greybox.base.findings import Finding
 
 
 def find(findings: Iterable[Finding], code: str) -> Finding | None:

@@ -1,6 +1,7 @@
 """Plants whose optimal experiments are known."""
 
-from greybox.model import Balance, Model
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from fits.rig_twins import simulate
-from greybox.estimation import FitOptions
-from greybox.experiment import Experiment
+from greybox.data.experiment import Experiment
+from greybox.estimation.options import FitOptions
 from models.micro_actuator import micro_actuator
 
 ACTUATOR = {"M": 0.010, "B": 0.27, "K": 5900.0, "Kf": 1.39, "Kv": 1.39, "Ra": 8.0, "La": 1e-3}

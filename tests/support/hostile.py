@@ -7,9 +7,9 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from typing import Any
 
-from greybox.errors import GreyboxError
-from greybox.findings import Finding
-from greybox.rendering import sentence
+from greybox.base.errors import GreyboxError
+from greybox.base.findings import Finding
+from greybox.show.sentences.registry import sentence
 
 MARKUP = (
     """</script><script>window.hurt=1</script><img src=x onerror="window.hurt=1">""",

@@ -1,6 +1,7 @@
 """A driven oscillator with a cubic spring: stable, or with two wells."""
 
-from greybox.model import Balance, Model
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 
 RANGE = (1e-3, 1e3)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from greybox import Balance, Model, Output, Parameter, State
-from greybox.estimation import FitOptions
+from greybox.estimation.options import FitOptions
 
 REST = FitOptions(at_rest=True)
 

@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 from typing import NamedTuple
 
-from greybox.kernel.c_compiler import find_compiler
+from greybox.simulation.kernel.c_compiler import find_compiler
 
 
 class ReferenceModel(NamedTuple):

@@ -7,7 +7,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from greybox.schemas import ResultKind, read_schema
+from greybox.base.json_file import ResultKind, read_schema
 
 
 def strict(schema: Any) -> Any:

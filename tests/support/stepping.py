@@ -4,9 +4,9 @@ import casadi as ca
 import numpy as np
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
-from greybox.kernel import Record
-from greybox.kernel.compiled import CompiledKernel
-from greybox.kernel.interpreted import InterpretedKernel
+from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interpreted import InterpretedKernel
+from greybox.simulation.kernel.record import Record
 
 KERNELS = (CompiledKernel, InterpretedKernel)
 NONE = np.empty(0, int)

@@ -6,13 +6,12 @@ from scipy.optimize import least_squares
 from scipy.signal import firwin, resample_poly
 
 from greybox import Experiment
-from greybox.effects import effect
-from greybox.errors import DataError
-from greybox.integrators import discretise
-from greybox.kernel.compiled import CompiledKernel
-from greybox.transcription import to_record
-from greybox.transcription.policy import DEFAULT_POLICY
-from greybox.transcription.records import interpolate_band_limited
+from greybox.base.errors import DataError
+from greybox.estimation.transcription.policy import DEFAULT_POLICY
+from greybox.model.effects.catalogue import effect
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.records import interpolate_band_limited, to_record
 from models.silverbox import silverbox
 from tests.support.stepping import oscillator, path, values
 

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.estimation import FitOptions
-from greybox.transcription.decision_vector import DecisionVector, NoiseLevels
-from greybox.transcription.problem import prepare_problem
+from greybox.estimation.options import FitOptions
+from greybox.estimation.transcription.decision_vector import DecisionVector, NoiseLevels
+from greybox.estimation.transcription.problem import prepare_problem
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record
 

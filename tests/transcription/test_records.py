@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from greybox import Experiment, fit, simulate
-from greybox.errors import DataError
-from greybox.transcription import to_record
-from greybox.transcription.records import to_experiments
+from greybox.base.errors import DataError
+from greybox.simulation.records import to_experiments, to_record
 from models.emps import emps
 from models.silverbox import silverbox
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from greybox.errors import DataError
-from greybox.transcription import SegmentedProblem, prepare_problem, split_into_arcs
-from greybox.transcription.segments import cut_in_rows, cut_in_seconds
+from greybox.base.errors import DataError
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows, cut_in_seconds, split_into_arcs
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 

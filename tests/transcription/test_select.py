@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from greybox.kernel import Record
-from greybox.model import Balance, Model
+from greybox.estimation.transcription.policy import TranscriptionChoicePolicy
+from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
+from greybox.estimation.transcription.solution import TranscriptionReason
+from greybox.model.balance import Balance
+from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.transcription import TranscriptionReason, estimate_error_growth, propose_transcription
-from greybox.transcription.policy import TranscriptionChoicePolicy
+from greybox.simulation.kernel.record import Record
 
 ROWS, PERIOD = 101, 0.01  # one second
 

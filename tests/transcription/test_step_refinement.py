@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.optim import TerminationStatus
-from greybox.transcription import EstimationProblem, Solution, SolverOptions, prepare_problem
-from greybox.transcription.policy import StepRefinementPolicy
-from greybox.transcription.step_refinement import refine_step, solve_with_refined_steps
+from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.transcription.options import SolverOptions
+from greybox.estimation.transcription.policy import StepRefinementPolicy
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
+from greybox.estimation.transcription.solution import Solution
 from tests.oracles.independent import solved_record
 from tests.support.oscillator import oscillator
 

@@ -8,27 +8,29 @@ import numpy as np
 import pytest
 from scipy.integrate import ode, solve_ivp
 
-from greybox.effects import effect
-from greybox.errors import ModelError
-from greybox.estimation import FitOptions
-from greybox.integrators import DiscretisationPolicy
-from greybox.model import Balance, Model
-from greybox.model.signals import Input, Output, Parameter, State
-from greybox.optim import TerminationStatus, solve_sparse
-from greybox.transcription import (
-    Collocation,
-    MultipleShooting,
-    ProjectedShooting,
+from greybox.base.errors import ModelError
+from greybox.estimation.optim.ipopt import solve_sparse
+from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.options import FitOptions
+from greybox.estimation.transcription.collocation import Collocation
+from greybox.estimation.transcription.multiple_shooting import MultipleShooting
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.transcription.projected_initial_states import ProjectedShooting, initialise_without_continuity
+from greybox.estimation.transcription.segments import (
     SegmentedProblem,
-    estimate_error_growth,
-    propose_transcription,
+    choose_segment_rows,
+    cut_in_rows,
+    cut_in_seconds,
     split_into_arcs,
 )
-from greybox.transcription.findings import TranscriptionReason
-from greybox.transcription.initialisation import initialise_without_continuity
-from greybox.transcription.problem import prepare_problem
-from greybox.transcription.segments import choose_segment_rows, cut_in_rows, cut_in_seconds
-from greybox.transcription.solve import solve
+from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
+from greybox.estimation.transcription.solution import TranscriptionReason
+from greybox.estimation.transcription.solve import solve
+from greybox.model.balance import Balance
+from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.integrators.policy import DiscretisationPolicy
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator

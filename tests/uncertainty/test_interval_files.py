@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from greybox.errors import DataError
-from greybox.schemas import ResultKind
-from greybox.uncertainty import Bootstrap, Profile, load_bootstrap, load_profile, profile
-from greybox.uncertainty.policy import BootstrapPolicy, ProfilePolicy
+from greybox.base.errors import DataError
+from greybox.base.json_file import ResultKind
+from greybox.estimation.uncertainty.bootstrap import Bootstrap, load_bootstrap
+from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
+from greybox.estimation.uncertainty.profile import Profile, load_profile, profile
 from tests.support.result_schema import strict_offences
 from tests.uncertainty.test_intervals import saturation_fit
 

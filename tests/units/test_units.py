@@ -12,9 +12,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from greybox.errors import ModelError, UnitError
-from greybox.units import ONE, Unit, convert, format_unit, parse_unit, unit_converter, unit_name
-from greybox.units.symbols import KNOWN, LONG, RUN_TOGETHER
+from greybox.base.errors import ModelError, UnitError
+from greybox.base.units import (
+    KNOWN,
+    LONG,
+    ONE,
+    RUN_TOGETHER,
+    Unit,
+    convert,
+    format_unit,
+    parse_unit,
+    unit_converter,
+    unit_name,
+)
 
 PINT = pint.UnitRegistry()
 SI = {"kg": "kilogram", "m": "meter", "s": "second", "A": "ampere", "K": "kelvin", "mol": "mole", "cd": "candela"}

@@ -1,1 +1,1 @@
-"""What the catalogue does not hold, written down as an equation: terms that a balance may lack, tried in the model like effects."""
+"""Missing terms composed from the grammar of a balance, where the catalogue holds no name for them."""

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from greybox.base.numerics import OFF_REST, TINY
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.model import Model
+from greybox.model.model import Model
 from greybox.model.system import System
-from greybox.numerics import OFF_REST, TINY
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,13 +10,13 @@ import casadi as ca
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.discovery.failures import SearchStage
+from greybox.base.numerics import TINY
+from greybox.discovery.execution import SearchStage
 from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import LawTerm, list_terms
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.model import Model
-from greybox.numerics import TINY
+from greybox.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)

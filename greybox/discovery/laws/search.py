@@ -13,15 +13,13 @@ from functools import partial
 
 import numpy as np
 
+from greybox.base.findings import Check, Finding
+from greybox.base.values import ReadOnly
 from greybox.discovery.certainty import Grade
 from greybox.discovery.decision import clean_cost_limit, make_check
-from greybox.discovery.execution import RefitJob
-from greybox.discovery.failures import SearchStage
+from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate
-from greybox.discovery.laws.curve import curve_effects
-from greybox.discovery.laws.equation import law_values, write_equation
-from greybox.discovery.laws.likeness import Likeness, find_likeness
 from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.screening import (
     ObservedFit,
@@ -32,14 +30,20 @@ from greybox.discovery.laws.screening import (
     observe_variants,
     rank_everywhere,
 )
-from greybox.discovery.laws.terms import LAW, LawTerm
+from greybox.discovery.laws.terms import (
+    LAW,
+    LawTerm,
+    Likeness,
+    curve_effects,
+    find_likeness,
+    law_values,
+    write_equation,
+)
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import is_level_known
-from greybox.findings import Check, Finding
-from greybox.model import Model
-from greybox.result import Fit
-from greybox.values import ReadOnly
+from greybox.estimation.result import Fit
+from greybox.model.model import Model
 
 
 @dataclass(frozen=True)

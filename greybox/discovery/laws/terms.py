@@ -9,19 +9,23 @@ list are equal up to algebra.
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
+from greybox.base.linear_algebra import decompose_columns
+from greybox.base.units import ONE, parse_unit
 from greybox.discovery.laws.policy import LawPolicy
-from greybox.effects.formula import formula_effect
-from greybox.expressions.formula import evaluate_formula
-from greybox.model import Effect, Model
-from greybox.model.signals import Parameter
-from greybox.units import ONE, parse_unit
+from greybox.model.effect import Effect
+from greybox.model.effects.formula import formula_effect
+from greybox.model.expressions.text import evaluate_formula, number_text
+from greybox.model.model import Model
+from greybox.model.signals import Expression, NamedValues, Parameter
 
 LAW = "law"
 """Name of the effect that a law is; a second one is ``law_2``."""
@@ -356,3 +360,209 @@ def _unit_text(powers: Sequence[tuple[str, float]]) -> str:
             total[unit] = total.get(unit, 0.0) + power
     parts = [_bracketed(u) if p == 1 else f"{_bracketed(u)}^{p:g}" for u, p in total.items() if p]
     return "*".join(parts) or "1"
+
+
+# A law written with its constants as numbers.
+
+
+def write_equation(model: Model, terms: Sequence[LawTerm]) -> tuple[str, ...]:
+    """Each term of a model's law with its constants as numbers: ``-0.6*a*b``."""
+    names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
+    return tuple(_write(model, name, term) for name, term in zip(names, terms, strict=True))
+
+
+def law_values(model: Model, name: str) -> dict[str, float]:
+    """The constants of the effect ``name`` by its own names."""
+    bound = next(b for b in model.bound_effects if b.effect.name == name)
+    return {inner: model.values[in_model] for inner, in_model in bound.model_names.items() if in_model in model.values}
+
+
+def _write(model: Model, name: str, term: LawTerm) -> str:
+    values = law_values(model, name)
+    text = term.formula
+    for inner, value in values.items():
+        number = number_text(value)
+        text = re.sub(rf"\b{re.escape(inner)}\b", f"({number})" if value < 0 else number, text)
+    if text.startswith("(-"):  # the amplitude, which comes first
+        text = text[1:].replace(")", "", 1)
+    lag = values.get(term.constants.lag) if term.has_memory else None
+    return text if lag is None else f"lag({text}, {number_text(lag)})"
+
+
+# What a law behaves as, where the field has a word for it.
+
+
+class LikenessKind(StrEnum):
+    """Words for shapes that are met in every field."""
+
+    BIAS = "bias"
+    """A constant."""
+    LINEAR = "linear"
+    """Proportional to a variable."""
+    HARDENING = "hardening"
+    """An odd power of the balance's own variable against or with it."""
+    QUADRATIC_DRAG = "quadratic_drag"
+    """``|v| v``."""
+    DRY_FRICTION = "dry_friction"
+    """``sign(v)``, or a ``tanh`` that is steep."""
+    STOP = "stop"
+    """Nothing up to a place, then proportional to how far beyond."""
+    SATURATION = "saturation"
+    """``x/(c + x)`` and its relatives: proportional at first, constant in the end."""
+    SWITCH = "switch"
+    """A Hill function: little below a place, constant above."""
+    MASS_ACTION = "mass_action"
+    """A product of two variables."""
+    CROWDING = "crowding"
+    """The square of a variable in its own balance."""
+    PERIODIC = "periodic"
+    """A sine or a cosine."""
+    MEMORY = "memory"
+    """Any of these through a lag."""
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """What a law behaves as: ``place`` and ``size`` are its constant of shape and its amplitude, with their units."""
+
+    kind: LikenessKind
+    size: float
+    size_unit: str
+    place: float | None = None
+    place_unit: str = ""
+    variable: str = ""
+
+
+def find_likeness(model: Model, name: str, term: LawTerm) -> Likeness | None:
+    """The word for a law; None where there is none."""
+    kind = _kind_of(model, term)
+    if kind is None:
+        return None
+    values = law_values(model, name)
+    place = values.get(term.constants.shape) if term.shape is not None else None
+    variable = term.shape.variables[0] if term.shape is not None else (term.variables or ("",))[0]
+    unit = term.shape_unit if place is not None else ""
+    return Likeness(kind, values[term.constants.amplitude], term.amplitude_unit, place, unit, variable)
+
+
+def _kind_of(model: Model, term: LawTerm) -> LikenessKind | None:
+    if term.has_memory:
+        return LikenessKind.MEMORY
+    texts = [f.text for f in term.factors]
+    state = next((b.state for b in model.system.balances if b.name == term.site), "")
+    if not texts:
+        return LikenessKind.BIAS
+    if len(texts) == 2 and all(f.text == f.variables[0] for f in term.factors):
+        return LikenessKind.MASS_ACTION
+    shape = term.shape.text if term.shape is not None else ""
+    if len(texts) == 1 and shape.startswith("max"):
+        return LikenessKind.STOP
+    if shape.startswith("tanh") and len(texts) == 1:
+        return LikenessKind.DRY_FRICTION
+    if "/({c} + " in shape and term.shape is not None and term.shape.power == 0:
+        return LikenessKind.SATURATION
+    if "**2/({c}**2" in shape or "**4/({c}**4" in shape:
+        return LikenessKind.SWITCH
+    if len(texts) > 1:
+        return None
+    text, variable = texts[0], term.factors[0].variables[0]
+    if text == variable:
+        return LikenessKind.LINEAR
+    if text == f"{variable}**2" and variable == state:
+        return LikenessKind.CROWDING
+    if text in (f"{variable}**3", f"{variable}**5"):
+        return LikenessKind.HARDENING
+    if text == f"abs({variable})*{variable}":
+        return LikenessKind.QUADRATIC_DRAG
+    if text == f"sign({variable})":
+        return LikenessKind.DRY_FRICTION
+    return LikenessKind.PERIODIC if text.startswith(("sin(", "cos(")) else None
+
+
+# A free curve in the place of one factor of a law: what a law must not be beaten by.
+
+LAW_CURVE = "law_curve"
+
+
+def curve_effects(
+    model: Model, terms: Sequence[LawTerm], seen: Mapping[str, tuple[float, float]], policy: LawPolicy
+) -> Iterator[tuple[Model, dict[str, float]]]:
+    """For each variable of the last term the model with a curve over it, its other factors kept, and start values: the law itself."""
+    names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
+    name, term = names[-1], terms[-1]
+    if term.has_memory:
+        return
+    values = law_values(model, name)
+    for variable in term.variables:
+        mine = [f for f in term.factors if f.variables == (variable,)]
+        others = [f for f in term.factors if f.variables != (variable,)]
+        if not mine or any(variable in f.variables for f in others):
+            continue
+        shape = values.get(term.constants.shape, 1.0)
+        low, high = seen[variable]
+        pitch = (high - low) / (policy.curve_heights - 1) or 1.0
+        z = np.linspace(low, high, 8 * policy.curve_heights)
+        target = values[term.constants.amplitude] * _product_of(term, mine, {variable: z}, shape)
+        bumps = np.exp(-(((z[:, None] - low) / pitch - np.arange(policy.curve_heights)) ** 2))
+        heights = decompose_columns(np.vstack([bumps, 1e-6 * np.eye(policy.curve_heights)])).solve(
+            np.append(target, np.zeros(policy.curve_heights))
+        )
+        unit = term.site_unit if not others else f"({term.site_unit})/({_unit_of(term, others)})"
+        effect = _curve_effect(term, variable, others, shape, low, pitch, unit, heights)
+        curved = model.without(name) + effect
+        names_in_model = next(b.model_names for b in curved.bound_effects if b.effect.name == LAW_CURVE)
+        start = {n: v for n, v in model.values.items() if n in curved.values}
+        yield curved, start | {names_in_model[f"h{k}"]: float(v) for k, v in enumerate(heights)}
+
+
+def _product_of(term: LawTerm, factors: Sequence, values: Mapping[str, np.ndarray], shape: float) -> np.ndarray:
+    part = LawTerm(term.site, tuple(factors), term.units, term.site_unit, term.constants)
+    return part.evaluate(values, shape)
+
+
+def _unit_of(term: LawTerm, factors: Sequence) -> str:
+    return LawTerm(term.site, tuple(factors), term.units, term.site_unit, term.constants).product_unit
+
+
+def _curve_effect(
+    term: LawTerm,
+    variable: str,
+    others: Sequence,
+    shape: float,
+    low: float,
+    pitch: float,
+    unit: str,
+    heights: np.ndarray,
+) -> Effect:
+    variable_unit = dict(term.units)[variable]
+    names = [f"h{k}" for k in range(len(heights))]
+    rest = LawTerm(term.site, tuple(others), term.units, term.site_unit, term.constants)
+    parameters = [
+        Parameter("lowest", variable_unit, low, fixed=True),
+        Parameter("pitch", variable_unit, pitch, fixed=True),
+        Parameter(term.constants.shape, rest.shape_unit, shape, fixed=True),
+        *(Parameter(n, unit, float(v)) for n, v in zip(names, heights, strict=True)),
+    ]
+
+    def curve(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+        value = x[variable] if variable in x else u[variable]
+        t = (value - p["lowest"]) / p["pitch"]
+        total: Expression = 0
+        for k, n in enumerate(names):
+            total = total + p[n] * ca.exp(-((t - k) ** 2))
+        if not others:
+            return total
+        known = {v: (x[v] if v in x else u[v]) for v in rest.variables}
+        known[term.constants.shape] = p[term.constants.shape]
+        return total * evaluate_formula("law", rest.product, _Known(known))
+
+    return Effect(LAW_CURVE, term.site, parameters, terms=curve, amplitudes=names, equation=f"curve over {variable}")
+
+
+class _Known(dict):
+    """Values by name, as a formula asks for them."""
+
+    @property
+    def names(self) -> list[str]:
+        """Every name."""
+        return list(self)

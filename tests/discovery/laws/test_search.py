@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox import Balance, Experiment, Model, Output, Parameter, State
-from greybox.discovery import load_discovery
+from greybox.discovery.result import load_discovery
 
 NOISE = 0.01
 

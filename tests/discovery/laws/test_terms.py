@@ -5,10 +5,9 @@ import pytest
 import sympy
 
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.discovery.laws.equation import write_equation
+from greybox.base.units import parse_unit
 from greybox.discovery.laws.policy import LawPolicy
-from greybox.discovery.laws.terms import ConstantNames, list_terms
-from greybox.units import parse_unit
+from greybox.discovery.laws.terms import ConstantNames, list_terms, write_equation
 
 T = np.linspace(0, 1, 50)
 VALUES = {"x": 1e-3 * np.sin(9 * T), "v": 9e-3 * np.cos(9 * T), "F": 2 + np.sin(5 * T)}

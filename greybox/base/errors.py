@@ -1,0 +1,98 @@
+"""Errors a person can act on: what, where, which rule, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+
+class GreyboxError(Exception):
+    """Base of every error the library raises on purpose. The command line ends with exit code 2."""
+
+
+class ModelError(GreyboxError):
+    """A model, an effect or a constant is stated in a way that cannot be right."""
+
+
+class MissingNameError(ModelError):
+    """A model has no site, signal or parameter of the name or role that an effect asks for.
+
+    Attributes
+    ----------
+    kind
+        ``site``, ``state``, ``input``, ``parameter``, or ``unit`` for something whose unit is asked for.
+    name
+        Its name or role.
+    """
+
+    def __init__(self, message: str, kind: str, name: str) -> None:
+        self.kind, self.name = kind, name
+        super().__init__(message)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (str(self), self.kind, self.name)
+
+
+class UnitError(ModelError):
+    """A term of an equation has another unit than the equation."""
+
+
+class DataError(GreyboxError):
+    """A record cannot be read as the model needs it."""
+
+
+class FitError(GreyboxError):
+    """A fit ended without success and the caller asked for an exception."""
+
+
+class OutputError(GreyboxError, OSError):
+    """A file cannot be written; what it held before stands. The command line ends with exit code 1.
+
+    ``errno``, ``strerror`` and ``filename`` are those of the system's error.
+    """
+
+    def __str__(self) -> str:
+        return f"{self.filename}: cannot be written ({self.strerror}); what was there before stands"
+
+
+class WorkersLostError(GreyboxError):
+    """The workers cannot go on: their cluster is lost, or they are of another version. The command line ends with exit code 1.
+
+    Attributes
+    ----------
+    fault
+        What is wrong with the workers.
+    results
+        The `greybox.base.parallel.JobResult` of each job, None for those that are not finished.
+    """
+
+    def __init__(self, fault: str, results: Iterable[Any]) -> None:
+        self.fault, self.results = fault, tuple(results)
+        done = sum(result is not None for result in self.results)
+        super().__init__(f"workers lost: {fault}; {done} of {len(self.results)} jobs are finished")
+
+
+def shorten(text: str, length: int = 60) -> str:
+    """``text`` on one line, fit for a message whatever a file held: no control characters, and not too long."""
+    plain = "".join(letter if letter.isprintable() else " " for letter in text[: 4 * length])
+    words = " ".join(plain.split())
+    return words if len(words) <= length else f"{words[: length - 3]}..."
+
+
+def nearest(name: str, known: Iterable[str], most: int = 30) -> str:
+    """Remedy for an unknown name: the closest known names, and all of them unless there are more than ``most``.
+
+    >>> nearest("Kff", ["Kf", "M"])
+    "did you mean 'Kf'? (known: Kf, M)"
+    """
+    names = list(dict.fromkeys(known))
+    close = difflib.get_close_matches(name, names, n=3, cutoff=0.5)
+    if close:  # beside a name that is much closer the others only distract
+        closest = difflib.SequenceMatcher(None, close[0], name).ratio()
+        close = difflib.get_close_matches(name, names, n=3, cutoff=closest - 0.2)
+    listing = ", ".join(names) if names else "none"
+    if not close:
+        return f"known: {listing}"
+    beside = f"known: {listing}" if len(names) <= most else f"{len(names)} are known"
+    return f"did you mean {' or '.join(repr(c) for c in close)}? ({beside})"

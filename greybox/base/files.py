@@ -1,0 +1,251 @@
+"""Writing files: whole, or not at all. Every file that the library writes goes through `write_file` or `append_line`.
+
+A result replaces the one before it only when all of it is on the disk. A full disk, a folder that cannot be written, a killed
+process or a power cut leave the file as it was.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import secrets
+import stat
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, BinaryIO
+
+from greybox.base.errors import OutputError
+
+if sys.platform != "win32":
+    import fcntl
+
+PART = ".greybox-{}.part"
+"""Name of a file that is being written, in the folder of the one it will replace; short enough beside any name."""
+
+PRIVATE = stat.S_IRUSR | stat.S_IWUSR
+"""Permissions of a file for one user."""
+
+
+@dataclass(frozen=True)
+class FilePolicy:
+    """When a file that lies about is nobody's."""
+
+    leftover_seconds: float = 3600.0
+    """A part that nobody has written to for so long belongs to a process that was killed."""
+
+
+FILE_POLICY = FilePolicy()
+
+
+def write_file(
+    path: str | os.PathLike[str],
+    content: str | bytes | Iterable[str] | Callable[[BinaryIO], object],
+    *,
+    private: bool = False,
+) -> Path:
+    """Write a file so that it holds all of ``content``, or what it held before.
+
+    Parameters
+    ----------
+    path
+        The file; missing folders are made. A link keeps pointing to its target, which is replaced. A device or a pipe
+        is written to as it is.
+    content
+        Text (written as UTF-8), bytes, parts of a text, or a function that writes to the binary file it is given.
+    private
+        For the eyes of this user alone. Else the permissions of the file that was there stay.
+
+    Returns
+    -------
+    Path
+        ``path``.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written, with the name of the file. What was there stands.
+    """
+    target = Path(path)
+    final = Path(os.path.realpath(target))
+    part: Path | None = None
+    try:
+        final.parent.mkdir(parents=True, exist_ok=True)
+        mode = _mode_of(final)
+        if mode is not None and not stat.S_ISREG(mode):
+            if stat.S_ISDIR(mode):
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+            with open(final, "wb") as device:
+                _fill(device, content)
+            return target
+        if mode is not None and not os.access(final, os.W_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        _remove_leftovers(final.parent)
+        part = final.parent / PART.format(secrets.token_hex(8))
+        with open(part, "xb") as file:
+            if private or mode is not None:
+                with contextlib.suppress(OSError):  # a file system without modes
+                    os.chmod(part, PRIVATE if private else stat.S_IMODE(mode or 0))
+            _fill(file, content)
+            file.flush()
+            os.fsync(file.fileno())
+        _replace(part, final)
+        part = None
+        _sync_folder(final.parent)
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):  # the reader of the pipe has gone, which is no fault of the file
+            raise
+        raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
+    except UnicodeEncodeError as error:
+        raise OutputError(errno.EILSEQ, f"a text in it is not valid Unicode: {error.reason}", str(target)) from error
+    finally:
+        if part is not None:
+            with contextlib.suppress(OSError):
+                part.unlink()
+    return target
+
+
+def append_line(path: str | os.PathLike[str], line: str) -> None:
+    """Add a line to the end of a file that several processes may add to; on the disk when this returns.
+
+    A last line that was cut short stays a line by itself: whoever reads the file can skip it.
+
+    Raises
+    ------
+    OutputError
+        If the line cannot be written; then nothing of it is left.
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with open(target, "a+b", buffering=0) as file, locked(file):
+            end = file.seek(0, os.SEEK_END)
+            data = line.encode() + b"\n"
+            if end:
+                file.seek(end - 1)
+                data = data if file.read(1) == b"\n" else b"\n" + data
+            try:
+                if file.write(data) != len(data):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(file.fileno())
+            except BaseException:
+                with contextlib.suppress(OSError):
+                    os.ftruncate(file.fileno(), end)
+                raise
+    except OSError as error:
+        raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
+
+
+@contextlib.contextmanager
+def open_locked(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A file that is there, for reading and cutting off, while nobody adds a line to it. Raises OSError."""
+    with open(path, "r+b") as file, locked(file):
+        yield file
+
+
+def cut_file(file: BinaryIO, size: int) -> None:
+    """Cut an open file off after its first ``size`` bytes. Raises OSError."""
+    file.truncate(size)
+    os.fsync(file.fileno())
+
+
+@contextlib.contextmanager
+def locked(file: IO[bytes]) -> Iterator[None]:
+    """The block in which this process alone writes to ``file``. The system takes the lock from a process that has died.
+
+    Without effect where the system has no such locks.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    held = False
+    with contextlib.suppress(OSError):  # some network folders have no locks
+        fcntl.flock(file, fcntl.LOCK_EX)
+        held = True
+    try:
+        yield
+    finally:
+        if held:
+            fcntl.flock(file, fcntl.LOCK_UN)
+
+
+@contextlib.contextmanager
+def hold_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO | None]:
+    """A file that this process alone holds until the block ends; None where another does.
+
+    A program that inherits the open file holds it as long as it runs, also when this process was killed. The file stays, empty.
+    Without effect where the system has no such locks.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be made.
+    """
+    target = Path(path)
+    with contextlib.ExitStack() as stack:
+        try:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(open(target, "ab"))
+        except OSError as error:
+            raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
+        if sys.platform != "win32":
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                yield None
+                return
+            except OSError:  # some network folders have no locks
+                pass
+        yield file
+
+
+def _fill(file: BinaryIO, content: str | bytes | Iterable[str] | Callable[[BinaryIO], object]) -> None:
+    if callable(content):
+        content(file)
+    elif isinstance(content, str | bytes):
+        file.write(content.encode() if isinstance(content, str) else content)
+    else:
+        for part in content:
+            file.write(part.encode())
+
+
+def _mode_of(path: Path) -> int | None:
+    """Kind and permissions of a file, None where there is none."""
+    try:
+        return path.stat().st_mode
+    except FileNotFoundError:
+        return None
+
+
+def _replace(part: Path, final: Path) -> None:
+    """Rename; on Windows another program may hold the old file for a moment."""
+    for pause in (0.05, 0.2, 1.0) if sys.platform == "win32" else ():
+        try:
+            os.replace(part, final)
+            return
+        except PermissionError:
+            time.sleep(pause)
+    os.replace(part, final)
+
+
+def _remove_leftovers(folder: Path, policy: FilePolicy = FILE_POLICY) -> None:
+    """Remove what killed processes left behind in ``folder``."""
+    with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
+        for old in folder.glob(PART.format("*")):
+            if time.time() - old.stat().st_mtime > policy.leftover_seconds:
+                old.unlink()
+
+
+def _sync_folder(folder: Path) -> None:
+    """Put the renaming itself on the disk, where the system can."""
+    if sys.platform == "win32":
+        return
+    with contextlib.suppress(OSError):  # some file systems refuse to sync a folder
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

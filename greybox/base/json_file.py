@@ -1,0 +1,276 @@
+"""Reading the JSON files that greybox writes: each is checked against ``results.schema.json``, and the first offence is named."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NoReturn
+
+from greybox.base.errors import DataError, GreyboxError, nearest, shorten
+
+# How large a JSON file may be.
+
+
+@dataclass(frozen=True)
+class JsonPolicy:
+    """Limits that hold before a file is read."""
+
+    largest_file: int = 1_000_000_000
+    """Bytes of a file: the fit of a record of ten million rows."""
+
+
+JSON_POLICY = JsonPolicy()
+
+
+SCHEMA = "results.schema.json"
+_LONE_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
+
+
+class ResultKind(StrEnum):
+    """The kinds of files, by their names in the schema."""
+
+    FIT = "fit"
+    DISCOVERY = "discovery"
+    COMPARISON = "comparison"
+    DESIGN = "design"
+    CAMPAIGN = "campaign"
+    CHANGE = "change"
+    MODEL_CHECK = "model_check"
+    LINEAR_MODEL = "linear_model"
+    FMU_FIT = "fmu_fit"
+    PROFILE = "profile"
+    BOOTSTRAP = "bootstrap"
+    REFIT = "refit"
+    """One line of a journal."""
+
+
+TITLES: Mapping[ResultKind, tuple[str, str]] = {
+    ResultKind.FIT: ("a fit", "fit.json that greybox fit has written"),
+    ResultKind.DISCOVERY: ("a discovery", "discovery.json that greybox discover has written"),
+    ResultKind.COMPARISON: ("a comparison", "compare.json that greybox compare has written"),
+    ResultKind.DESIGN: ("a design", "design.json that greybox design has written"),
+    ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
+    ResultKind.CHANGE: ("a change detection", "changed.json that greybox changed has written"),
+    ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
+    ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
+    ResultKind.FMU_FIT: ("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
+    ResultKind.PROFILE: ("a profile", "file that a profile was saved to"),
+    ResultKind.BOOTSTRAP: ("a bootstrap", "file that a bootstrap was saved to"),
+    ResultKind.REFIT: ("a journal entry", "journal.jsonl that greybox discover has written"),
+}
+"""What messages call each kind, and what to give in the place of another file."""
+
+
+@cache
+def read_schema() -> Mapping[str, Any]:
+    """The schema of every file that greybox writes: the kinds stand under ``$defs`` by the names of `ResultKind`."""
+    return json.loads(files("greybox.base").joinpath(SCHEMA).read_text(encoding="utf-8"))
+
+
+def read_json(path: str | Path, kind: ResultKind, policy: JsonPolicy = JSON_POLICY) -> dict[str, Any]:
+    """The content of a result file, checked.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        What it must be.
+    policy
+        How large it may be.
+
+    Returns
+    -------
+    dict
+        What the schema says of this kind, in any version so far.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read, is no JSON, comes from a later version, or is not as the schema says: with the first offence.
+    """
+    source = Path(path)
+    title, remedy = TITLES[kind]
+    refusal = f"{source}: not a readable fit" if kind is ResultKind.FIT else f"{source}: not {title} that can be read"
+    try:
+        if source.exists() and not source.is_file():
+            raise DataError(f"{source}: not a file; give the {remedy}")
+        if source.stat().st_size > policy.largest_file:
+            size = f"{source.stat().st_size / 1e6:.0f} MB"
+            raise DataError(f"{source}: {size}, at most {policy.largest_file / 1e6:.0f} MB are read; give the {remedy}")
+        data = parse_json(source.read_bytes())
+    except OSError as error:
+        raise DataError(f"{refusal} ({error.strerror}); give the {remedy}") from None
+    except ValueError as error:
+        raise DataError(f"{refusal} (not JSON: {shorten(str(error), 100)}); give the {remedy}") from None
+    newest = read_schema()["$defs"][kind].get("properties", {}).get("format", {}).get("maximum", math.inf)
+    version = data.get("format", 1) if isinstance(data, dict) else 1
+    if isinstance(version, int) and version > newest:
+        raise DataError(
+            f"{source}: {title} of format {version}, written by a later version; this one reads up to {newest}"
+        )
+    offence = find_offence(data, kind)
+    if offence:
+        raise DataError(f"{source}: not {title} of this program: {offence}; give the {remedy}")
+    return data
+
+
+def parse_json(text: bytes) -> Any:
+    """JSON by the letter: UTF-8, finite numbers, every character valid. Raises ValueError."""
+    try:
+        data = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if _LONE_SURROGATE.search(text):
+        try:
+            json.dumps(data, ensure_ascii=False).encode()
+        except UnicodeEncodeError:
+            raise ValueError("a text in it is not valid Unicode") from None
+    return data
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON number; what is not finite is written as null")
+
+
+def find_offence(data: Any, kind: ResultKind) -> str:
+    """Place and rule of the first value that is not as the schema says; "" where all is right."""
+    error = next(_validator(kind).iter_errors(data), None)
+    return "" if error is None else _describe(error)
+
+
+@cache
+def _validator(kind: ResultKind) -> Any:
+    from jsonschema import Draft202012Validator
+    from jsonschema.validators import extend
+
+    quick = extend(Draft202012Validator, {"items": _quick_items(Draft202012Validator.VALIDATORS["items"])})
+    return quick({"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]})
+
+
+def _quick_items(check: Callable[..., Iterator[Any] | None]) -> Callable[..., Iterator[Any]]:
+    """The rule ``items`` with a way around for long lists of numbers: a record has a hundred thousand of them."""
+    numbers = {f"#/$defs/{name}": nothing for name, nothing in (("number", ()), ("number_or_null", (type(None),)))}
+
+    def check_items(validator: Any, items: Any, instance: Any, schema: Any) -> Iterator[Any]:
+        nothing = numbers.get(str(items.get("$ref"))) if isinstance(items, dict) else None
+        plain = nothing is not None and isinstance(instance, list) and {*map(type, instance)} <= {float, *nothing}
+        if not (plain and math.inf not in instance and -math.inf not in instance):
+            yield from check(validator, items, instance, schema) or ()
+
+    return check_items
+
+
+_RULES: Mapping[str, Callable[[Any], str]] = {
+    "enum": lambda e: f"must be one of {', '.join(map(str, e.validator_value))}",
+    "minimum": lambda e: f"must be at least {e.validator_value:g}",
+    "maximum": lambda e: f"must be at most {e.validator_value:g}",
+    "minItems": lambda e: f"must have at least {e.validator_value} entries",
+    "maxItems": lambda e: f"must have at most {e.validator_value} entries",
+}
+_TYPES = {
+    "object": "an object",
+    "array": "a list",
+    "string": "a text",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "null": "null",
+}
+
+
+def _describe(error: Any) -> str:
+    """``parameters.K.value is 'abc' and must be a number``."""
+    place = shorten(_write_place(list(error.absolute_path)), 120)
+    if error.validator == "required":
+        missing = next(name for name in error.validator_value if name not in error.instance)
+        return f"{f'{place} lacks' if place else 'it lacks'} the key {missing!r}"
+    if error.validator == "type":
+        kinds = [error.validator_value] if isinstance(error.validator_value, str) else error.validator_value
+        rule = f"must be {' or '.join(_TYPES[kind] for kind in kinds)}"
+    else:
+        rule = _RULES.get(error.validator, lambda e: shorten(e.message, 100))(error)
+    return f"{place or 'the file'} is {_write_value(error.instance)} and {rule}"
+
+
+def _write_place(path: Sequence[str | int]) -> str:
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in path).removeprefix(".")
+
+
+def _write_value(value: Any) -> str:
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else f"a list of {len(value)}"
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:
+        return "a number out of range"
+    return shorten(json.dumps(value, ensure_ascii=False), 60)
+
+
+# Which JSON a command prints with ``--json``, and the schema of that alone.
+
+PRINTED: Mapping[str, tuple[str, ...]] = {
+    "fit": (ResultKind.FIT, ResultKind.FMU_FIT),
+    "compare": (ResultKind.COMPARISON,),
+    "discover": (ResultKind.DISCOVERY,),
+    "app": ("app_address",),
+    "changed": (ResultKind.CHANGE,),
+    "design": (ResultKind.DESIGN,),
+    "campaign": (ResultKind.CAMPAIGN,),
+    "check": (ResultKind.MODEL_CHECK, "file_survey", "file_surveys"),
+    "export": ("export",),
+    "simulate": ("simulation",),
+    "models": ("model_list", "model_outline"),
+    "effects": ("effect_list",),
+    "init": ("project",),
+    "demo": (ResultKind.DISCOVERY,),
+    "schema": ("json_schema",),
+}
+"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given."""
+
+
+def schema_of_command(command: str) -> dict[str, Any]:
+    """The JSON Schema of what ``greybox COMMAND --json`` prints, whole in itself.
+
+    Parameters
+    ----------
+    command
+        ``fit``, ``discover``, ``changed`` ...
+
+    Returns
+    -------
+    dict
+        A schema of draft 2020-12 that refers to nothing outside itself.
+
+    Raises
+    ------
+    GreyboxError
+        For a command that does not exist.
+    """
+    if command not in PRINTED:
+        raise GreyboxError(f"no command {command!r}; {nearest(command, list(PRINTED))}")
+    everything, kinds = read_schema()["$defs"], [str(kind) for kind in PRINTED[command]]
+    references = [{"$ref": f"#/$defs/{kind}"} for kind in kinds]
+    return {
+        "$schema": read_schema()["$schema"],
+        "$id": f"urn:greybox:command:{command}:1",
+        "title": f"What greybox {command} --json prints",
+        **(references[0] if len(references) == 1 else {"anyOf": references}),
+        "$defs": {name: everything[name] for name in _collect_definitions(kinds, everything)},
+    }
+
+
+def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:
+    """Names of these definitions and of all that they refer to, in the order of the file."""
+    needed, pending = set[str](), list(kinds)
+    while pending:
+        name = pending.pop()
+        if name not in needed:
+            needed.add(name)
+            pending += re.findall(r"'#/\$defs/(\w+)'", repr(everything[name]))
+    return [name for name in everything if name in needed]

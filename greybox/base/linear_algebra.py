@@ -1,0 +1,223 @@
+"""Rank, null space and pseudo-inverse: one decision of what counts in a matrix whose columns differ in size.
+
+Parameters differ in size by many orders of magnitude, and so do the columns of everything that is differentiated along them. Every
+decision is therefore taken after scaling: columns to length one, or the diagonal of a symmetric matrix to one. The largest singular
+value, which the others are compared with, is then between one and the root of the number of columns (the number, if symmetric).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from greybox.base.numerics import (
+    CERTAIN_COLUMN,
+    CERTAIN_INFORMATION,
+    COLUMN_CUTOFF,
+    DIRECTION_CUTOFF,
+    OPEN_DIRECTION_ENTRY,
+    RANK_CUTOFF,
+    REACHABILITY_RANK,
+    TINY,
+)
+
+
+@dataclass(frozen=True)
+class RankTolerance:
+    """What counts of a scaled matrix.
+
+    Parameters
+    ----------
+    rounding
+        Singular values (eigenvalues of a symmetric matrix) at and below this share of the largest, or of one if that is more, are
+        rounding errors.
+    certain
+        Above this share they are information. Between the two lies doubt: they count, but may come from an inexact computation.
+    """
+
+    rounding: float
+    certain: float
+
+
+INFORMATION_RANK = RankTolerance(RANK_CUTOFF, CERTAIN_INFORMATION)
+COLUMN_RANK = RankTolerance(COLUMN_CUTOFF, CERTAIN_COLUMN)
+DIRECTION_RANK = RankTolerance(DIRECTION_CUTOFF, DIRECTION_CUTOFF)
+REACHABILITY = RankTolerance(REACHABILITY_RANK, REACHABILITY_RANK)
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledDecomposition:
+    """Right singular vectors of a matrix with scaled columns, and how many of them count.
+
+    Parameters
+    ----------
+    scale
+        By what each column was divided (n,); one where it is zero.
+    values
+        Singular values or eigenvalues of the scaled matrix (n,), largest first.
+    vectors
+        Right singular vectors or eigenvectors of the scaled matrix (n, n), in the same order.
+    tolerance
+        Which of the values count.
+    rank
+        How many do.
+    """
+
+    scale: np.ndarray
+    values: np.ndarray
+    vectors: np.ndarray
+    tolerance: RankTolerance
+    rank: int
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether no value lies between rounding and information."""
+        return self._count_above(self.tolerance.certain) == self._count_above(self.tolerance.rounding)
+
+    @property
+    def gap(self) -> float:
+        """The last value that counts over the first that does not."""
+        last = self.values[self.rank - 1] if self.rank else 1.0
+        following = self.values[self.rank] if self.rank < len(self.values) else 0.0
+        return float(last / max(following, np.finfo(float).eps))
+
+    def without_doubtful(self) -> Self:
+        """The same where only what is certain counts."""
+        return replace(self, rank=self._count_above(self.tolerance.certain))
+
+    @property
+    def strong(self) -> np.ndarray:
+        """Directions (n, rank) of the scaled unknowns that count."""
+        return self.vectors[:, : self.rank]
+
+    @property
+    def weak(self) -> np.ndarray:
+        """Directions (n, n - rank) of the scaled unknowns that do not; over ``scale`` they are directions of the unknowns."""
+        return self.vectors[:, self.rank :]
+
+    @property
+    def is_open(self) -> np.ndarray:
+        """Which unknowns (n,) a direction that does not count touches."""
+        return np.any(np.abs(self.weak) > OPEN_DIRECTION_ENTRY, axis=1)
+
+    @property
+    def null_basis(self) -> np.ndarray:
+        """Orthonormal basis (n, n - rank) of the directions of the unknowns that do not count: one that was shortened moves further."""
+        return orthonormalise(self.weak / self.scale[:, None])
+
+    @property
+    def row_basis(self) -> np.ndarray:
+        """Orthonormal basis (n, rank) of the directions that count: the complement of ``null_basis``."""
+        return orthonormalise(self.strong * self.scale[:, None])
+
+    def _count_above(self, share: float) -> int:
+        return _count_above(self.values, share)
+
+
+@dataclass(frozen=True, eq=False)
+class SymmetricDecomposition(ScaledDecomposition):
+    """Eigenvectors of a positive semidefinite matrix with a diagonal of one."""
+
+    @cached_property
+    def pseudo_inverse(self) -> np.ndarray:
+        """Inverse (n, n) along the directions that count, zero along the others."""
+        half = self.strong / np.sqrt(self.values[: self.rank]) / self.scale[:, None]
+        return np.asarray(half @ half.T)
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """``pseudo_inverse @ right`` without squaring the scale."""
+        scaled = (right.T / self.scale).T
+        along = self.strong.T @ scaled
+        return np.asarray(((self.strong @ (along.T / self.values[: self.rank]).T).T / self.scale).T)
+
+    @property
+    def root(self) -> np.ndarray:
+        """``F`` (n, rank) with ``F F'`` the matrix, but for what does not count."""
+        return self.scale[:, None] * self.strong * np.sqrt(self.values[: self.rank])
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnDecomposition(ScaledDecomposition):
+    """Singular vectors of a matrix (m, n) with columns of length one; ``left`` (m, n) belong to ``vectors``."""
+
+    left: np.ndarray
+
+    @property
+    def range_basis(self) -> np.ndarray:
+        """Orthonormal basis (m, rank) of what the columns span."""
+        return self.left[:, : self.rank]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The least-squares solution (n,) for ``right`` (m,), the shortest in scaled unknowns where the columns depend on one another."""
+        return np.asarray(self.strong @ ((self.range_basis.T @ right) / self.values[: self.rank]) / self.scale)
+
+
+def decompose_symmetric(matrix: np.ndarray, tolerance: RankTolerance = INFORMATION_RANK) -> SymmetricDecomposition:
+    """Eigenvectors of a positive semidefinite matrix (n, n) after scaling its diagonal to one.
+
+    Rows and columns whose diagonal is zero, or negative by rounding, hold no information and are taken to be zero.
+    """
+    diagonal = np.diag(matrix)
+    informed = diagonal > TINY
+    scale = np.sqrt(np.where(informed, diagonal, 1.0))
+    scaled = np.where(informed[:, None] & informed, matrix / scale / scale[:, None], 0.0)
+    values, vectors = np.linalg.eigh(scaled)
+    values, vectors = values[::-1], vectors[:, ::-1]
+    return SymmetricDecomposition(scale, values, vectors, tolerance, _count_above(values, tolerance.rounding))
+
+
+def decompose_columns(
+    matrix: np.ndarray, tolerance: RankTolerance = COLUMN_RANK, scale: np.ndarray | None = None
+) -> ColumnDecomposition:
+    """Singular vectors of a matrix (m, n) after scaling its columns to length one, or by ``scale`` (n,)."""
+    rows, columns = matrix.shape
+    length = np.linalg.norm(matrix, axis=0) if scale is None else scale
+    scale = np.where(length > 0, length, 1.0)
+    scaled = matrix / scale
+    if rows < columns:  # as many values as there are columns
+        scaled = np.concatenate([scaled, np.zeros((columns - rows, columns))])
+    left, values, right = np.linalg.svd(scaled, full_matrices=False)
+    rank = _count_above(values, tolerance.rounding)
+    return ColumnDecomposition(scale, values, right.T, tolerance, rank, left[:rows])
+
+
+def pseudo_inverse(matrix: np.ndarray, tolerance: RankTolerance = INFORMATION_RANK) -> np.ndarray:
+    """Inverse of a positive semidefinite matrix (n, n), zero along directions that hold no information."""
+    return decompose_symmetric(matrix, tolerance).pseudo_inverse
+
+
+def eliminate(information: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """``[I, -B C^+]`` (k, n): takes scores (n,) to those of the unknowns numbered ``kept``, with the ``others`` estimated as well.
+
+    Applied to the information it leaves the Schur complement ``A - B C^+ B'``.
+    """
+    result = np.zeros((len(kept), len(information)))
+    result[np.arange(len(kept)), kept] = 1.0
+    if len(others):
+        result[:, others] = -information[np.ix_(kept, others)] @ pseudo_inverse(information[np.ix_(others, others)])
+    return result
+
+
+def range_basis(
+    matrix: np.ndarray, tolerance: RankTolerance = COLUMN_RANK, scale: np.ndarray | None = None
+) -> np.ndarray:
+    """Orthonormal basis (m, rank) of what the columns of ``matrix`` (m, n) span; ``scale`` as in `decompose_columns`."""
+    return decompose_columns(matrix, tolerance, scale).range_basis
+
+
+def are_independent(directions: Sequence[np.ndarray], cutoff: float = DIRECTION_CUTOFF) -> bool:
+    """Whether the rows (k, n), taken to length one, are linearly independent."""
+    return decompose_columns(np.asarray(directions).T, RankTolerance(cutoff, cutoff)).rank == len(directions)
+
+
+def orthonormalise(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis (n, k) of the span of independent ``columns`` (n, k)."""
+    return np.linalg.qr(columns / np.linalg.norm(columns, axis=0))[0] if columns.shape[1] else columns
+
+
+def _count_above(values: np.ndarray, share: float) -> int:
+    return int(np.count_nonzero(values > share * max(values.max(initial=0.0), 1.0)))

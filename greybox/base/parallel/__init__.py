@@ -1,0 +1,1 @@
+"""Many jobs here, in processes of this machine, or on a cluster."""

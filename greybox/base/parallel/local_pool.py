@@ -1,0 +1,303 @@
+"""Processes of this machine that end with the process that started them, however that ends."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import io
+import multiprocessing
+import os
+import platform
+import signal
+import sys
+import sysconfig
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from multiprocessing.connection import Connection, wait
+from types import FrameType, MappingProxyType, ModuleType
+from typing import Any
+
+import cloudpickle
+
+from greybox.model.model import Model
+
+# When a job, a worker or a cluster is given up.
+
+
+@dataclass(frozen=True)
+class RetryPolicy:
+    """What happens to a job whose worker dies, and how often jobs are looked at."""
+
+    tries: int = 2
+    """A job whose worker died is tried once more, and then alone: only a job that kills its own worker is given up."""
+    wake_seconds: float = 0.5
+    """Seconds between looks at the jobs, so that Ctrl-C is heard."""
+    grace_seconds: float = 2.0
+    """Seconds in which a worker that is told to end may do so by itself, before it is killed."""
+
+
+@dataclass(frozen=True)
+class ClusterPolicy:
+    """When a cluster is taken for lost: whoever waits must hear it within a minute."""
+
+    connect_seconds: float = 20.0
+    """Seconds in which a scheduler must answer the first call."""
+    silence_seconds: float = 20.0
+    """Seconds without an answer of the scheduler after which it is lost. A scheduler that is busy answers within a few."""
+    empty_seconds: float = 40.0
+    """Seconds without any worker: a worker that is started anew takes three to ten, and thirty on a machine with far more to do than
+    it can."""
+    call_seconds: float = 5.0
+    """Seconds that one call of the scheduler may take."""
+    look_seconds: float = 1.0
+    """Seconds between two calls: a worker that lives for a shorter time is not counted."""
+    listen_seconds: float = 4.0
+    """Seconds between two looks at the heartbeats of the workers."""
+    frozen_seconds: float = 25.0
+    """Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster, and on a machine
+    with far more to do than it can every ten."""
+    frozen_seconds_per_worker: float = 0.03
+    """The same for each worker of a large cluster: a thousand of them beat every six seconds only."""
+    least_losses: int = 6
+    """Workers that may die one after another while no job is finished: one bad job kills four before Dask gives it up."""
+    losses_per_worker: int = 3
+    """The same for each worker of a large cluster, which may lose many at once when a machine goes."""
+    fruitless_seconds: float = 40.0
+    """Seconds without a finished job after which a cluster that has lost more workers than it ever had at a time is given up: where
+    workers begin slowly and die, their number alone would take minutes to tell."""
+    local_failures: int = 1
+    """Workers of a local cluster that may die of a job before it is tried alone: each takes seconds to replace."""
+    close_seconds: float = 5.0
+    """Seconds that closing may take."""
+
+
+RETRY_POLICY = RetryPolicy()
+CLUSTER_POLICY = ClusterPolicy()
+
+
+# Ctrl-C between jobs that run one after the other.
+
+
+@contextmanager
+def note_interrupts() -> Iterator[Callable[[], bool]]:
+    """Tells whether Ctrl-C came meanwhile; what it does otherwise stays as it is.
+
+    What its handler raises is lost where the signal arrives inside a callback of a library, or while an object is deleted. The work would
+    go on as if nobody had asked for an end.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    noted = threading.Event()
+    if threading.current_thread() is not threading.main_thread() or not callable(before):
+        yield noted.is_set
+        return
+
+    def note(number: int, frame: FrameType | None) -> None:
+        noted.set()
+        before(number, frame)
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield noted.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+# Values as bytes for another process of the same version.
+#
+# A model is made of functions, often lambdas, which `pickle` refuses; `cloudpickle` (small, and what Dask itself uses) sends
+# them by value, so a worker needs greybox but not the user's project. CasADi expressions are not sent: a model is stated anew
+# where it arrives. Such bytes travel between processes of one user only; nothing of the kind is read from a file.
+
+
+def pack(value: Any) -> bytes:
+    """``value`` as bytes; functions of the user's project travel by value."""
+    modules = _local_packages()
+    for module in modules:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        buffer = io.BytesIO()
+        _Pickler(buffer).dump(value)
+        return buffer.getvalue()
+    finally:
+        for module in modules:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def unpack(data: bytes) -> Any:
+    """The value that was packed."""
+    return cloudpickle.loads(data)
+
+
+@lru_cache(maxsize=2)
+def unpack_shared(data: bytes) -> Any:
+    """What all jobs share, unpacked once in each worker."""
+    return cloudpickle.loads(data)
+
+
+@lru_cache
+def describe_version() -> str:
+    """Python and greybox as two processes must agree on them: the version, and the text of the program."""
+    python = ".".join(platform.python_version_tuple()[:2])
+    digest = hashlib.sha256()
+    _add_texts(digest, files("greybox"))
+    return f"Python {python}, greybox {digest.hexdigest()[:12]}"
+
+
+def _add_texts(digest: Any, folder: Traversable) -> None:
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.is_dir() and not entry.name.startswith("_"):
+            _add_texts(digest, entry)
+        elif entry.name.endswith((".py", ".c", ".h")):
+            digest.update(entry.name.encode() + b"\0" + entry.read_bytes())
+
+
+class _Pickler(cloudpickle.Pickler):
+    """Models as what they were stated with, read-only mappings as mappings."""
+
+    def reducer_override(self, obj: Any) -> Any:
+        if isinstance(obj, Model):
+            return _restated, (type(obj), {f.name: getattr(obj, f.name) for f in fields(obj) if f.init})
+        if isinstance(obj, MappingProxyType):
+            return MappingProxyType, (dict(obj),)
+        return super().reducer_override(obj)
+
+
+def _restated(kind: type, stated: dict[str, Any]) -> Any:
+    return kind(**stated)
+
+
+def _local_packages() -> list[ModuleType]:
+    """Top packages of the user's project (models/, fits/, a script): their functions travel by value."""
+    standard = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "platstdlib")})
+    result = []
+    for name, module in list(sys.modules.items()):
+        if "." in name or name in ("__main__", "__mp_main__", "greybox"):
+            continue
+        file = getattr(module, "__file__", None) or next(iter(getattr(module, "__path__", ())), None)
+        installed = file is None or "site-packages" in file or "dist-packages" in file
+        if file and not installed and not os.path.realpath(file).startswith(standard):
+            result.append(module)
+    return result
+
+
+PR_SET_PDEATHSIG = 1
+"""Number of the Linux call that asks for a signal when the parent ends."""
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def count_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def open_local_pool(workers: int) -> Iterator[Executor]:
+    """Processes of this machine for several calls of `run_jobs`, with one BLAS thread each; ended with the block."""
+    with quiet_children():
+        pool = LocalPool(workers)
+        try:
+            yield pool
+        except BaseException:
+            pool.abandon()
+            raise
+        pool.shutdown()
+
+
+class LocalPool(Executor):
+    """Worker processes; those that died are replaced.
+
+    Every worker holds one end of a pipe whose other end only this process has. When this process ends, also killed, or calls
+    `abandon`, the pipe is closed and the worker ends, whatever it is doing. Ctrl-C is heard by this process alone.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+        self._context = multiprocessing.get_context("spawn")
+        self._start()
+
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future:
+        """Run ``function`` in a worker; in new ones if the old ones have died."""
+        try:
+            return self._pool.submit(function, *arguments, **options)
+        except BrokenProcessPool:
+            self.abandon()
+            self._start()
+            return self._pool.submit(function, *arguments, **options)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers when they have done what was submitted."""
+        self._pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+        self._close_pipe()
+
+    def abandon(self) -> None:
+        """End the workers now, also those that a long computation keeps from hearing it."""
+        self._close_pipe()
+        pids = set()
+        with suppress(OSError, EOFError):
+            while self._announced.poll():
+                pids.add(self._announced.recv())
+        workers = [worker for worker in multiprocessing.active_children() if worker.pid in pids]
+        deadline = time.monotonic() + RETRY_POLICY.grace_seconds
+        for worker in workers:
+            worker.join(max(0.0, deadline - time.monotonic()))
+            if worker.is_alive():
+                worker.kill()
+        self._pool.shutdown(wait=True)
+
+    def _start(self) -> None:
+        self._leash, self._hand = self._context.Pipe(duplex=False)
+        self._announced, announce = self._context.Pipe(duplex=False)
+        self._pool = ProcessPoolExecutor(
+            self._workers, self._context, initializer=_end_with_parent, initargs=(self._leash, announce)
+        )
+
+    def _close_pipe(self) -> None:
+        self._hand.close()
+        self._leash.close()
+
+
+def _end_with_parent(leash: Connection, announce: Connection) -> None:
+    """Begin a worker: it ends at once when its parent is gone or lets go of the ``leash``; ``announce`` hears its process id."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_watch, args=(leash,), daemon=True).start()
+    if sys.platform == "linux":  # also where a long computation does not let the thread run
+        with suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGKILL))
+    announce.send(os.getpid())
+
+
+def _watch(leash: Connection) -> None:
+    parent = multiprocessing.parent_process()
+    with suppress(OSError, EOFError):
+        wait([leash, *([parent.sentinel] if parent is not None else [])])
+    os._exit(1)
+
+
+@contextmanager
+def quiet_children() -> Iterator[None]:
+    """Child processes with one BLAS thread each that do not run the main script again (a script without ``__main__`` guard is fine)."""
+    environment = {name: os.environ.get(name) for name in ONE_THREAD}
+    main = sys.modules["__main__"]
+    hidden = {name: getattr(main, name) for name in ("__file__", "__spec__") if hasattr(main, name)}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        main.__spec__ = None
+        if "__file__" in hidden:
+            del main.__file__
+        yield
+    finally:
+        for name, value in hidden.items():
+            setattr(main, name, value)
+        for name, before in environment.items():
+            if before is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = before

@@ -1,0 +1,51 @@
+"""What every result value shares: contents that nobody changes by accident, and a text that `greybox.rendering` writes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields
+from types import MappingProxyType
+from typing import Any
+
+
+class Printable:
+    """A value without sentences of its own: ``str(value)`` takes its text from `greybox.rendering` by the name of its class.
+
+    This is the one import of the library that points upward. It runs when somebody prints, never when a module is loaded.
+    """
+
+    def __str__(self) -> str:
+        from greybox.show.sentences.registry import text
+
+        return text(self)
+
+
+class ReadOnly:
+    """A frozen dataclass whose mappings and arrays are read-only views; it can still be pickled and copied."""
+
+    def __post_init__(self) -> None:
+        for f in fields(self):  # type: ignore[arg-type]
+            object.__setattr__(self, f.name, _protected(getattr(self, f.name)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        values = {f.name: _open(getattr(self, f.name)) for f in fields(self) if f.init}  # type: ignore[arg-type]
+        return _rebuilt, (type(self), values)
+
+
+def _rebuilt(kind: type, values: Mapping[str, Any]) -> Any:
+    return kind(**values)
+
+
+def _protected(value: Any) -> Any:
+    if isinstance(value, dict):
+        return MappingProxyType({name: _protected(each) for name, each in value.items()})
+    if hasattr(value, "setflags"):  # an array; asking NumPy itself would load it for every command's help
+        view = value.view()
+        view.setflags(write=False)
+        return view
+    return value
+
+
+def _open(value: Any) -> Any:
+    """Read-only mappings as dictionaries: they cannot be pickled."""
+    return {name: _open(each) for name, each in value.items()} if isinstance(value, MappingProxyType) else value

@@ -1,0 +1,201 @@
+"""The best black box of each kind for a record: a scan of its own, validated on a part of the record that it was not fitted to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import product
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
+from greybox.comparison.blackbox.policy import DEFAULT_SCAN, StructureScanPolicy
+from greybox.comparison.blackbox.structure_scan import (
+    BlackBoxKind,
+    OrderChoice,
+    ScannedStructure,
+    StructureScan,
+    fit_structure,
+    scan_choices,
+)
+from greybox.data.experiment import Experiment
+
+ALL_KINDS: tuple[BlackBoxKind, ...] = tuple(BlackBoxKind)
+# Kinds whose scan takes delay, offset or poles from that of others.
+STARTS_FROM: Mapping[BlackBoxKind, tuple[BlackBoxKind, ...]] = {
+    BlackBoxKind.ARMAX: (BlackBoxKind.ARX,),
+    BlackBoxKind.OUTPUT_ERROR: (BlackBoxKind.ARX,),
+    BlackBoxKind.BOX_JENKINS: (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR),
+    BlackBoxKind.HAMMERSTEIN: (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR),
+}
+
+KindProgress = Callable[[str, int, int], None]
+
+
+def best_black_boxes(
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    output: str | None = None,
+    inputs: Sequence[str] | str | None = None,
+    kinds: Sequence[str] = ALL_KINDS,
+    at_rest: bool = False,
+    units: Mapping[str, str] | None = None,
+    report: KindProgress | None = None,
+    policy: StructureScanPolicy = DEFAULT_SCAN,
+) -> dict[BlackBoxKind, StructureScan]:
+    """Find the best model of each kind for one output, each by a scan of its own, and fit it to all the records.
+
+    Of several records the last third validates by its free-run error; of a single one its last 30 %, if an input still moves
+    there; else (a step that has settled) the free run over the record itself. ARX models are scanned with and without offset, with
+    prediction and with simulation focus, over up to six poles and the delays around the best; the others start from the delay and
+    offset found there.
+
+    Parameters
+    ----------
+    experiments
+        One or more records of the same sampling time.
+    output
+        Name of the output; needed where the records have several.
+    inputs
+        Names of the inputs; None takes all.
+    kinds
+        Which of ``arx``, ``armax``, ``output error``, ``box-jenkins``, ``hammerstein``.
+    at_rest
+        Everything was zero before each record.
+    units
+        Name of a signal -> unit.
+    report
+        Called as ``report(kind, done, total)`` on the way.
+    policy
+        Which structures are tried, and what counts as equally good.
+
+    Returns
+    -------
+    dict
+        Kind -> scan. A kind that these records cannot support (a nonlinearity for an input of two levels) is left out.
+
+    Raises
+    ------
+    DataError
+        Where none can be fitted, with the reason.
+
+    Examples
+    --------
+    >>> scans = gb.blackbox.best_black_boxes(record, kinds=("arx", "output error"))  # doctest: +SKIP
+    >>> print(scans["arx"])  # doctest: +SKIP
+    """
+    whole = to_sampled_data(experiments, output, inputs)
+    estimation, validation, skip = _split(whole, policy)
+    data = to_sampled_data(estimation, whole.output, whole.inputs)
+    scans: dict[BlackBoxKind, StructureScan] = {}
+    reason = "no kinds asked for"
+    for kind in ALL_KINDS:
+        if kind not in kinds and not any(kind in STARTS_FROM.get(BlackBoxKind(wanted), ()) for wanted in kinds):
+            continue
+
+        def report_scan(done: int, total: int, structure: ScannedStructure, kind: BlackBoxKind = kind) -> None:
+            if report is not None:
+                report(kind, done, total)
+
+        choices = list(_choices(kind, data, scans, at_rest, policy))
+        if not choices:
+            continue
+        try:
+            scans[kind] = scan_choices(
+                data,
+                kind,
+                choices,
+                at_rest=at_rest,
+                validation=validation,
+                skip=skip,
+                units=units,
+                report=report_scan,
+                final=whole,
+                policy=policy,
+            )
+        except DataError as error:
+            reason = str(error)
+    if not any(k in scans for k in kinds):
+        raise DataError(f"output {whole.output!r}: no black-box model of these records: {reason}")
+    return {BlackBoxKind(k): scans[BlackBoxKind(k)] for k in kinds if k in scans}
+
+
+def _split(
+    data: SampledData, policy: StructureScanPolicy
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
+    """Estimation records, validation records, and how many first rows of these do not count; no validation records where only the
+    estimation records themselves can serve."""
+    records = data.experiments
+    if len(records) > 1:
+        count = max(1, len(records) // 3)
+        return _shorten(records[:-count], policy), _shorten(records[-count:], policy), 0
+    (record,) = _shorten(records, policy)
+    cut = round((1 - policy.holdout_share) * record.rows)
+    measured = min(int(np.isfinite(part).sum()) for part in np.split(record.outputs[data.output], [cut]))
+    inputs = [record.inputs[name] for name in data.inputs]
+    moving = any(np.ptp(u[cut:]) > policy.holdout_excitation * np.ptp(u[:cut]) for u in inputs)
+    if measured < policy.holdout_values or not moving:
+        return (record,), (), 0
+    # The whole record is run, so that its end begins with the state that the run has there.
+    return (record.window(0, cut),), (record,), cut
+
+
+def _shorten(experiments: Sequence[Experiment], policy: StructureScanPolicy) -> tuple[Experiment, ...]:
+    """The first rows of each record, ``policy.scanned_rows`` in all."""
+    share = min(1.0, policy.scanned_rows / sum(e.rows for e in experiments))
+    return tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)
+
+
+def _choices(
+    kind: BlackBoxKind,
+    data: SampledData,
+    scans: Mapping[BlackBoxKind, StructureScan],
+    at_rest: bool,
+    policy: StructureScanPolicy,
+) -> Iterator[OrderChoice]:
+    """What to scan of this kind, given the scans of the kinds before."""
+    if kind == BlackBoxKind.ARX:
+        delay = _find_delay(data, at_rest, policy)
+        delays = sorted({*policy.first_delays, max(delay - 1, 0), delay, delay + 1})
+        for na, nk, offset in product(range(1, policy.largest_poles + 1), delays, (False, True)):
+            for nb, focus in product(sorted({1, 2, na, na + 1}), ("prediction", "simulation")):
+                yield {"na": na, "nb": nb, "nk": nk, "offset": offset, "focus": focus}
+        return
+    arx = scans[BlackBoxKind.ARX].chosen.orders if BlackBoxKind.ARX in scans else {"nk": 1, "offset": True}
+    nk, offsets = arx["nk"], sorted({True, arx["offset"]})
+    poles = range(1, policy.largest_searched_poles + 1)
+    if kind == BlackBoxKind.ARMAX:
+        for n, delay, constant in product(poles, sorted({nk, 1}), offsets):
+            for nb, nc in product(sorted({1, n, n + 1}), sorted({1, n})):
+                yield {"na": n, "nb": nb, "nc": nc, "nk": delay, "offset": constant}
+    elif kind == BlackBoxKind.OUTPUT_ERROR:
+        for n, delay, constant in product(poles, sorted({nk, max(nk - 1, 0), 1}), offsets):
+            for nb in sorted({1, n, n + 1}):
+                yield {"nb": nb, "nf": n, "nk": delay, "offset": constant}
+    elif BlackBoxKind.OUTPUT_ERROR in scans:
+        linear = scans[BlackBoxKind.OUTPUT_ERROR].chosen.orders
+        if kind == BlackBoxKind.BOX_JENKINS:
+            yield from ({**linear, "nc": nc, "nd": nd} for nc, nd in ((0, 1), (1, 1), (2, 2)))
+            return
+        levels = min(len(np.unique(np.concatenate([r.u[:, i] for r in data.records]))) for i in range(len(data.inputs)))
+        for shape, sizes in policy.nonlinearities.items():
+            for basis_size in (size for size in sizes if size < levels):
+                for nf in sorted({linear["nf"], min(linear["nf"] + 1, policy.largest_searched_poles)}):
+                    nb = max(linear["nb"], nf)
+                    yield {**linear, "nb": nb, "nf": nf, "shape": shape, "basis_size": basis_size}
+
+
+def _find_delay(data: SampledData, at_rest: bool, policy: StructureScanPolicy) -> int:
+    """Samples of delay with which two poles and two zeros predict the records best."""
+    shortest = min(r.rows for r in data.records)
+    least, delay = np.inf, 1
+    for nk in range(min(policy.largest_delay, shortest // policy.rows_per_delay) + 1):
+        orders = {"na": 2, "nb": 2, "nk": nk, "offset": not at_rest, "focus": "prediction"}
+        try:
+            model = fit_structure(data, BlackBoxKind.ARX, orders, at_rest=at_rest)
+        except DataError:
+            continue  # such as two columns of a step; the scan itself says so
+        loss = model.loss  # type: ignore[union-attr]  # an ARX model is a polynomial one
+        if loss < least:
+            least, delay = loss, nk
+    return delay

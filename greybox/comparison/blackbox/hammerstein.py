@@ -1,0 +1,393 @@
+"""Hammerstein models: each input passes a static nonlinearity before a linear difference equation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.findings import Finding
+from greybox.base.values import Printable
+from greybox.comparison.blackbox.arx import find_instability, find_unfinished_search
+from greybox.comparison.blackbox.linear_regression import (
+    Orders,
+    SampledData,
+    SampledRecord,
+    refuse_few_rows,
+    to_orders,
+    to_sampled_data,
+)
+from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
+from greybox.comparison.blackbox.polynomial import PolynomialModel, PolynomialStructure, to_order
+from greybox.comparison.blackbox.prediction_error import (
+    HistoryTreatment,
+    PredictionErrorMinimum,
+    PredictionErrors,
+    check_history,
+    compute_prediction_errors,
+    estimate_armax_starts,
+    estimate_output_error_starts,
+    minimise_prediction_errors,
+    refuse_collinear,
+    split_records,
+    stabilise,
+)
+from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.data.experiment import Experiment
+
+# Static nonlinearities of an input: polynomials and piecewise linear functions, as sums of basis functions.
+
+NonlinearityShape = Literal["polynomial", "piecewise"]
+
+
+@dataclass(frozen=True)
+class StaticNonlinearity:
+    """``v = sum_j weights[j] g_j(u)`` with ``v(0) = 0``.
+
+    ``polynomial``: ``g_j = T_j(u / size) - T_j(0)`` with Chebyshev's ``T_j``, j = 1 ... . ``piecewise``: ``g_1 = u / size``, and a
+    kink at every knot, ``g_j = (max(u - knot, 0) - max(-knot, 0)) / size``. ``size`` is the largest input of the records, in its
+    unit.
+    """
+
+    shape: NonlinearityShape
+    size: float
+    weights: tuple[float, ...]
+    knots: tuple[float, ...] = ()
+
+    def basis(self, u: np.ndarray) -> np.ndarray:
+        """The functions (N, m) of the input ``u`` (N,)."""
+        if self.shape == "polynomial":
+            degree = len(self.weights)
+            return (chebvander(u / self.size, degree) - chebvander(np.zeros(1), degree))[:, 1:]
+        kinks = [np.maximum(u - k, 0.0) - max(-k, 0.0) for k in self.knots]
+        return np.column_stack([u, *kinks]) / self.size
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """The curve's value (N,) at ``u`` (N,)."""
+        return self.basis(np.asarray(u, float)) @ np.array(self.weights)
+
+    def with_weights(self, weights: np.ndarray) -> StaticNonlinearity:
+        """The same functions with other weights (m,)."""
+        return replace(self, weights=tuple(map(float, weights)))
+
+
+def make_linear_nonlinearity(shape: NonlinearityShape, u: np.ndarray, basis_size: int) -> StaticNonlinearity:
+    """A straight line through zero with ``basis_size`` functions to bend it: the degree, or one more than the number of kinks.
+
+    Kinks lie at equal fractions of the input's distinct values, so that each piece has data.
+    """
+    size = float(np.abs(u).max(initial=0.0)) or 1.0
+    weights = (1.0, *(0.0,) * (basis_size - 1))
+    if shape == "polynomial":
+        return StaticNonlinearity(shape, size, weights)
+    levels = np.quantile(np.unique(u), np.arange(1, basis_size) / basis_size)
+    return StaticNonlinearity(shape, size, weights, tuple(map(float, levels)))
+
+
+@dataclass(frozen=True, eq=False)
+class HammersteinModel(Printable):
+    """``curves`` (one for each input) followed by ``linear``, whose inputs are the curves' values.
+
+    The curve and the gain behind it share one scale: each curve is as large (rms over the records) as its input, and goes up.
+    """
+
+    curves: tuple[StaticNonlinearity, ...]
+    linear: PolynomialModel
+
+    @property
+    def kind(self) -> str:
+        """``hammerstein``; ``linear.kind`` is ``output error`` or ``arx``."""
+        return "hammerstein"
+
+    @property
+    def output(self) -> str:
+        """Name of the output."""
+        return self.linear.output
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the inputs."""
+        return self.linear.inputs
+
+    @property
+    def sampling_time(self) -> float:
+        """Seconds from sample to sample."""
+        return self.linear.sampling_time
+
+    @property
+    def label(self) -> str:
+        """Kind, the curves' degree or number of pieces, and the linear part's orders."""
+        sizes = [f"{'degree' if c.shape == 'polynomial' else 'pieces'} {len(c.weights)}" for c in self.curves]
+        return f"hammerstein({', '.join(sizes)}; {self.linear.label})"
+
+    @property
+    def parameters(self) -> int:
+        """Number of estimated numbers; each curve's scale is not one."""
+        return self.linear.parameters + sum(len(c.weights) - 1 for c in self.curves)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return self.linear.stable
+
+    @property
+    def feedthrough(self) -> dict[str, float]:
+        """Direct share of each curve in the output of the same row."""
+        return self.linear.feedthrough
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What one should know before trusting it."""
+        return self.linear.findings
+
+    def simulate(
+        self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Free run ``{output: (N,)}``, as `PolynomialModel.simulate`."""
+        return self.linear.simulate(self._transform(experiment), initial=initial, rows=rows)
+
+    def predict(
+        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Prediction ``{output: (N,)}``, as `PolynomialModel.predict`."""
+        return self.linear.predict(self._transform(experiment), steps, initial=initial, rows=rows)
+
+    def _transform(self, experiment: Experiment) -> Experiment:
+        absent = [name for name in self.inputs if name not in experiment.inputs]
+        if absent:
+            raise DataError(
+                f"experiment {experiment.name!r}: no input {absent[0]!r}; {nearest(absent[0], experiment.inputs)}"
+            )
+        transformed = {
+            name: curve(experiment.inputs[name]) for name, curve in zip(self.inputs, self.curves, strict=True)
+        }
+        return replace(experiment, inputs={**experiment.inputs, **transformed})
+
+
+def hammerstein(
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    nb: int | Sequence[int],
+    nk: int | Sequence[int] = 1,
+    nf: int | Sequence[int] = 0,
+    na: int = 0,
+    shape: NonlinearityShape = "polynomial",
+    basis_size: int = 3,
+    output: str | None = None,
+    inputs: Sequence[str] | str | None = None,
+    history: HistoryTreatment = "estimated",
+    offset: bool = False,
+    units: Mapping[str, str] | None = None,
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+) -> HammersteinModel:
+    """Fit ``y = sum_i B_i(q) / F_i(q) v_i + e`` with static nonlinearities ``v_i = g_i(u_i)``.
+
+    The mean square free-run error is minimised. With ``na`` in place of ``nf`` the linear part is an ARX model,
+    ``A(q) y = sum_i B_i(q) v_i + e``, and the one-step error is minimised. The search adjusts nonlinearity and linear part
+    together; it starts from linear estimates in which every basis function is an input of its own (Bai 1998).
+
+    Parameters
+    ----------
+    experiments
+        One or more records of the same sampling time.
+    nb, nk, nf
+        Numerator coefficients, delay in samples and poles: one number for all inputs, or one for each (see `output_error`).
+    na
+        Poles of an ARX model; leave ``nf`` at 0 then.
+    shape
+        ``"polynomial"``, or ``"piecewise"`` linear (a dead zone, a saturation).
+    basis_size
+        Degree of the polynomial, or number of linear pieces.
+    output
+        Name of the output; needed where the records have several.
+    inputs
+        Names of the inputs; None takes all.
+    history
+        ``"estimated"``: what lies before each record is estimated with it. ``"zero"``: everything was zero there.
+    offset
+        Whether the equation has a constant, for signals that do not rest at zero.
+    units
+        Name of a signal -> unit.
+    policy
+        How hard to search.
+
+    Returns
+    -------
+    HammersteinModel
+        The nonlinearities and the linear model behind them. Coefficients have no covariance.
+
+    Raises
+    ------
+    DataError
+        For irregular time, unknown names, impossible orders, too few rows, and coefficients that the record cannot tell apart.
+
+    Examples
+    --------
+    >>> model = gb.blackbox.hammerstein(record, nb=2, nf=2, shape="piecewise", basis_size=3)  # doctest: +SKIP
+    """
+    check_history(history)
+    if shape not in get_args(NonlinearityShape):
+        raise DataError(f"unknown shape {shape!r}; {nearest(shape, get_args(NonlinearityShape))}")
+    if int(basis_size) != basis_size or basis_size < 1:
+        raise DataError(f"hammerstein: basis_size = {basis_size}; give a whole number from 1 (1: a straight line)")
+    data = to_sampled_data(experiments, output, inputs)
+    orders = to_orders(data, nb, nk, na, "hammerstein")
+    poles = (nf,) * len(orders.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
+    if na and any(poles):
+        raise DataError(
+            f"hammerstein: na = {na} and nf = {nf}; the linear part is an ARX model (na) or an output error (nf)"
+        )
+    if len(poles) != len(orders.nb):
+        raise DataError(
+            f"hammerstein: nf has {len(poles)} numbers for {len(orders.nb)} inputs; give one number, or one for each"
+        )
+    structure = PolynomialStructure(
+        "arx" if na else "output error", orders, tuple(to_order("nf", n, "hammerstein") for n in poles), offset=offset
+    )
+    return fit_hammerstein(structure, data, shape, basis_size, history, units, policy)
+
+
+def fit_hammerstein(
+    structure: PolynomialStructure,
+    data: SampledData,
+    shape: NonlinearityShape,
+    basis_size: int,
+    history: HistoryTreatment,
+    units: Mapping[str, str] | None = None,
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+) -> HammersteinModel:
+    """The model of this structure with nonlinearities of ``basis_size`` functions in front."""
+    curves = tuple(
+        make_linear_nonlinearity(shape, np.concatenate([r.u[:, i] for r in data.records]), basis_size)
+        for i in range(len(data.inputs))
+    )
+    bases = (tuple(c.basis(r.u[:, i]) for i, c in enumerate(curves)) for r in data.records)
+    data = replace(data, records=tuple(replace(r, basis=b) for r, b in zip(data.records, bases, strict=True)))
+    problem = _HammersteinProblem(structure, data, split_records(data, structure), history == "zero", curves)
+    label = HammersteinModel(curves, structure.model(np.zeros(structure.size), data)).label
+    count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
+    refuse_few_rows(data, label, count, problem.size, history)
+    starts = sorted(problem.starts(policy), key=lambda start: start[0].evaluate(start[1], False).squares)
+    minima = [(p, p.minimise(theta, policy, policy.first_iterations)) for p, theta in starts[: policy.starts]]
+    problem, best = min(minima, key=lambda pair: pair[1].errors.squares)
+    if not best.converged:
+        best = problem.minimise(best.theta, policy, policy.iterations)
+    return _finish(problem, best, count, label, history, units or {})
+
+
+@dataclass(frozen=True, eq=False)
+class _HammersteinProblem:
+    """The unknowns: coefficients of the linear part, then the weights of each curve without its largest, which sets the scale."""
+
+    structure: PolynomialStructure
+    data: SampledData
+    parts: tuple[SampledRecord, ...]
+    rest: bool
+    curves: tuple[StaticNonlinearity, ...]
+
+    @property
+    def fixed_weights(self) -> list[int]:
+        """Of each curve, the number of the weight that stays."""
+        return [int(np.argmax(np.abs(c.weights))) for c in self.curves]
+
+    @property
+    def size(self) -> int:
+        return self.structure.size + sum(len(c.weights) - 1 for c in self.curves)
+
+    def join(self, linear: np.ndarray) -> np.ndarray:
+        """The vector of all unknowns from the coefficients of the linear part."""
+        free = [np.delete(c.weights, k) for c, k in zip(self.curves, self.fixed_weights, strict=True)]
+        return np.concatenate([linear, *free])
+
+    def weights(self, theta: np.ndarray) -> list[np.ndarray]:
+        """All weights of each curve."""
+        counts = [len(c.weights) - 1 for c in self.curves]
+        free = np.split(theta[self.structure.size :], np.cumsum(counts)[:-1])
+        return [
+            np.insert(part, k, c.weights[k]) for part, k, c in zip(free, self.fixed_weights, self.curves, strict=True)
+        ]
+
+    def stabilise(self, theta: np.ndarray) -> np.ndarray:
+        n = self.structure.size
+        return np.append(stabilise(self.structure, theta[:n]), theta[n:])
+
+    def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
+        n, weights = self.structure.size, self.weights(theta)
+        parts = [
+            replace(p, u=np.column_stack([b @ w for b, w in zip(p.basis, weights, strict=True)])) for p in self.parts
+        ]
+        errors = compute_prediction_errors(
+            self.structure, theta[:n], self.data, parts, rest=self.rest, with_gradient=with_gradient
+        )
+        if not with_gradient:
+            return errors
+        fixed = (n + np.cumsum([0, *(len(c.weights) for c in self.curves)])[:-1] + self.fixed_weights).astype(int)
+        return replace(errors, gradient=np.delete(errors.gradient, fixed, axis=1))
+
+    def minimise(self, theta: np.ndarray, policy: PredictionErrorPolicy, iterations: int) -> PredictionErrorMinimum:
+        """The search from ``theta`` (p,)."""
+        return minimise_prediction_errors(self.evaluate, self.stabilise, theta, policy=policy, iterations=iterations)
+
+    def starts(self, policy: PredictionErrorPolicy) -> Iterator[tuple[_HammersteinProblem, np.ndarray]]:
+        """Linear estimates with every basis function as an input of its own, their numerators then made multiples of one
+        (the nearest matrix of rank one, Bai 1998)."""
+        orders, counts = self.structure.orders, [len(c.weights) for c in self.curves]
+        wide_orders = Orders(orders.na, tuple(np.repeat(orders.nb, counts)), tuple(np.repeat(orders.nk, counts)))
+        wide = replace(self.structure, orders=wide_orders, nf=tuple(np.repeat(self.structure.nf, counts)))
+        records = tuple(replace(r, u=np.hstack(r.basis), basis=()) for r in self.data.records)
+        names = tuple(f"{name} {j}" for name, m in zip(self.data.inputs, counts, strict=True) for j in range(m))
+        data = replace(self.data, inputs=names, records=records)
+        estimate_starts = estimate_armax_starts if orders.na else estimate_output_error_starts
+        for start in estimate_starts(wide, data, self.rest, policy):
+            a, *parts = wide.parts(start)
+            b, f, remainder = parts[: len(names)], parts[len(names) : 2 * len(names)], parts[2 * len(names) :]
+            weights, numerators, poles = [], [], []
+            for first, m in zip(np.cumsum([0, *counts[:-1]]), counts, strict=True):
+                left, size, right = np.linalg.svd(np.stack(b[first : first + m]), full_matrices=False)
+                weights.append(left[:, 0])
+                numerators.append(size[0] * right[0])
+                poles.append(f[first + int(np.argmax(np.abs(left[:, 0])))])
+            curves = tuple(c.with_weights(w) for c, w in zip(self.curves, weights, strict=True))
+            problem = replace(self, curves=curves)
+            yield problem, problem.stabilise(problem.join(np.concatenate([a, *numerators, *poles, *remainder])))
+
+
+def _finish(
+    problem: _HammersteinProblem,
+    best: PredictionErrorMinimum,
+    count: int,
+    label: str,
+    history: str,
+    units: Mapping[str, str],
+) -> HammersteinModel:
+    structure, data = problem.structure, problem.data
+    model = structure.model(best.theta[: structure.size], data)
+    names = list(model.coefficients)
+    several = len(data.inputs) > 1
+    for name, c in zip(data.inputs, problem.curves, strict=True):
+        names += [f"curve{f'[{name}]' if several else ''} {j}" for j in range(1, len(c.weights))]
+    refuse_collinear(best.errors.gradient, names, label)
+    curves, b = [], []
+    for i, (curve, weights) in enumerate(zip(problem.curves, problem.weights(best.theta), strict=True)):
+        u = np.concatenate([r.u[:, i] for r in data.records])
+        v = curve.with_weights(weights)(u)
+        scale = np.sqrt(np.mean(u**2) / np.mean(v**2)) * (1.0 if u @ v >= 0 else -1.0)
+        curves.append(curve.with_weights(weights * scale))
+        b.append(model.b[i] / scale)
+    freedom = count - problem.size - best.errors.states
+    linear = replace(
+        model,
+        b=tuple(b),
+        noise_std=float(np.sqrt(best.errors.squares / max(freedom, 1))),
+        samples=count,
+        loss=best.errors.squares / count,
+        history=history,
+        units=dict(units),
+        focus="prediction" if structure.orders.na else "simulation",
+        findings=(*find_unfinished_search(best.converged, best.iterations), *find_instability(model)),
+    )
+    return HammersteinModel(tuple(curves), linear)

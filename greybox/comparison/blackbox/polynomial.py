@@ -1,0 +1,345 @@
+"""The value of every black-box model here: polynomials in the backward shift ``q^-1``, one output, one or more inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import reduce
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.findings import Finding
+from greybox.base.numerics import CONFINED_ROOT_MARGIN, REFLECTED_ROOT_MARGIN, SAME_SAMPLING_TIME, TINY
+from greybox.base.values import Printable
+from greybox.comparison.blackbox import responses
+from greybox.comparison.blackbox.linear_regression import Orders, SampledData, SampledRecord, to_sampled_record
+from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.data.experiment import Experiment
+
+# Codes of what a black-box model has to say about itself.
+
+
+class BlackBoxFinding(StrEnum):
+    """Findings about a black-box model; their sentences are in `greybox.show.sentences.blackbox`."""
+
+    WEAK_EXCITATION = "weak_excitation"
+    """An input is persistently exciting of a lower order than the structure needs."""
+    UNSTABLE = "black_box_unstable"
+    """A pole lies on or outside the unit circle."""
+    SEARCH_UNFINISHED = "black_box_search_unfinished"
+    """The search used up its iterations before it converged."""
+    SMOOTHING_FEEDTHROUGH = "smoothing_feedthrough"
+    """The smoothed step response jumps at the step, as a delayed one does in its first rows."""
+    SMOOTHING_AT_INTERVAL_END = "smoothing_at_interval_end"
+    """The best draw of a constant is the outermost of its interval."""
+    SMOOTHING_ABOVE_SPECIFICATION = "smoothing_above_specification"
+    """The mean square error exceeds the specification."""
+
+
+# Polynomials in ``q^-1`` made stable: their roots brought inside the unit circle.
+
+
+def reflect_roots(polynomial: np.ndarray) -> np.ndarray:
+    """A polynomial in ``q^-1`` that begins with 1, its roots outside the unit circle mirrored into it.
+
+    The magnitude of its frequency response keeps its shape; a root on the circle goes just inside.
+    """
+    roots = np.roots(polynomial)
+    size = np.abs(roots)
+    if np.all(size < 1 - REFLECTED_ROOT_MARGIN):
+        return polynomial
+    size = np.where(size > 1, 1 / np.maximum(size, 1), size)
+    inside = np.minimum(size, 1 - REFLECTED_ROOT_MARGIN) * np.exp(1j * np.angle(roots))
+    mirrored = np.real(np.poly(inside))
+    return np.append(mirrored, np.zeros(len(polynomial) - len(mirrored)))
+
+
+def confine_roots(polynomial: np.ndarray) -> np.ndarray:
+    """A polynomial in ``q^-1`` that begins with 1, its roots on or outside the unit circle moved radially to just inside it."""
+    roots = np.roots(polynomial)
+    size = np.abs(roots)
+    if np.all(size <= 1 - CONFINED_ROOT_MARGIN):
+        return polynomial
+    confined = np.real(np.poly(roots * np.minimum(1.0, (1 - CONFINED_ROOT_MARGIN) / np.maximum(size, TINY))))
+    return np.append(confined, np.zeros(len(polynomial) - len(confined)))
+
+
+ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialModel(Printable):
+    """A linear difference equation of one output.
+
+    ``A(q) y(k) = sum_i B_i(q) / F_i(q) u_i(k) + constant + C(q) / D(q) e(k)`` with ``A = 1 + a1 q^-1 + ...`` and so on, and
+    ``B = q^-nk (b1 + b2 q^-1 + ...)`` (Ljung, System identification, 2nd ed., equation 4.33).
+
+    ``kind`` is ``arx``, ``armax``, ``output error`` ...; ``sampling_time`` in seconds. ``a``, ``c``, ``d`` (n + 1,) begin with 1;
+    ``b`` holds for each input its coefficients with ``nk`` zeros in front (nk + nb,), ``f`` each (nf + 1,). ``noise_std`` is the
+    standard deviation of ``e`` in the output's unit. ``covariance`` (p, p) belongs to the estimated coefficients in the order of
+    `transfer_function_coefficients`; None where they were not estimated. ``samples`` equations went into the estimate and ``loss``
+    is the mean square
+    of what it minimised (the one-step error; for ``simulation`` focus the prefiltered one). ``history`` and ``focus`` say how the
+    rows were made, ``units`` name -> unit, ``findings`` what one should know before trusting it.
+    """
+
+    kind: str
+    output: str
+    inputs: tuple[str, ...]
+    sampling_time: float
+    nk: tuple[int, ...]
+    b: tuple[np.ndarray, ...]
+    a: np.ndarray = field(default_factory=lambda: ONE)
+    f: tuple[np.ndarray, ...] = ()
+    c: np.ndarray = field(default_factory=lambda: ONE)
+    d: np.ndarray = field(default_factory=lambda: ONE)
+    constant: float | None = None
+    noise_std: float = 0.0
+    covariance: np.ndarray | None = None
+    samples: int = 0
+    loss: float = np.nan
+    history: str = ""
+    focus: str = "prediction"
+    units: Mapping[str, str] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+
+    def __post_init__(self) -> None:
+        def frozen(values: Any) -> np.ndarray:
+            array = np.array(values, dtype=float)
+            array.setflags(write=False)
+            return array
+
+        for name in ("a", "c", "d"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "b", tuple(map(frozen, self.b)))
+        object.__setattr__(self, "f", tuple(map(frozen, self.f or [ONE] * len(self.inputs))))
+
+    @property
+    def label(self) -> str:
+        """Kind and orders: ``arx(2, 2, 1)``; several inputs as ``arx(2, [2 1], [1 1])``."""
+        nb, nf = [len(b) - k for b, k in zip(self.b, self.nk, strict=True)], [len(f) - 1 for f in self.f]
+        orders: dict[str, Any] = {
+            "arx": (len(self.a) - 1, nb, self.nk),
+            "armax": (len(self.a) - 1, nb, len(self.c) - 1, self.nk),
+            "output error": (nb, nf, self.nk),
+            "box-jenkins": (nb, nf, len(self.c) - 1, len(self.d) - 1, self.nk),
+        }
+        shown = orders.get(self.kind, (len(self.a) - 1, nb, len(self.c) - 1, len(self.d) - 1, nf, self.nk))
+        further = ["offset"] * (self.constant is not None) + ["simulation focus"] * (
+            self.kind == "arx" and self.focus == "simulation"
+        )
+        return f"{self.kind}({', '.join([*map(_format_orders, shown), *further])})"
+
+    @property
+    def coefficients(self) -> dict[str, float]:
+        """The estimated numbers by name, in the order of ``covariance``: a1 ..., b1 ..., f1 ..., c1 ..., d1 ..., constant.
+
+        With several inputs ``b`` and ``f`` carry the input: ``b1[u]``.
+        """
+        several = len(self.inputs) > 1
+        marks = [f"[{name}]" if several else "" for name in self.inputs]
+        named = [(f"a{i}", v) for i, v in enumerate(self.a[1:], 1)]
+        for b, nk, mark in zip(self.b, self.nk, marks, strict=True):
+            named += [(f"b{i}{mark}", v) for i, v in enumerate(b[nk:], 1)]
+        for f, mark in zip(self.f, marks, strict=True):
+            named += [(f"f{i}{mark}", v) for i, v in enumerate(f[1:], 1)]
+        named += [(f"c{i}", v) for i, v in enumerate(self.c[1:], 1)] + [
+            (f"d{i}", v) for i, v in enumerate(self.d[1:], 1)
+        ]
+        if self.constant is not None:
+            named.append(("constant", self.constant))
+        return {name: float(value) for name, value in named}
+
+    @property
+    def parameters(self) -> int:
+        """Number of estimated coefficients."""
+        return len(self.coefficients)
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviation of each coefficient; NaN where no covariance is known."""
+        deviations = np.full(self.parameters, np.nan) if self.covariance is None else np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.coefficients, map(float, deviations), strict=True))
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Roots of ``A`` and of every ``F`` in the z-plane, largest first; a pole at z = 0 (pure delay) is left out."""
+        return _roots(reduce(np.convolve, self.f, self.a))
+
+    def zeros(self, name: str | None = None) -> np.ndarray:
+        """Roots of ``B`` of one input (the only one if not named) in the z-plane, largest first, without those at z = 0."""
+        return _roots(np.trim_zeros(self.b[self._input(name)], "f"))
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1))
+
+    @property
+    def feedthrough(self) -> dict[str, float]:
+        """Direct share of each input in the output of the same row, ``B(q)`` at delay zero: 0 where ``nk`` is at least 1."""
+        return {name: float(b[0]) for name, b in zip(self.inputs, self.b, strict=True)}
+
+    def gain(self, name: str | None = None) -> float:
+        """Steady-state gain ``B(1) / (A(1) F(1))`` from one input (the only one if not named); infinite for an integrator."""
+        i = self._input(name)
+        below = float(self.a.sum() * self.f[i].sum())
+        return float(self.b[i].sum()) / below if below else np.inf
+
+    def response(self, frequency: np.ndarray, name: str | None = None) -> np.ndarray:
+        """Frequency response (n,), complex, at ``frequency`` (n,) in Hz from one input (the only one if not named)."""
+        i = self._input(name)
+        shift = np.exp(-2j * np.pi * np.asarray(frequency, float) * self.sampling_time)
+        b, a, f = (np.polyval(p[::-1], shift) for p in (self.b[i], self.a, self.f[i]))
+        return b / (a * f)
+
+    def simulate(
+        self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Free run over the inputs of ``experiment``: ``{output: (N,)}``; no measured output is used beyond the initial state.
+
+        ``initial``: ``"zero"``, everything was zero before the first row; ``"measured"``, the first rows as measured, as many as
+        the model has states; ``"estimated"``, the state that fits the first ``rows`` rows best (None: all rows).
+
+        Raises DataError for an experiment of another sampling time, without an input, or without the measurements that
+        ``initial`` needs. The run of an unstable model grows, up to infinity.
+        """
+        return {self.output: responses.simulate_free_run(self, self._to_record(experiment, initial), initial, rows)}
+
+    def predict(
+        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Prediction ``yhat(k | k - steps)`` as ``{output: (N,)}`` from the measured outputs up to ``steps`` rows before.
+
+        A value that was not measured is replaced by its own prediction. ``initial`` as in `simulate`, for the predictor's state;
+        with ``"measured"`` the first rows, which have no history, are NaN. Raises DataError as `simulate` does, and for ``steps``
+        below one.
+        """
+        if steps < 1:
+            raise DataError(f"steps ahead: {steps}; give a whole number from 1")
+        return {
+            self.output: responses.predict_ahead(self, self._to_record(experiment, "measured"), steps, initial, rows)[0]
+        }
+
+    def errors(self, experiment: Experiment, *, initial: InitialChoice = "estimated") -> np.ndarray:
+        """One-step prediction errors ``e`` (N,), NaN in gaps and where ``initial="measured"`` has no history."""
+        return responses.predict_ahead(self, self._to_record(experiment, "measured"), 1, initial, None)[1]
+
+    def to_control(self) -> Any:
+        """A discrete `control.TransferFunction` from the inputs to the output, with signal names and the sampling time."""
+        import control
+
+        below = [np.convolve(self.a, f) for f in self.f]
+        size = max(map(len, [*self.b, *below]))  # the same power of z above and below
+        padded = [[[np.pad(p, (0, size - len(p))) for p in group]] for group in (self.b, below)]
+        return control.TransferFunction(
+            *padded,
+            self.sampling_time,
+            inputs=list(self.inputs),
+            outputs=[self.output],
+            name=self.kind.replace(" ", "_"),
+        )
+
+    def _to_record(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
+        record = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
+        if not np.isclose(record.sampling_time, self.sampling_time, rtol=SAME_SAMPLING_TIME):
+            raise DataError(
+                f"experiment {experiment.name!r} is sampled every {record.sampling_time:.6g} s, but {self.label} of"
+                f" {self.output!r} was identified at {self.sampling_time:.6g} s and is valid only there; resample the record"
+            )
+        return record
+
+    def _input(self, name: str | None) -> int:
+        if name is None and len(self.inputs) == 1:
+            return 0
+        if name not in self.inputs:
+            problem = "which input?" if name is None else f"no input {name!r};"
+            raise DataError(f"{self.label} of {self.output!r}: {problem} {nearest(name or '', self.inputs)}")
+        return self.inputs.index(name)
+
+
+def _format_orders(value: Any) -> str:
+    if not isinstance(value, (list, tuple)):
+        return str(value)
+    return str(value[0]) if len(value) == 1 else f"[{' '.join(map(str, value))}]"
+
+
+def _roots(polynomial: np.ndarray) -> np.ndarray:
+    """Roots in z of a polynomial in ``q^-1``, largest first, those at the origin left out."""
+    roots = np.roots(np.trim_zeros(polynomial, "b"))
+    return roots[np.argsort(-np.abs(roots), kind="stable")]
+
+
+# Which coefficients a difference equation has, and their positions in one vector.
+
+
+@dataclass(frozen=True)
+class PolynomialStructure:
+    """Orders of ``A y = sum B / F u + constant + C / D e``: those of ``A`` and ``B``, ``nf`` of each input, ``nc``, ``nd``."""
+
+    kind: str
+    orders: Orders
+    nf: tuple[int, ...]
+    nc: int = 0
+    nd: int = 0
+    offset: bool = False
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Lengths of the parts of the vector: a, each b, each f, c, d, constant."""
+        return (self.orders.na, *self.orders.nb, *self.nf, self.nc, self.nd, int(self.offset))
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients."""
+        return sum(self.sizes)
+
+    def parts(self, theta: np.ndarray) -> list[np.ndarray]:
+        """``theta`` (p,) cut into a, each b, each f, c, d, constant."""
+        return np.split(theta, np.cumsum(self.sizes)[:-1])
+
+    def model(self, theta: np.ndarray, data: SampledData) -> PolynomialModel:
+        """The coefficients (p,) as a model of the output of ``data``."""
+        n = len(self.nf)
+        a, *rest = self.parts(theta)
+        b, f, (c, d, constant) = rest[:n], rest[n : 2 * n], rest[2 * n :]
+        return PolynomialModel(
+            kind=self.kind,
+            output=data.output,
+            inputs=data.inputs,
+            sampling_time=data.sampling_time,
+            nk=self.orders.nk,
+            a=to_monic(a),
+            b=tuple(np.append(np.zeros(k), part) for k, part in zip(self.orders.nk, b, strict=True)),
+            f=tuple(map(to_monic, f)),
+            c=to_monic(c),
+            d=to_monic(d),
+            constant=float(constant[0]) if self.offset else None,
+        )
+
+    def vector(self, model: PolynomialModel) -> np.ndarray:
+        """The coefficients (p,) of ``model``; polynomials that are shorter there are filled up with zeros."""
+        padded = [_padded(model.a[1:], self.orders.na)]
+        padded += [_padded(b[k:], n) for b, k, n in zip(model.b, self.orders.nk, self.orders.nb, strict=True)]
+        padded += [_padded(f[1:], n) for f, n in zip(model.f, self.nf, strict=True)]
+        padded += [_padded(model.c[1:], self.nc), _padded(model.d[1:], self.nd)]
+        return np.concatenate([*padded, [model.constant or 0.0] if self.offset else []])
+
+
+def to_monic(rest: Sequence[float] | np.ndarray) -> np.ndarray:
+    """``1 + p1 q^-1 + ...`` from ``p1 ...``."""
+    return np.append(1.0, rest)
+
+
+def to_order(letter: str, value: int, kind: str) -> int:
+    """``value`` as an order; DataError where it is not a whole number from 0."""
+    if int(value) != value or value < 0:
+        raise DataError(f"{kind}: {letter} = {value}; give a whole number from 0")
+    return int(value)
+
+
+def _padded(values: np.ndarray, size: int) -> np.ndarray:
+    return np.append(values[:size], np.zeros(max(size - len(values), 0)))

@@ -1,0 +1,374 @@
+"""Many structures fitted in one call, tabulated, and the best of them chosen."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import product
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.values import Printable
+from greybox.comparison.blackbox.arx import fit_arx
+from greybox.comparison.blackbox.hammerstein import HammersteinModel, fit_hammerstein
+from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
+from greybox.comparison.blackbox.policy import DEFAULT_SCAN, DEFAULT_SEARCH, PredictionErrorPolicy, StructureScanPolicy
+from greybox.comparison.blackbox.polynomial import PolynomialModel, to_order
+from greybox.comparison.blackbox.prediction_error import (
+    HistoryTreatment,
+    estimate_armax_starts,
+    estimate_box_jenkins_starts,
+    estimate_output_error_starts,
+    fit_prediction_error,
+)
+from greybox.comparison.blackbox.prediction_error_models import make_armax_structure, make_output_structure
+from greybox.data.experiment import Experiment
+
+
+class BlackBoxKind(StrEnum):
+    """The kinds of black-box models that are scanned."""
+
+    ARX = "arx"
+    ARMAX = "armax"
+    OUTPUT_ERROR = "output error"
+    BOX_JENKINS = "box-jenkins"
+    HAMMERSTEIN = "hammerstein"
+
+
+BlackBox = PolynomialModel | HammersteinModel
+OrderChoice = Mapping[str, Any]
+SelectionCriterion = Literal["aic", "bic", "free run"]
+
+# The choices that a kind has, in the order in which they are written.
+ORDERS_BY_KIND: Mapping[str, tuple[str, ...]] = {
+    BlackBoxKind.ARX: ("na", "nb", "nk", "offset", "focus"),
+    BlackBoxKind.ARMAX: ("na", "nb", "nc", "nk", "offset"),
+    BlackBoxKind.OUTPUT_ERROR: ("nb", "nf", "nk", "offset"),
+    BlackBoxKind.BOX_JENKINS: ("nb", "nf", "nc", "nd", "nk", "offset"),
+    BlackBoxKind.HAMMERSTEIN: ("nb", "nf", "nk", "offset", "shape", "basis_size"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ScannedStructure:
+    """One structure of a scan.
+
+    Attributes
+    ----------
+    label
+        Kind and orders.
+    orders
+        The orders that were tried, by their letters.
+    model
+        The fitted model; None where it could not be fitted.
+    aic, bic
+        ``N ln(loss) + 2 p`` and ``N ln(loss) + p ln N`` with the same N for all structures, where ``loss`` is the mean square that
+        the structure minimises; infinite for ``simulation`` focus, whose loss is another one.
+    free_run
+        Root mean square error of the free run over the validation records, in the output's unit; infinite where it diverges.
+    failure
+        Why there is no model.
+    """
+
+    label: str
+    orders: OrderChoice
+    model: BlackBox | None = None
+    aic: float = np.inf
+    bic: float = np.inf
+    free_run: float = np.inf
+    failure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class StructureScan(Printable):
+    """All structures of a scan and the chosen one.
+
+    Attributes
+    ----------
+    structures
+        Every structure that was tried, in order.
+    chosen
+        The one that was chosen.
+    best
+        Its model, fitted in full.
+    criterion
+        What was chosen by.
+    validation
+        Names of the records over which the free run was measured; empty: the estimation records themselves.
+    unit
+        Unit of the output.
+    seconds
+        Time that the scan took.
+    policy
+        What it was steered by.
+    """
+
+    structures: tuple[ScannedStructure, ...]
+    chosen: ScannedStructure
+    best: BlackBox
+    criterion: SelectionCriterion
+    validation: tuple[str, ...] = ()
+    unit: str = ""
+    seconds: float = 0.0
+    policy: StructureScanPolicy = DEFAULT_SCAN
+
+
+def scan_structures(
+    experiments: Experiment | Sequence[Experiment],
+    kind: str = BlackBoxKind.ARX,
+    *,
+    na: Any = range(1, 5),
+    nb: Any = range(1, 5),
+    nc: Any = (1, 2),
+    nd: Any = (1, 2),
+    nf: Any = range(1, 4),
+    nk: Any = (1, 2, 3),
+    offset: Any = False,
+    focus: Any = "prediction",
+    shape: Any = "polynomial",
+    basis_size: Any = 3,
+    at_rest: bool = False,
+    output: str | None = None,
+    inputs: Sequence[str] | str | None = None,
+    validation: Experiment | Sequence[Experiment] = (),
+    skip: int = 0,
+    criterion: SelectionCriterion = "free run",
+    units: Mapping[str, str] | None = None,
+    report: Callable[[int, int, ScannedStructure], None] | None = None,
+    policy: StructureScanPolicy = DEFAULT_SCAN,
+) -> StructureScan:
+    """Fit every combination of the given orders and choose one.
+
+    Parameters
+    ----------
+    experiments
+        One or more estimation records of the same sampling time.
+    kind
+        ``arx``, ``armax``, ``output error``, ``box-jenkins`` or ``hammerstein``. Of the orders below those count that it has.
+    na, nb, nc, nd, nf, nk, offset, focus, shape, basis_size
+        One value, or several to try: ``na=range(1, 6)``, ``offset=(False, True)``. For several inputs ``nb``, ``nf`` and ``nk``
+        may hold tuples with one number for each input. See `arx`, `armax`, `output_error`, `box_jenkins`, `hammerstein`.
+    at_rest
+        Everything was zero before each record.
+    output
+        Name of the output; needed where the records have several.
+    inputs
+        Names of the inputs; None takes all.
+    validation
+        Records over which the free run is measured; none: the estimation records.
+    skip
+        Rows at the start of each validation record that do not count and determine its initial state (0: the first 50 determine it).
+    criterion
+        ``"free run"`` takes, of all stable structures within 0.5 % of the smallest error, the one of smallest BIC (for output
+        errors, whose BIC trusts a white free-run error, the one of fewest coefficients); ``"aic"`` and ``"bic"`` take the smallest.
+    units
+        Name of a signal -> unit.
+    report
+        Called as ``report(done, total, structure)`` after each.
+    policy
+        How hard to search, and what counts as equally good.
+
+    Returns
+    -------
+    StructureScan
+        All structures, the chosen one, and its model.
+
+    Raises
+    ------
+    DataError
+        Where no structure could be fitted, with the reason of the first, and for unknown names.
+
+    Examples
+    --------
+    >>> scan = gb.blackbox.scan_structures(record, na=range(1, 4), nb=(1, 2))  # doctest: +SKIP
+    >>> scan.best.label  # doctest: +SKIP
+    'arx(2, 2, 1)'
+    """
+    if kind not in ORDERS_BY_KIND:
+        raise DataError(f"unknown kind {kind!r}; {nearest(kind, ORDERS_BY_KIND)}")
+    if criterion not in get_args(SelectionCriterion):
+        raise DataError(f"unknown criterion {criterion!r}; {nearest(criterion, get_args(SelectionCriterion))}")
+    given = {
+        "na": na,
+        "nb": nb,
+        "nc": nc,
+        "nd": nd,
+        "nf": nf,
+        "nk": nk,
+        "offset": offset,
+        "focus": focus,
+        "shape": shape,
+        "basis_size": basis_size,
+    }
+    axes = {letter: _as_list(given[letter]) for letter in ORDERS_BY_KIND[kind]}
+    choices = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
+    data = to_sampled_data(experiments, output, inputs)
+    return scan_choices(
+        data,
+        BlackBoxKind(kind),
+        choices,
+        at_rest=at_rest,
+        validation=validation,
+        skip=skip,
+        criterion=criterion,
+        units=units,
+        report=report,
+        policy=policy,
+    )
+
+
+def scan_choices(
+    data: SampledData,
+    kind: BlackBoxKind,
+    choices: Iterable[OrderChoice],
+    *,
+    at_rest: bool,
+    validation: Experiment | Sequence[Experiment] = (),
+    skip: int = 0,
+    criterion: SelectionCriterion = "free run",
+    units: Mapping[str, str] | None = None,
+    report: Callable[[int, int, ScannedStructure], None] | None = None,
+    final: SampledData | None = None,
+    policy: StructureScanPolicy = DEFAULT_SCAN,
+) -> StructureScan:
+    """`scan_structures` over a list of ``choices``; the chosen one is fitted to ``final`` (None: to the same records)."""
+    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    listed, structures, began = list(choices), [], time.perf_counter()
+    for done, orders in enumerate(listed, 1):
+        try:
+            model = fit_structure(data, kind, orders, at_rest=at_rest, policy=policy.search)
+        except DataError as error:
+            written = ", ".join(f"{letter} {orders[letter]}" for letter in ORDERS_BY_KIND[kind] if letter in orders)
+            structure = ScannedStructure(f"{kind}({written})", orders, failure=str(error))
+        else:
+            free_run = _free_run_error(model, data, records, skip, at_rest, policy)
+            structure = ScannedStructure(model.label, orders, model, free_run=free_run)
+        structures.append(structure)
+        if report is not None:
+            report(done, len(listed), structure)
+    if all(s.model is None for s in structures):
+        raise DataError(
+            structures[0].failure
+            if structures
+            else f"{kind}: no structure to fit; give at least one order of each kind"
+        )
+    structures = _add_criteria(structures)
+    chosen = _choose([s for s in structures if s.model is not None], criterion, policy)
+    best = fit_structure(final or data, kind, chosen.orders, at_rest=at_rest, policy=policy.final_search)
+    known_units = units or {}
+    return StructureScan(
+        tuple(structures),
+        chosen,
+        with_units(best, known_units),
+        criterion,
+        tuple(e.name for e in records),
+        known_units.get(data.output, ""),
+        time.perf_counter() - began,
+        policy,
+    )
+
+
+def fit_structure(
+    data: SampledData,
+    kind: BlackBoxKind,
+    orders: OrderChoice,
+    *,
+    at_rest: bool = False,
+    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+) -> BlackBox:
+    """The model of these ``orders``; ``at_rest``: all was zero before each record. Raises DataError where it cannot be fitted."""
+    offset = bool(orders.get("offset", False))
+    history: HistoryTreatment = "zero" if at_rest else "estimated"
+    if kind == BlackBoxKind.ARX:
+        arx_orders = to_orders(data, orders["nb"], orders["nk"], orders["na"], kind)
+        passes = 1 if orders.get("focus") == "simulation" else 0
+        arx_history: Literal["zero", "measured"] = "zero" if at_rest else "measured"
+        return fit_arx(data, arx_orders, history=arx_history, offset=offset, passes=passes)
+    if kind == BlackBoxKind.ARMAX:
+        structure = make_armax_structure(data, orders["na"], orders["nb"], orders["nc"], orders["nk"], offset=offset)
+        return fit_prediction_error(structure, data, estimate_armax_starts, history, policy=policy)
+    nc, nd = (to_order(letter, orders.get(letter, 0), kind) for letter in ("nc", "nd"))
+    linear_kind = BlackBoxKind.OUTPUT_ERROR if kind == BlackBoxKind.HAMMERSTEIN else kind
+    structure = make_output_structure(
+        str(linear_kind), data, orders["nb"], orders["nf"], orders["nk"], nc=nc, nd=nd, offset=offset
+    )
+    if kind == BlackBoxKind.HAMMERSTEIN:
+        return fit_hammerstein(structure, data, orders["shape"], orders["basis_size"], history, policy=policy)
+    estimate_starts = estimate_output_error_starts if kind == BlackBoxKind.OUTPUT_ERROR else estimate_box_jenkins_starts
+    return fit_prediction_error(structure, data, estimate_starts, history, policy=policy)
+
+
+def get_linear_part(model: BlackBox) -> PolynomialModel:
+    """The difference equation of ``model``."""
+    return model.linear if isinstance(model, HammersteinModel) else model
+
+
+def with_units(model: BlackBox, units: Mapping[str, str]) -> BlackBox:
+    """``model`` with the units of its signals."""
+    linear = replace(get_linear_part(model), units=dict(units))
+    return replace(model, linear=linear) if isinstance(model, HammersteinModel) else linear
+
+
+def _as_list(value: Any) -> list[Any]:
+    return [value] if isinstance(value, (bool, int, np.integer, str)) else list(value)
+
+
+def _free_run_error(
+    model: BlackBox,
+    data: SampledData,
+    validation: Sequence[Experiment],
+    skip: int,
+    at_rest: bool,
+    policy: StructureScanPolicy,
+) -> float:
+    """Root mean square error of the free run over the validation records, or over the estimation records without any."""
+    squares, count = 0.0, 0
+    rows, first = ((skip or policy.initial_rows), skip) if validation else (None, 0)
+    for experiment in validation or data.experiments:
+        run = model.simulate(experiment, initial="zero" if at_rest else "estimated", rows=rows)[model.output][first:]
+        output = experiment.outputs[model.output][first:]
+        measured = np.isfinite(output)
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = output[measured] - run[measured]
+            squares += float(error @ error)
+        count += len(error)
+    return float(np.sqrt(squares / count)) if np.isfinite(squares) and count else np.inf
+
+
+def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructure]:
+    """The same with AIC and BIC on a common number of equations, so that losing a few rows to history is no gain."""
+    n = min(get_linear_part(s.model).samples for s in structures if s.model is not None)
+    result = []
+    for structure in structures:
+        if structure.model is None or structure.orders.get("focus") == "simulation":
+            result.append(structure)  # the prefiltered loss is not comparable
+            continue
+        loss, p = get_linear_part(structure.model).loss, structure.model.parameters
+        fit = n * np.log(loss) if loss > 0 else -np.inf
+        result.append(replace(structure, aic=fit + 2 * p, bic=fit + p * np.log(n)))
+    return result
+
+
+def _choose(
+    fitted: Sequence[ScannedStructure], criterion: SelectionCriterion, policy: StructureScanPolicy
+) -> ScannedStructure:
+    if criterion != "free run":
+        return min(fitted, key=lambda s: s.aic if criterion == "aic" else s.bic)
+    stable = [s for s in fitted if s.model is not None and s.model.stable and np.isfinite(s.free_run)]
+    pool = stable or list(fitted)
+    smallest = min(s.free_run for s in pool)
+    as_good = [s for s in pool if s.free_run <= (1 + policy.as_good) * smallest] or pool
+    return min(as_good, key=_simplicity)
+
+
+def _simplicity(structure: ScannedStructure) -> tuple[float, float, float]:
+    """Of structures that run equally well: the smallest BIC where it is about a one-step error, which can be white; else, because a
+    free-run error is not and its BIC would go on praising coefficients, the fewest of these."""
+    model = structure.model
+    count = float(model.parameters) if model is not None else np.inf
+    one_step = model is not None and get_linear_part(model).kind != BlackBoxKind.OUTPUT_ERROR
+    return (structure.bic if one_step else count, count, structure.free_run)

@@ -1,0 +1,446 @@
+"""Subspace identification: a state-space model of several inputs and outputs without a search.
+
+The combined algorithm of Van Overschee and De Moor (Subspace Identification for Linear Systems, 1996, chapter 4): what past inputs and
+outputs say of future outputs, given the future inputs, is an oblique projection whose rank is the order. With the weights of N4SID
+(none) or CVA (canonical variates). From the observability matrix come A and C; B, D and the first states follow by least squares of
+the simulated output, and the gain of the predictor from the covariance of the residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.signal import lfilter
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.findings import Finding
+from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
+from greybox.base.values import Printable
+from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
+from greybox.comparison.blackbox.policy import DEFAULT_SUBSPACE, SubspacePolicy
+from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.data.experiment import Experiment
+
+WEIGHTS = ("cva", "n4sid")
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpaceModel(Printable):
+    """``x[k+1] = A x[k] + B u[k] + K e[k]``, ``y[k] = C x[k] + D u[k] + offset + e[k]``.
+
+    Attributes
+    ----------
+    inputs, outputs
+        Names of the signals.
+    sampling_time
+        Seconds.
+    A, B, C, D, K
+        Matrices (n, n), (n, nu), (ny, n), (ny, nu), (n, ny).
+    noise_covariance
+        Covariance (ny, ny) of ``e``.
+    offset
+        Constants (ny,) of the outputs, for inputs as they are.
+    singular_values
+        Of the projection: where they fall is the order.
+    weight
+        ``cva`` or ``n4sid``.
+    samples
+        Rows that were used.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    sampling_time: float
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    K: np.ndarray
+    noise_covariance: np.ndarray
+    offset: np.ndarray
+    singular_values: np.ndarray
+    weight: str
+    samples: int
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return len(self.A)
+
+    @property
+    def poles(self) -> np.ndarray:
+        """Eigenvalues of ``A`` in the z-plane, by size."""
+        poles = np.linalg.eigvals(self.A)
+        return poles[np.argsort(-np.abs(poles))]
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1))
+
+    def response(self, frequency: np.ndarray) -> np.ndarray:
+        """Complex response (nf, ny, nu) at frequencies (nf,) in Hz."""
+        z = np.exp(2j * np.pi * np.asarray(frequency) * self.sampling_time)
+        whole = np.linalg.solve(
+            z[:, None, None] * np.eye(self.order) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
+        )
+        return np.asarray(self.C @ whole + self.D)
+
+    def boxes(self) -> tuple[SubspaceOutput, ...]:
+        """One model for each output, as `greybox.compare` takes them."""
+        return tuple(SubspaceOutput(self, name) for name in self.outputs)
+
+    def to_control(self) -> Any:
+        """A ``control.StateSpace`` with signal names."""
+        import control
+
+        return control.StateSpace(
+            self.A, self.B, self.C, self.D, self.sampling_time, inputs=list(self.inputs), outputs=list(self.outputs)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SubspaceOutput:
+    """One output of a `StateSpaceModel`, with what every black box has."""
+
+    model: StateSpaceModel
+    output: str
+    kind: str = field(default="subspace", init=False)
+    findings: tuple[Finding, ...] = field(default=(), init=False)
+
+    @property
+    def label(self) -> str:
+        """Kind and order: ``cva(4)``."""
+        return f"{self.model.weight}({self.model.order})"
+
+    @property
+    def sampling_time(self) -> float:
+        """Seconds."""
+        return self.model.sampling_time
+
+    @property
+    def parameters(self) -> int:
+        """Numbers of a canonical form, shared evenly by the outputs."""
+        m = self.model
+        whole = m.order * (len(m.inputs) + 2 * len(m.outputs)) + len(m.inputs) * len(m.outputs) + len(m.outputs)
+        return round(whole / len(m.outputs))
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole lies inside the unit circle."""
+        return self.model.stable
+
+    @cached_property
+    def feedthrough(self) -> Mapping[str, float]:
+        """Input -> what it adds to the output at once."""
+        row = self.model.D[self.model.outputs.index(self.output)]
+        return {name: float(v) for name, v in zip(self.model.inputs, row, strict=True)}
+
+    def simulate(
+        self, experiment: Experiment, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Free run over a record.
+
+        Parameters
+        ----------
+        experiment
+            The record.
+        initial
+            ``zero``, or the state that the first ``rows`` (None: all) of the measured outputs show.
+        rows
+            Rows that show it.
+
+        Returns
+        -------
+        dict
+            Output -> values (N,).
+        """
+        u, y = _take_arrays(self.model, experiment)
+        x0 = np.zeros(self.model.order) if initial == "zero" else _estimate_start(self.model, u, y, rows)
+        return {self.output: _simulate(self.model, u, x0)[:, self.model.outputs.index(self.output)]}
+
+    def predict(
+        self, experiment: Experiment, steps: int = 1, *, initial: InitialChoice = "estimated", rows: int | None = None
+    ) -> dict[str, np.ndarray]:
+        """Predictions ``steps`` samples ahead.
+
+        Parameters
+        ----------
+        experiment
+            The record.
+        steps
+            Samples ahead.
+        initial, rows
+            As of `simulate`.
+
+        Returns
+        -------
+        dict
+            Output -> values (N,).
+        """
+        m = self.model
+        u, y = _take_arrays(m, experiment)
+        x = np.zeros(m.order) if initial == "zero" else _estimate_start(m, u, y, rows)
+        column = m.outputs.index(self.output)
+        result = np.full(len(u), np.nan)
+        for k in range(len(u)):
+            ahead = x
+            for j in range(min(steps - 1, len(u) - 1 - k)):
+                ahead = m.A @ ahead + m.B @ u[k + j]
+            if k + steps - 1 < len(u):
+                result[k + steps - 1] = (m.C @ ahead + m.D @ u[k + steps - 1] + m.offset)[column]
+            if k == 0:
+                first = x
+                for j in range(min(steps - 1, len(u))):
+                    result[j] = (m.C @ first + m.D @ u[j] + m.offset)[column]
+                    first = m.A @ first + m.B @ u[j]
+            e = y[k] - m.C @ x - m.D @ u[k] - m.offset
+            x = m.A @ x + m.B @ u[k] + m.K @ np.where(np.isfinite(e), e, 0.0)
+        return {self.output: result}
+
+
+def subspace(
+    experiments: Experiment | Sequence[Experiment],
+    order: int | None = None,
+    *,
+    outputs: Sequence[str] | None = None,
+    inputs: Sequence[str] | None = None,
+    weight: str = "cva",
+    feedthrough: bool = True,
+    policy: SubspacePolicy = DEFAULT_SUBSPACE,
+) -> StateSpaceModel:
+    """Identify a state-space model of several inputs and outputs.
+
+    Parameters
+    ----------
+    experiments
+        Records of one sampling time; gaps are left out.
+    order
+        Number of states; None takes that of the smallest criterion on the singular values.
+    outputs, inputs
+        Names; None takes all.
+    weight
+        ``cva`` or ``n4sid``.
+    feedthrough
+        Whether an input may act on an output at once.
+    policy
+        How far past and future reach, and how the order is chosen.
+
+    Returns
+    -------
+    StateSpaceModel
+        The model; its `boxes` can be compared with others.
+
+    Raises
+    ------
+    DataError
+        For unknown names, records that are too short, and an order beyond what past and future can show.
+
+    Examples
+    --------
+    >>> model = gb.blackbox.subspace(records)  # doctest: +SKIP
+    >>> gb.compare({"physics": fit, "subspace": model.boxes()}, validation)  # doctest: +SKIP
+    """
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    if not group:
+        raise DataError("no experiment; give at least one record")
+    if weight not in WEIGHTS:
+        raise DataError(f"unknown weight {weight!r}; {nearest(weight, WEIGHTS)}")
+    names = tuple(outputs or group[0].outputs), tuple(inputs or group[0].inputs)
+    parts, step = _collect_segments(group, *names)
+    ny, nu = len(names[0]), len(names[1])
+    horizon = _choose_horizon(parts, ny, nu, order, policy)
+    gamma, singular, columns = _project(parts, horizon, weight)
+    if order is None:
+        limit = min(policy.largest_order, ny * (horizon - 1), len(singular) - 1)
+        costs = [
+            singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny) for n in range(1, limit + 1)
+        ]
+        noise_free = singular[1 : limit + 1] < policy.zero_share * singular[0]
+        order = 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
+    if not 1 <= order <= ny * (horizon - 1):
+        raise DataError(
+            f"order {order}: with {ny} outputs and a horizon of {horizon} rows give 1 to {ny * (horizon - 1)}"
+        )
+    observability = gamma[:, :order]
+    C = observability[:ny]
+    A = np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0]
+    B, D, offset = _estimate_inputs(parts, A, C, nu, feedthrough)
+    model = StateSpaceModel(
+        names[1], names[0], step, A, B, C, D, np.zeros((order, ny)), np.eye(ny), offset, singular, weight, columns
+    )
+    K, noise = _estimate_gain(model, parts, horizon)
+    return StateSpaceModel(names[1], names[0], step, A, B, C, D, K, noise, offset, singular, weight, columns)
+
+
+def _collect_segments(
+    group: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], float]:
+    """Inputs (N, nu) and outputs (N, ny) of each part without gaps, and the sampling time."""
+    parts, steps = [], []
+    for e in group:
+        for name in outputs:
+            if name not in e.outputs:
+                raise DataError(f"experiment {e.name!r} has no output {name!r}; {nearest(name, e.outputs)}")
+        record: SampledRecord = to_sampled_record(e, outputs[0], inputs, need_output=False)
+        y = np.column_stack([e.outputs[name] for name in outputs])
+        known = np.flatnonzero(np.isfinite(y).all(axis=1))
+        runs = np.split(known, np.flatnonzero(np.diff(known) > 1) + 1) if len(known) else []
+        parts += [(record.u[r], y[r]) for r in runs]
+        steps.append(record.sampling_time)
+    if not np.allclose(steps, steps[0], rtol=SAME_SAMPLING_TIME, atol=0):
+        raise DataError("experiments of different sampling times; a state-space model is valid for one; resample them")
+    return parts, steps[0]
+
+
+def _choose_horizon(
+    parts: Sequence[tuple[np.ndarray, np.ndarray]], ny: int, nu: int, order: int | None, policy: SubspacePolicy
+) -> int:
+    rows = max((len(u) for u, _ in parts), default=0)
+    wanted = max(policy.horizon, 2 * (order or 0) // ny + 2)
+    # Every projection has to be overdetermined.
+    most = (rows + 1) // (policy.columns_per_row * (2 * ny + 2 * nu) + 2)
+    if most < policy.least_horizon:
+        raise DataError(f"{rows} rows without a gap are too few for {ny} outputs and {nu} inputs; give longer records")
+    return min(wanted, most)
+
+
+def _project(
+    parts: Sequence[tuple[np.ndarray, np.ndarray]], horizon: int, weight: str
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Observability matrix by columns, singular values, and the number of columns behind them."""
+    blocks = [_stack(u, y, horizon) for u, y in parts if len(u) >= 2 * horizon]
+    past_u, past_y, next_u, next_y = (np.hstack([b[k] for b in blocks]) for k in range(4))
+    columns = past_u.shape[1]
+    # [U_f; W_p; Y_f] = L Q'
+    lower = np.asarray(np.linalg.qr(np.vstack([next_u, past_u, past_y, next_y]).T / np.sqrt(columns), mode="r")).T
+    m, w = len(next_u), len(past_u) + len(past_y)
+    l22, l32, l33 = lower[m : m + w, m : m + w], lower[m + w :, m : m + w], lower[m + w :, m + w :]
+    if weight == "n4sid":
+        # Oblique projection, as a map of W_p less U_f.
+        l21 = lower[m : m + w, :m]
+        along = l32 @ np.linalg.pinv(l22, rcond=RANK_OF_EXACT_RECORDS)
+        target = along @ np.hstack([l21, l22])
+        u, s, _ = np.linalg.svd(target, full_matrices=False)
+        return u * np.sqrt(s), s, columns
+    spread = np.linalg.cholesky(
+        l32 @ l32.T + l33 @ l33.T + np.finfo(float).eps * np.trace(l32 @ l32.T) * np.eye(len(l32))
+    )
+    u, s, _ = np.linalg.svd(np.linalg.solve(spread, l32), full_matrices=False)
+    return spread @ (u * np.sqrt(s)), s, columns
+
+
+def _stack(u: np.ndarray, y: np.ndarray, horizon: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Block Hankel matrices: past inputs, past outputs, future inputs, future outputs."""
+    columns = len(u) - 2 * horizon + 1
+
+    def hankel(values: np.ndarray, first: int) -> np.ndarray:
+        return np.vstack([values[first + k : first + k + columns].T for k in range(horizon)])
+
+    # A constant counts as one more known input: what the outputs rest at is no state.
+    known = np.vstack([hankel(u, horizon), np.ones((1, columns))])
+    return hankel(u, 0), hankel(y, 0), known, hankel(y, horizon)
+
+
+def _estimate_inputs(
+    parts: Sequence[tuple[np.ndarray, np.ndarray]], A: np.ndarray, C: np.ndarray, nu: int, feedthrough: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """B, D and the constants of the outputs, by least squares of the simulated output; each part has first states of its own."""
+    n, ny = len(A), len(C)
+    values, transform = np.linalg.eig(A)
+    # A pole beyond the unit circle would make the free run explode: its output is fitted with the pole on the circle.
+    modes = np.where(np.abs(values) > 1, values / np.abs(values), values)
+    outputs = C @ transform
+    rows, targets = [], []
+    for number, (u, y) in enumerate(parts):
+        N = len(u)
+        free = modes[None, :] ** np.arange(N)[:, None]
+        starts = np.zeros((N, ny, n * len(parts)), complex)
+        starts[:, :, number * n : (number + 1) * n] = outputs[None] * free[:, None, :]
+        driven = np.zeros((N, ny, n, nu), complex)
+        for i in range(n):
+            for j in range(nu):
+                response = lfilter([0.0, 1.0], [1.0, -modes[i]], u[:, j].astype(complex))
+                driven[:, :, i, j] = outputs[None, :, i] * response[:, None]
+        at_once = np.zeros((N, ny, ny, nu))
+        constant = np.zeros((N, ny, ny))
+        for o in range(ny):
+            at_once[:, o, o, :] = u
+            constant[:, o, o] = 1.0
+        blocks = [driven.reshape(N * ny, n * nu), starts.reshape(N * ny, -1), constant.reshape(N * ny, ny)]
+        if feedthrough:
+            blocks.append(at_once.reshape(N * ny, ny * nu))
+        rows.append(np.hstack(blocks))
+        targets.append(y.reshape(N * ny))
+    matrix, target = np.vstack(rows), np.concatenate(targets)
+    solution = np.linalg.lstsq(matrix, target.astype(complex), rcond=None)[0]
+    B = np.real(transform @ solution[: n * nu].reshape(n, nu))
+    place = n * nu + n * len(parts)
+    offset = np.real(solution[place : place + ny])
+    D = np.real(solution[place + ny :].reshape(ny, nu)) if feedthrough else np.zeros((ny, nu))
+    return B, D, offset
+
+
+def _estimate_gain(
+    model: StateSpaceModel, parts: Sequence[tuple[np.ndarray, np.ndarray]], horizon: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain of the predictor and covariance of its innovations.
+
+    The innovations are the residuals of a long autoregression; what they leave in the output error of the model is linear in the gain.
+    """
+    ny = len(model.outputs)
+    pairs: list[tuple[np.ndarray, np.ndarray]] = []
+    regressors, targets, lengths = [], [], []
+    for u, y in parts:
+        if len(u) <= 2 * horizon:
+            continue
+        both = np.hstack([u, y])
+        past = [both[horizon - k : len(u) - k] for k in range(1, horizon + 1)]
+        regressors.append(np.hstack([u[horizon:], *past, np.ones((len(u) - horizon, 1))]))
+        targets.append(y[horizon:])
+        lengths.append(len(u) - horizon)
+    matrix, target = np.vstack(regressors), np.vstack(targets)
+    residual = target - matrix @ np.linalg.lstsq(matrix, target, rcond=RANK_OF_EXACT_RECORDS)[0]
+    noise = residual.T @ residual / max(len(residual) - matrix.shape[1], 1)
+    innovations = np.split(residual, np.cumsum(lengths)[:-1])
+    long = [(u, y) for u, y in parts if len(u) > 2 * horizon]
+    for (u, y), e in zip(long, innovations, strict=True):
+        error = y - _simulate(model, u, _estimate_start(model, u, y, None))
+        pairs.append((e, error[horizon:] - e))
+    if float(np.trace(noise)) > NEGLIGIBLE_SINGULAR_VALUE**2 * float(np.mean(target**2)):
+        gain, _, _ = _estimate_inputs(pairs, model.A, model.C, ny, False)
+        if np.isfinite(gain).all() and np.max(np.abs(np.linalg.eigvals(model.A - gain @ model.C)), initial=0.0) < 1:
+            return gain, noise
+    return np.zeros((model.order, ny)), noise
+
+
+def _take_arrays(model: StateSpaceModel, experiment: Experiment) -> tuple[np.ndarray, np.ndarray]:
+    record = to_sampled_record(experiment, model.outputs[0], model.inputs, need_output=False)
+    missing = np.full(experiment.rows, np.nan)
+    return record.u, np.column_stack([experiment.outputs.get(name, missing) for name in model.outputs])
+
+
+def _simulate(model: StateSpaceModel, u: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    x, rows = x0, np.empty((len(u), len(model.outputs)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, value in enumerate(u):
+            rows[k] = model.C @ x + model.D @ value + model.offset
+            x = model.A @ x + model.B @ value
+    return rows
+
+
+def _estimate_start(model: StateSpaceModel, u: np.ndarray, y: np.ndarray, rows: int | None) -> np.ndarray:
+    """The first state (n,) that the outputs of the first rows show, by least squares."""
+    count = len(u) if rows is None else min(rows, len(u))
+    driven = _simulate(model, u[:count], np.zeros(model.order))
+    power, blocks = np.eye(model.order), []
+    for _ in range(count):
+        blocks.append(model.C @ power)
+        power = model.A @ power
+    matrix, target = np.vstack(blocks), (y[:count] - driven).reshape(-1)
+    known = np.isfinite(target) & np.isfinite(matrix).all(axis=1)
+    return np.linalg.lstsq(matrix[known], target[known], rcond=None)[0] if known.any() else np.zeros(model.order)

@@ -1,0 +1,19 @@
+"""Frequency responses as records: read, estimated from periodic records, and fitted, alone or with records over time."""
+
+from greybox.comparison.frequency.best_linear_approximation import (
+    BestLinearApproximation,
+    estimate_best_linear_approximation,
+    find_period,
+)
+from greybox.comparison.frequency.fit_response import FrequencyFit, fit_frequency_response
+from greybox.comparison.frequency.response import FrequencyResponse, read_frequency_response
+
+__all__ = [
+    "BestLinearApproximation",
+    "FrequencyFit",
+    "FrequencyResponse",
+    "estimate_best_linear_approximation",
+    "find_period",
+    "fit_frequency_response",
+    "read_frequency_response",
+]

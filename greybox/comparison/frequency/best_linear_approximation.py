@@ -1,0 +1,282 @@
+"""The best linear approximation of a system from periodic records, with its noise and its nonlinear distortion told apart.
+
+Pintelon and Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., section 4.3: the spread from period to period is
+noise, as the input repeats and so does every answer to it. The spread from realisation to realisation, with other phases of the same
+spectrum, is noise and what a nonlinear system adds. With one realisation, lines that are not excited show the distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from scipy.stats import f as f_distribution
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.findings import Check
+from greybox.base.values import Printable
+from greybox.comparison.frequency.policy import DEFAULT_APPROXIMATION, ApproximationPolicy
+from greybox.comparison.frequency.response import FrequencyResponse
+from greybox.data.experiment import Experiment
+
+# Codes of the tests of linearity; their sentences are in `greybox.show.sentences.frequency`.
+
+
+class LinearityCheck(StrEnum):
+    """Tests of a best linear approximation: each compares a variance with that of the noise."""
+
+    REALISATIONS_AGREE = "realisations_agree"
+    """The response is the same for other phases of the input."""
+    EVEN_LINES_ARE_NOISE = "even_lines_are_noise"
+    """Even lines that are not excited hold noise alone."""
+    ODD_LINES_ARE_NOISE = "odd_lines_are_noise"
+    """Odd lines that are not excited hold noise alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestLinearApproximation(Printable):
+    """A best linear approximation at the excited lines, averaged over realisations and periods.
+
+    Attributes
+    ----------
+    input, output
+        Names of the signals.
+    frequency : array (nf,)
+        Excited lines in Hz.
+    response : array (nf,)
+        Complex response.
+    noise_variance : array (nf,)
+        Variance of the response by noise alone.
+    total_variance : array (nf,) or None
+        Variance by noise and nonlinear distortion, from realisation to realisation; None with one realisation.
+    realisations, periods
+        How many were averaged.
+    even, odd : float or None
+        Power of the output at even and odd lines that are not excited, over that of the noise there; about 1 for a linear system. None
+        where there are no such lines.
+    checks
+        The tests of linearity; one that failed says that the system is nonlinear.
+    """
+
+    input: str
+    output: str
+    frequency: np.ndarray
+    response: np.ndarray
+    noise_variance: np.ndarray
+    total_variance: np.ndarray | None
+    realisations: int
+    periods: int
+    even: float | None
+    odd: float | None
+    checks: tuple[Check, ...]
+
+    @property
+    def is_linear(self) -> bool | None:
+        """Whether nothing but noise disturbs the response; None where nothing was tested."""
+        return all(check.passed for check in self.checks) if self.checks else None
+
+    @property
+    def distortion_variance(self) -> np.ndarray | None:
+        """Variance (nf,) of one realisation's response by nonlinear distortion alone, zero where noise explains the spread."""
+        if self.total_variance is None:
+            return None
+        return np.maximum(self.total_variance - self.noise_variance, 0.0) * self.realisations
+
+    def to_frequency_response(self, sampling_time: float = 0.0) -> FrequencyResponse:
+        """The response as a record to be fitted, weighted by its total variance where that is known, else by its noise."""
+        variance = (
+            self.noise_variance if self.total_variance is None else np.maximum(self.total_variance, self.noise_variance)
+        )
+        return FrequencyResponse(
+            self.frequency,
+            self.response[:, None, None],
+            (self.input,),
+            (self.output,),
+            variance[:, None, None],
+            sampling_time,
+            "best linear approximation",
+        )
+
+
+def estimate_best_linear_approximation(
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    period: int | None = None,
+    input: str | None = None,
+    output: str | None = None,
+    transient_periods: int = 1,
+    policy: ApproximationPolicy = DEFAULT_APPROXIMATION,
+) -> BestLinearApproximation:
+    """Estimate the best linear approximation from records with a periodic input.
+
+    Parameters
+    ----------
+    experiments
+        One record a realisation: the same lines with other random phases, the same period. One record is enough to see noise; two
+        or more tell nonlinear distortion from it.
+    period
+        Rows of a period; None finds it from the input.
+    input, output
+        Names of the signals; needed where there are several.
+    transient_periods
+        Periods at the beginning of each record that are left out.
+    policy
+        Which lines are excited, and when the system is called nonlinear.
+
+    Returns
+    -------
+    BestLinearApproximation
+        The response with its variances, and the tests of linearity.
+
+    Raises
+    ------
+    DataError
+        For records that are not periodic, too short, irregular, or not excited alike.
+    """
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    if not group:
+        raise DataError("no experiment; give at least one record")
+    source = _choose(input, list(group[0].inputs), "input")
+    sink = _choose(output, list(group[0].outputs), "output")
+    step = group[0].sampling_time
+    if step is None or any(e.sampling_time is None or not np.isclose(e.sampling_time, step) for e in group):
+        raise DataError("a best linear approximation needs uniform time, the same in all records; resample them")
+    rows = period or find_period(group[0], source, policy)
+    spectra = [_take_periods(e, source, sink, rows, transient_periods, policy) for e in group]
+    count = min(len(u) for u, _ in spectra)
+    U, Y = (np.stack([part[k][:count] for part in spectra]) for k in (0, 1))  # (realisations, periods, lines)
+    size = np.abs(U.mean(axis=1))
+    excited = np.flatnonzero(np.all(size > policy.excited_share * size.max(axis=1, keepdims=True), axis=0))
+    excited = excited[(excited > 0) & (excited < rows / 2)]
+    if not len(excited):
+        raise DataError("the records have no excited line in common; give realisations of one spectrum")
+    ratio = Y[:, :, excited] / U.mean(axis=1)[:, None, excited]
+    each = ratio.mean(axis=1)
+    noise_each = ratio.var(axis=1, ddof=1) / count
+    total = each.var(axis=0, ddof=1) / len(group) if len(group) > 1 else None
+    noise = noise_each.mean(axis=0) / len(group)
+    checks = []
+    if total is not None:
+        checks.append(
+            _compare_variances(
+                LinearityCheck.REALISATIONS_AGREE,
+                total,
+                noise,
+                2 * (len(group) - 1),
+                2 * len(group) * (count - 1),
+                policy,
+            )
+        )
+    levels: dict[str, float | None] = {}
+    fundamental = excited[excited > 0].min()
+    rules = (LinearityCheck.EVEN_LINES_ARE_NOISE, LinearityCheck.ODD_LINES_ARE_NOISE)
+    for name, parity, rule in zip(("even", "odd"), (0, 1), rules, strict=True):
+        lines = np.arange(fundamental, excited.max() + 1)
+        lines = lines[(lines % 2 == parity) & ~np.isin(lines, excited)]
+        levels[name] = None
+        if len(lines):
+            power = np.abs(Y[:, :, lines].mean(axis=1)) ** 2
+            spread = Y[:, :, lines].var(axis=1, ddof=1) / count
+            levels[name] = float(power.sum() / spread.sum())
+            degrees = 2 * len(group), 2 * len(group) * (count - 1)
+            checks.append(_compare_variances(rule, power.mean(axis=0), spread.mean(axis=0), *degrees, policy))
+    return BestLinearApproximation(
+        source,
+        sink,
+        excited / (rows * step),
+        each.mean(axis=0),
+        noise,
+        total,
+        len(group),
+        count,
+        levels["even"],
+        levels["odd"],
+        tuple(checks),
+    )
+
+
+def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy = DEFAULT_APPROXIMATION) -> int:
+    """Find the rows after which an input repeats.
+
+    Parameters
+    ----------
+    experiment
+        The record.
+    input
+        Name of the input.
+    policy
+        How nearly it must repeat.
+
+    Returns
+    -------
+    int
+        The shortest period.
+
+    Raises
+    ------
+    DataError
+        Where the input does not repeat.
+    """
+    u = experiment.inputs[input] - experiment.inputs[input].mean()
+    n = len(u)
+    spread = float(np.std(u))
+    if spread:
+        transform = np.fft.rfft(u, 2 * n)
+        products = np.fft.irfft(np.abs(transform) ** 2)[:n]
+        square = np.concatenate(([0.0], np.cumsum(u**2)))
+        lags = np.arange(1, n // 2 + 1)
+        # Mean square of u[k + lag] - u[k] by its three sums.
+        change = (square[n] - square[lags] + square[n - lags] - 2 * products[lags]) / (n - lags)
+        repeats = lags[change <= (policy.period_error * spread) ** 2]
+        # A slow input hardly changes over one row: the period is the first repetition after it has changed.
+        moved = np.flatnonzero(change > spread**2)
+        later = repeats[repeats > (moved[0] + 1 if len(moved) else n)]
+        if len(later):
+            run = later[: 1 + int(np.argmax(np.append(np.diff(later) > 1, True)))]
+            return int(run[np.argmin(change[run - 1])])
+    raise DataError(
+        f"experiment {experiment.name!r}: input {input!r} does not repeat within the record; a periodic one is needed"
+        " (greybox.data.signals.multisine), or give the rows of a period"
+    )
+
+
+def _take_periods(
+    experiment: Experiment, source: str, sink: str, rows: int, transient: int, policy: ApproximationPolicy
+) -> tuple[np.ndarray, np.ndarray]:
+    """Spectra (periods, lines) of input and output, amplitude for amplitude."""
+    if source not in experiment.inputs or sink not in experiment.outputs:
+        raise DataError(f"experiment {experiment.name!r} has no {source!r} or no {sink!r}")
+    count = experiment.rows // rows - transient
+    if count < policy.least_periods:
+        raise DataError(
+            f"experiment {experiment.name!r}: {count} whole periods of {rows} rows after the transient, at least"
+            f" {policy.least_periods} are needed"
+        )
+    window = slice(transient * rows, (transient + count) * rows)
+    u, y = experiment.inputs[source][window], experiment.outputs[sink][window]
+    if not np.isfinite(y).all():
+        raise DataError(f"experiment {experiment.name!r}: output {sink!r} has gaps; a spectrum needs every row")
+    return tuple(np.fft.rfft(v.reshape(count, rows), axis=1) * 2 / rows for v in (u, y))  # type: ignore[return-value]
+
+
+def _compare_variances(
+    rule: str, upper: np.ndarray, lower: np.ndarray, upper_freedom: int, lower_freedom: int, policy: ApproximationPolicy
+) -> Check:
+    """Whether the first variance (nf,) is no larger than the second: an F test over all lines."""
+    lines = len(upper)
+    ratio = float(np.mean(upper / np.where(lower > 0, lower, np.finfo(float).tiny)))
+    limit = float(f_distribution.ppf(1 - policy.false_alarm, lines * upper_freedom, lines * lower_freedom))
+    # A mean of ratios is larger than a ratio of means by d / (d - 2), of few periods.
+    bias = lower_freedom / max(lower_freedom - 2, 1)
+    return Check(rule, ratio / bias, limit, ratio / bias <= limit)
+
+
+def _choose(name: str | None, known: list[str], kind: str) -> str:
+    if name is None and len(known) == 1:
+        return known[0]
+    if name not in known:
+        what = "several" if name is None else f"no {name!r}"
+        raise DataError(f"{kind}: the record has {what}; {nearest(name or '', known)}")
+    return str(name)

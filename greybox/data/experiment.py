@@ -1,0 +1,469 @@
+"""One measured record as a frozen value."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding
+from greybox.base.values import Printable
+from greybox.data.findings import TIMING, RecordCode
+from greybox.data.policy import RECORD_POLICY, RecordPolicy
+from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, is_constant, raise_problems
+from greybox.data.sampling import (
+    find_common_sampling_time,
+    find_pieces,
+    find_sampling_time,
+    find_time_gaps,
+    inspect_timing,
+)
+from greybox.data.sensor_faults import inspect_signals
+
+Hold = Literal["zero", "first", "band-limited"]
+# The name of a record that nobody named.
+UNNAMED = "unnamed record"
+HOLDS: tuple[Hold, ...] = ("zero", "first", "band-limited")
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment(Printable):
+    """A record of one experiment, in the units of the model it was read for. Arrays are read-only float64.
+
+    Measured arrays are better given to `Experiment.from_arrays`, which also refuses records from which nothing can be learnt.
+
+    Parameters
+    ----------
+    name
+        What results call the record.
+    time : array (N,)
+        Time in seconds, increasing.
+    inputs
+        Name -> array (N,), finite.
+    outputs
+        Name -> array (N,), NaN where nothing was measured.
+    hold
+        How the input moves between samples: ``"zero"`` stays until the next row (a computer drives it), ``"first"`` runs straight
+        to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no content above half the sampling rate (a
+        smooth signal behind an anti-alias filter).
+    source
+        The file that it came from.
+    conditions
+        Constants of this experiment alone, name -> value in the model's unit.
+    findings
+        What a reader should know about the record. A part keeps those of the whole.
+
+    Attributes
+    ----------
+    sampling_time : float or None
+        Seconds between rows; None when time is irregular (rule: `greybox.data.sampling`).
+    fingerprint : str
+        16 hex digits of the SHA-256 over names and arrays; equal data, equal fingerprint, whatever the file was called.
+
+    Raises
+    ------
+    DataError
+        When lengths differ, time does not increase, or an input is not finite.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> time = 0.01 * np.arange(200)
+    >>> record = Experiment("run", time, {"u": np.sin(time)}, {"y": np.cos(time)})
+    >>> record.rows, record.sampling_time
+    (200, 0.01)
+    """
+
+    name: str
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    outputs: Mapping[str, np.ndarray]
+    hold: Hold = "zero"
+    source: str = ""
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    sampling_time: float | None = field(init=False)
+    fingerprint: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.hold not in HOLDS:
+            raise DataError(
+                f"experiment {self.name!r}: hold {self.hold!r} is unknown;"
+                " give 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
+            )
+        problems: list[str] = []
+        time = _to_read_only("time", self.time, problems)
+        rows = None if problems else len(time)
+        inputs = {n: _to_read_only(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
+        outputs = {n: _to_read_only(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
+        both = sorted(set(inputs) & set(outputs))
+        problems += [f"{n!r} is both an input and an output; each signal needs its own name" for n in both]
+        problems += [
+            f"condition {n!r} is {v}; give a finite number" for n, v in self.conditions.items() if not math.isfinite(v)
+        ]
+        raise_problems(f"experiment {self.name!r}", problems or find_array_problems(time, inputs, outputs, RowLabels()))
+        values = {
+            "time": time,
+            "inputs": MappingProxyType(inputs),
+            "outputs": MappingProxyType(outputs),
+            "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
+            "findings": tuple(self.findings),
+            "sampling_time": find_sampling_time(time),
+            "fingerprint": _compute_fingerprint(time, inputs, outputs),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        time: ArrayLike,
+        inputs: Mapping[str, ArrayLike],
+        outputs: Mapping[str, ArrayLike],
+        *,
+        name: str = UNNAMED,
+        hold: Hold = "zero",
+        source: str = "",
+        conditions: Mapping[str, float] | None = None,
+        findings: tuple[Finding, ...] = (),
+        allow_constant_input: bool = False,
+        policy: RecordPolicy = RECORD_POLICY,
+    ) -> Experiment:
+        """A measured record from arrays in the model's units; what it shows of time and sensors goes to ``findings``.
+
+        Parameters
+        ----------
+        time : array (N,)
+            Time in seconds.
+        inputs, outputs
+            Name -> array (N,); NaN marks gaps of outputs.
+        name, hold, source, conditions
+            As of `Experiment`.
+        findings
+            What is known of the record already; what is found here comes after.
+        allow_constant_input
+            Accept inputs that are zero throughout (free decay).
+        policy
+            When a record is long enough, and when a sensor is in doubt.
+
+        Returns
+        -------
+        Experiment
+            The record with its findings.
+
+        Raises
+        ------
+        DataError
+            Besides what `Experiment` refuses: fewer than 10 rows, an output without any value, a record in which no output moves,
+            and inputs that are all constant at zero unless ``allow_constant_input``.
+        """
+        bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
+        problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input, policy)
+        raise_problems(f"experiment {name!r}", problems)
+        seen = inspect_signals(bare.time, bare.inputs, bare.outputs, policy)
+        return replace(bare, findings=(*findings, *seen, *inspect_timing(bare.time, bare.sampling_time, policy)))
+
+    @property
+    def rows(self) -> int:
+        """Number of rows N."""
+        return len(self.time)
+
+    @property
+    def regular(self) -> bool:
+        """Whether the record is sampled uniformly."""
+        return self.sampling_time is not None
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def intervals(self) -> np.ndarray:
+        """Lengths (N-1,) in seconds of the intervals between rows: the sampling time if regular, else each its own."""
+        if self.sampling_time is None:
+            return np.diff(self.time)
+        return np.full(self.rows - 1, self.sampling_time)
+
+    def window(self, start_row: int, stop_row: int) -> Experiment:
+        """Rows ``start_row`` up to but without ``stop_row``, counted from 0, with the times of the whole record.
+
+        Raises DataError for rows that the record does not have, and for fewer than two.
+        """
+        if not 0 <= start_row < stop_row - 1 < self.rows:
+            raise DataError(
+                f"experiment {self.name!r}: window [{start_row}, {stop_row}) does not fit {self.rows} rows;"
+                " give 0 <= start, stop <= rows and at least 2 rows"
+            )
+        cut = slice(start_row, stop_row)
+        part = replace(
+            self,
+            name=f"{self.name}[{start_row}:{stop_row}]",
+            time=self.time[cut],
+            inputs={n: v[cut] for n, v in self.inputs.items()},
+            outputs={n: v[cut] for n, v in self.outputs.items()},
+        )
+        return _with_sampling_time(part, self.sampling_time) if self.regular else part
+
+    def split(self, fraction: float) -> tuple[Experiment, Experiment]:
+        """Cut the record in two, each part with its own times: an estimation record and a validation record.
+
+        Parameters
+        ----------
+        fraction
+            Share of the rows in the first part, between 0 and 1.
+
+        Returns
+        -------
+        tuple of Experiment
+            The first ``fraction`` of the rows, and the rest.
+
+        Raises
+        ------
+        DataError
+            For a fraction that is not between 0 and 1, and for one that leaves fewer than two rows on a side.
+        """
+        if not 0 < fraction < 1:
+            raise DataError(
+                f"experiment {self.name!r}: cannot split at fraction {fraction:g}; give a number between 0 and 1"
+            )
+        row = round(fraction * self.rows)
+        if min(row, self.rows - row) < 2:
+            raise DataError(
+                f"experiment {self.name!r}: fraction {fraction:g} splits {self.rows} rows into {row} and"
+                f" {self.rows - row}; each part needs at least 2, give a fraction nearer to 0.5"
+            )
+        return self.window(0, row), self.window(row, self.rows)
+
+    def split_at_time_gaps(
+        self, min_rows: int | None = None, *, policy: RecordPolicy = RECORD_POLICY
+    ) -> tuple[Experiment, ...]:
+        """The pieces between gaps in time, each a record of its own with an initial state of its own; itself without gaps.
+
+        A gap is a step of more than one and a half usual ones (`greybox.data.sampling`): the logger dropped out, or two
+        runs were pasted together. In it the input is unknown, and what a fit simulates through it is made up. Pieces that are
+        sampled alike have the same `sampling_time`.
+
+        Parameters
+        ----------
+        min_rows
+            Pieces of fewer rows, or without a measured value, are left out, which ``findings`` say. None takes the policy's.
+        policy
+            When a step is a gap.
+
+        Returns
+        -------
+        tuple of Experiment
+            The pieces in the order of time.
+
+        Raises
+        ------
+        DataError
+            Where no piece is left.
+        """
+        least = policy.min_rows if min_rows is None else min_rows
+        kept, dropped = find_pieces(self.time, self.outputs, least, policy)
+        if len(kept) + len(dropped) == 1:
+            return (self,)
+        if not kept:
+            longest = max(end - first for first, end in dropped)
+            rule = f"the longest has {longest} rows, and a record needs at least {least} with a measured output"
+            raise_problems(
+                f"experiment {self.name!r}", [f"gaps in time leave {len(dropped)} pieces: {rule}; record it anew"]
+            )
+        # What the whole record says of its time no longer holds of the pieces.
+        findings = [finding for finding in self.findings if finding.code not in TIMING]
+        if dropped:
+            left_out = [[float(self.time[first]), float(self.time[end - 1]), end - first] for first, end in dropped]
+            findings.append(Finding(RecordCode.PIECES_LEFT_OUT, values={"pieces": left_out}))
+        parts = [replace(self.window(first, end), findings=tuple(findings)) for first, end in kept]
+        step = find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts], policy)
+        return tuple(parts) if step is None else tuple(_with_sampling_time(part, step) for part in parts)
+
+    def with_hold(self, hold: Hold) -> Experiment:
+        """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""
+        return _with_sampling_time(replace(self, hold=hold), self.sampling_time)
+
+    def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:
+        """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
+        return _with_sampling_time(replace(self, outputs=outputs), self.sampling_time)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings cannot be pickled and arrays lose their protection: rebuild through the constructor.
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
+        values |= {n: dict(values[n]) for n in ("inputs", "outputs", "conditions")}
+        return _restore, (values, self.sampling_time)
+
+
+def stack_signals(signals: Sequence[np.ndarray], rows: int) -> np.ndarray:
+    """Signals (N,) as columns (N, n); a single one is not copied."""
+    if len(signals) == 1:
+        return signals[0][:, None]
+    return np.column_stack(signals) if signals else np.zeros((rows, 0))
+
+
+def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding, ...]:
+    """The findings of several records, each once, with the records that it holds for under ``values["records"]``.
+
+    Parameters
+    ----------
+    experiments
+        The records, in the order in which their findings are to stand.
+
+    Returns
+    -------
+    tuple of Finding
+        As the records have them, with ``records``: the files, or the names of records without a file.
+    """
+    findings: dict[str, Finding] = {}
+    names: dict[str, dict[str, None]] = {}
+    for experiment in experiments:
+        for finding in experiment.findings:
+            key = json.dumps([finding.code, finding.subject, dict(finding.values)], default=str)
+            findings.setdefault(key, finding)
+            names.setdefault(key, {})[experiment.source or experiment.name] = None
+    return tuple(replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
+
+
+def number_unnamed_records(experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """The records, those that nobody named as ``record 1``, ``record 2``, by their place in the list."""
+    return tuple(
+        _with_sampling_time(replace(e, name=f"record {number}"), e.sampling_time) if e.name == UNNAMED else e
+        for number, e in enumerate(experiments, 1)
+    )
+
+
+def _restore(values: Mapping[str, Any], sampling_time: float | None) -> Experiment:
+    return _with_sampling_time(Experiment(**values), sampling_time)
+
+
+def _with_sampling_time(experiment: Experiment, sampling_time: float | None) -> Experiment:
+    # The whole record knows the step better than a part of it, and equal steps make equal discrete models.
+    object.__setattr__(experiment, "sampling_time", sampling_time)
+    return experiment
+
+
+def _to_read_only(what: str, values: ArrayLike, problems: list[str], rows: int | None = None) -> np.ndarray:
+    """A read-only copy (N,) in float64, or the array itself if it is one; what is wrong with it is added to ``problems``."""
+    given = np.asarray(values)
+    owned = given.flags.owndata and not given.flags.writeable and given.dtype == np.float64
+    try:
+        # Text and complex numbers would be converted by numpy, the latter by dropping half of them.
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"its type is {given.dtype}")
+        array = given if owned else np.array(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        problems.append(f"{what} does not hold real numbers: {error}")
+        return np.zeros(0)
+    if array.ndim != 1:
+        problems.append(f"{what} has shape {array.shape}; give one number for each row, shape (N,)")
+    elif rows is not None and len(array) != rows:
+        problems.append(f"{what} has {len(array)} rows, time has {rows}; each signal needs one value for each time")
+    array.setflags(write=False)
+    return array
+
+
+def _compute_fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> str:
+    """16 hex digits of the SHA-256 over names and values, whatever the order of the signals."""
+    digest = hashlib.sha256()
+    for kind, signals in (("time", {"time": time}), ("input", inputs), ("output", outputs)):
+        for name, values in sorted(signals.items()):
+            digest.update(f"{kind} {name} {len(values)}\n".encode())
+            # One bit pattern for every NaN and for both zeros, the same on every machine.
+            digest.update((np.where(np.isnan(values), np.nan, values) + 0.0).astype("<f8").tobytes())
+    return digest.hexdigest()[:16]
+
+
+# Gaps in the time of a record that nothing may be simulated through.
+#
+# In a gap nobody knows the input: it is taken to continue. That does little harm over a few rows, or where the drive rests.
+# A simulation through a long gap of a moving input answers an input that was never there, so that whatever follows the gap
+# contradicts the model. Such a record is two records (`Experiment.split_at_time_gaps`). The same holds where the equations are
+# integrated in steps, whatever the input does: every interval of a record takes as many of them as its longest.
+
+SPLIT_REMEDY = "split the record there with split_at_time_gaps() (shell: --split-holes)"
+
+
+class UnknownInputGap(NamedTuple):
+    """A gap from ``start`` to ``stop`` (s) of ``rows`` missing rows; ``change`` of the input in it, over its standard deviation."""
+
+    start: float
+    stop: float
+    rows: int
+    name: str
+    change: float
+
+
+def refuse_unknown_input(records: Iterable[Experiment], policy: RecordPolicy = RECORD_POLICY) -> None:
+    """Raise DataError for a record with a long gap in which an input moves on, unknown; it names the longest."""
+    for record in records:
+        gaps = _find_unknown_input(record, policy)
+        if gaps:
+            worst = max(gaps, key=lambda gap: gap.rows)
+            more = f" (and {len(gaps) - 1} more)" if len(gaps) > 1 else ""
+            reason = (
+                f"{worst.rows} rows are missing, and over such a time input {worst.name!r} changes by {worst.change:.2g} times its"
+                " standard deviation, so that a simulation through the gap is meaningless"
+            )
+            remedy = f"{SPLIT_REMEDY}, or fill in the missing rows of the input and leave the outputs empty"
+            _refuse_gap(record, worst.start, worst.stop, more, f"{reason}; {remedy}")
+
+
+def refuse_long_time_gaps(records: Iterable[Experiment], policy: RecordPolicy = RECORD_POLICY) -> None:
+    """Raise DataError for a record with a long gap: of a model that is integrated in steps."""
+    for record in records:
+        longest = max(_find_long_gaps(record, policy), key=lambda gap: gap[1], default=None)
+        if longest:
+            k, rows = longest
+            reason = (
+                f"{rows} rows are missing, and a model that is integrated in steps takes as many of them in every interval as in the"
+                " longest"
+            )
+            _refuse_gap(record, float(record.time[k]), float(record.time[k + 1]), "", f"{reason}; {SPLIT_REMEDY}")
+
+
+def _refuse_gap(record: Experiment, start: float, stop: float, more: str, reason: str) -> None:
+    raise_problems(f"experiment {record.name!r}", [f"time has a gap from {start:.6g} to {stop:.6g} s{more}: {reason}"])
+
+
+def _find_long_gaps(record: Experiment, policy: RecordPolicy) -> list[tuple[int, int]]:
+    """Each long gap of ``record``: the row before it, and how many rows are missing."""
+    usual = float(np.median(np.diff(record.time)))
+    gaps = find_time_gaps(record.time, policy)
+    missing = [(int(k), round(float(record.time[k + 1] - record.time[k]) / usual) - 1) for k in gaps]
+    return [(k, rows) for k, rows in missing if rows >= policy.long_gap_rows]
+
+
+def _find_unknown_input(record: Experiment, policy: RecordPolicy) -> list[UnknownInputGap]:
+    """The gaps of ``record`` through which no simulation means anything."""
+    after, near = find_time_gaps(record.time, policy), policy.neighbourhood_rows
+    unknown = []
+    for k, rows in _find_long_gaps(record, policy):
+        around = slice(max(0, k + 1 - near), k + 1 + near)
+        moving = {name: u for name, u in record.inputs.items() if not is_constant(u[around])}
+        changes = {name: _measure_change(u, after, k, rows, policy.lags_tried) for name, u in moving.items()}
+        worst = max(changes, key=lambda name: changes[name], default="")
+        if worst and changes[worst] >= policy.lost_input_change:
+            start, stop = float(record.time[k]), float(record.time[k + 1])
+            unknown.append(UnknownInputGap(start, stop, rows, worst, changes[worst]))
+    return unknown
+
+
+def _measure_change(u: np.ndarray, after: np.ndarray, k: int, rows: int, lags_tried: int) -> float:
+    """How much the input ``u`` (N,) changes in a gap of ``rows`` rows after row ``k``, in its standard deviations.
+
+    The larger of what it does elsewhere in up to as many rows (rms, no pair is across a gap) and of the jump across this one.
+    """
+    pieces = np.split(u, after + 1)
+    lags = np.unique(np.geomspace(1, rows, lags_tried).astype(int))
+    changes = [np.concatenate([p[lag:] - p[:-lag] for p in pieces if len(p) > lag] or [[]]) for lag in lags]
+    elsewhere = max((float(np.sqrt(np.mean(m**2))) for m in changes if len(m)), default=0.0)
+    return max(elsewhere, float(abs(u[k + 1] - u[k]))) / float(np.std(u))

@@ -1,0 +1,53 @@
+"""What there is to know about a record, as codes; `greybox.show.sentences.data` holds the sentences."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+from greybox.base.findings import Finding
+
+
+class RecordCode(StrEnum):
+    """What can be found in a record."""
+
+    INPUT_CONSTANT = "input_constant"
+    OUTPUT_CONSTANT = "output_constant"
+    OUTPUT_GAPS = "output_gaps"
+    OUTPUT_UNWRAPPED = "output_unwrapped"
+    SENSOR_FROZEN = "sensor_frozen"
+    SENSOR_DEAD = "sensor_dead"
+    SENSOR_SPIKES = "sensor_spikes"
+    SENSOR_SATURATED = "sensor_saturated"
+    TIME_ROUNDED = "time_rounded"
+    TIME_GAP = "time_gap"
+    TIME_ROWS_MISSING = "time_rows_missing"
+    TIME_IRREGULAR = "time_irregular"
+    INPUT_HELD_THROUGH_GAP = "input_held_through_gap"
+    PIECES_LEFT_OUT = "pieces_left_out"
+    OUTPUT_NOT_MEASURED = "output_not_measured"
+    UNITS_ASSUMED = "units_assumed"
+    COLUMNS_IGNORED = "columns_ignored"
+    CONDITION_READ = "condition_read"
+    ONE_OF_RUNS = "one_of_runs"
+    RESAMPLED = "record_resampled"
+    NO_TIME = "no_time"
+    TIME_UNUSABLE = "time_unusable"
+    BROUGHT_TO_ONE_TIME = "brought_to_one_time"
+    CLOCK_OFFSET = "clock_offset"
+    CLOCK_OFFSET_BY_RECORDER = "clock_offset_by_recorder"
+    CLOCK_START = "clock_start"
+    CLOCKS_NOT_COMPARED = "clocks_not_compared"
+    ALSO_FITTED = "record_also_fitted"
+
+
+SENSOR_FAULTS = frozenset(
+    {RecordCode.SENSOR_FROZEN, RecordCode.SENSOR_DEAD, RecordCode.SENSOR_SPIKES, RecordCode.SENSOR_SATURATED}
+)
+TIMING = frozenset(
+    {RecordCode.TIME_ROUNDED, RecordCode.TIME_GAP, RecordCode.TIME_ROWS_MISSING, RecordCode.TIME_IRREGULAR}
+)
+
+
+def is_sensor_fault(finding: Finding) -> bool:
+    """Whether a finding casts doubt on the measurement itself: then nothing else explains a bad fit better."""
+    return finding.code in SENSOR_FAULTS

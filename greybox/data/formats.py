@@ -1,0 +1,206 @@
+"""The kinds of files that records are read from, and what every one of them is guarded against.
+
+A further format is one more `FileFormat`: a function that opens a file as a table of named columns. Its library is imported
+when a file of the kind is opened, and belongs to an extra of the package where it is not needed otherwise.
+"""
+
+from __future__ import annotations
+
+import difflib
+import logging
+import os
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.base.errors import DataError, GreyboxError, shorten
+from greybox.base.findings import Finding
+from greybox.data.channels import ChannelTable
+from greybox.data.columns import DataTable, check_size, raise_limit
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.problems import enumerate_first
+from greybox.data.text_table import read_text
+from greybox.data.time_base import Samples
+from greybox.extensions.formats.excel_file import read_excel
+from greybox.extensions.formats.hdf5_file import read_hdf5_file
+from greybox.extensions.formats.mat_file import read_mat
+from greybox.extensions.formats.mdf_file import read_mdf
+from greybox.extensions.formats.parquet_file import read_npz, read_parquet
+from greybox.extensions.formats.ros_file import read_bag, read_mcap, read_ros2_database
+from greybox.extensions.formats.tdms_file import read_tdms
+
+
+@dataclass(frozen=True)
+class FileFormat:
+    """One kind of file.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    suffixes
+        Endings of its files, in small letters.
+    open
+        Opens a file as a table; any exception of its library may come out.
+    packages
+        Package -> extra of this one that installs it, where one may be missing.
+    remedy
+        What to do about a file that is damaged.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    open: Callable[[Path, ReadingPolicy], DataTable]
+    remedy: str
+    packages: tuple[tuple[str, str], ...] = ()
+
+
+FORMATS = (
+    FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8"),
+    FileFormat("MATLAB", (".mat",), read_mat, "save it again with '-v7', or export it as CSV", (("h5py", "hdf5"),)),
+    FileFormat(".npz", (".npz",), read_npz, "write it with numpy.savez(file, time=..., u=...)"),
+    FileFormat(
+        "Parquet",
+        (".parquet",),
+        read_parquet,
+        "write it again, or export the record as CSV",
+        (("pyarrow", "parquet"),),
+    ),
+    FileFormat("MDF", (".mf4", ".mdf"), read_mdf, "export it as CSV", (("asammdf", "mdf"),)),
+    FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),)),
+    FileFormat("HDF5", (".h5", ".hdf5", ".hdf"), read_hdf5_file, "export it as CSV", (("h5py", "hdf5"),)),
+    FileFormat("ROS 1", (".bag",), read_bag, "repair it with rosbag reindex", (("rosbags", "ros"),)),
+    FileFormat("MCAP", (".mcap",), read_mcap, "repair it with mcap recover", (("mcap", "ros"), ("rosbags", "ros"))),
+    FileFormat("ROS 2", (".db3",), read_ros2_database, "repair it with ros2 bag reindex", (("rosbags", "ros"),)),
+    FileFormat("Excel", (".xlsx", ".xlsm"), read_excel, "save the sheet as CSV", (("openpyxl", "excel"),)),
+)
+"""The formats, in the order in which messages list them."""
+
+SUFFIXES = tuple(suffix for kind in FORMATS for suffix in kind.suffixes)
+"""Endings of the files that can be read."""
+
+
+class ColumnValues(NamedTuple):
+    """Position -> column, the problems met, and what is to be said of clocks and rates."""
+
+    arrays: dict[int, np.ndarray]
+    problems: list[str]
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class RecordFile:
+    """A file that is there, opened as a table."""
+
+    path: Path
+    kind: FileFormat
+    table: DataTable = field(repr=False)
+
+    def values(self, positions: Sequence[int]) -> ColumnValues:
+        """Columns (N,) as float64 with NaN for gaps. Raises DataError for a damaged file."""
+        with _guarded(self.path, self.kind):
+            return ColumnValues(*self.table.values(positions))
+
+    def load_channel(self, index: int) -> Samples:
+        """The samples of one channel of a file whose signals have stamps of their own. Raises DataError for a damaged file."""
+        table = self.table
+        assert isinstance(table, ChannelTable)
+        with _guarded(self.path, self.kind):
+            check_size(2 * table.channels[index].rows, 1, table.policy)
+            return table.load([index])[index]
+
+
+def open_record_file(
+    path: str | os.PathLike[str], *, names: Sequence[str] | None = None, policy: ReadingPolicy = READING_POLICY
+) -> RecordFile:
+    """Open a file of any known kind.
+
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        Names of its columns in their order, in the place of its own; ``-`` for a column that is not wanted.
+    policy
+        How large it may be.
+
+    Raises
+    ------
+    DataError
+        For a file that is missing (with the nearest names), of no known kind, empty, too large or damaged.
+    """
+    file = _find_file(Path(path))
+    size = file.stat().st_size
+    if not size:
+        raise DataError(f"{file.name}: the file is empty; it needs a header line and rows of numbers")
+    if size > policy.largest_file:
+        raise DataError(
+            f"{file.name}: {size / 1e6:.0f} MB, files of at most {policy.largest_file / 1e6:.0f} MB are read; cut the record, or raise"
+            f" the limit {raise_limit('largest_file')}"
+        )
+    kind = next(kind for kind in FORMATS if file.suffix.lower() in kind.suffixes)
+    with _guarded(file, kind):
+        table = kind.open(file, policy)
+        if names is not None:
+            table = table.rename(["" if name.strip() == "-" else name.strip() for name in names])
+        return RecordFile(file, kind, table)
+
+
+@contextmanager
+def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
+    """Whatever the library of a format raises, warns or logs becomes one sentence with the name of the file."""
+    level = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    except GreyboxError as error:
+        text = str(error)
+        raise DataError(text if text.startswith(f"{file.name}: ") else f"{file.name}: {text}") from error
+    except ModuleNotFoundError as error:
+        for package, extra in kind.packages:
+            if package == (error.name or "").partition(".")[0]:
+                raise DataError(
+                    f"{file.name}: reading it needs the package {package}; install it with: pip install 'greybox-sysid[{extra}]', or"
+                    " export the record as CSV"
+                ) from error
+        raise
+    except PermissionError as error:
+        raise DataError(f"{file}: cannot be read ({error.strerror})") from error
+    except MemoryError as error:
+        raise DataError(f"{file.name}: not enough memory to read it, or it is damaged; {kind.remedy}") from error
+    except Exception as error:  # of a library, on bytes that it did not expect
+        reason = shorten(str(error), 120) or type(error).__name__
+        raise DataError(f"{file.name}: not a readable {kind.name} file ({reason}); {kind.remedy}") from error
+    finally:
+        logging.disable(level)
+
+
+def _find_file(file: Path) -> Path:
+    if file.is_dir():
+        raise DataError(f"{file} is a folder; give a file in it ({', '.join(SUFFIXES)})")
+    if file.exists() and not file.is_file():
+        raise DataError(f"{file} is a pipe or a device; write what comes out of it to a file, and give that")
+    if file.suffix.lower() not in SUFFIXES and file.is_file():
+        raise DataError(
+            f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
+            f" export it as one of {', '.join(SUFFIXES)}"
+        )
+    if file.is_file():
+        return file
+    if not file.parent.is_dir():
+        raise DataError(f"{file}: file not found, there is no folder {str(file.parent)!r}")
+    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    close = difflib.get_close_matches(file.name, beside, n=3, cutoff=0.5)
+    remedy = (
+        f"did you mean {' or '.join(map(repr, close))}?"
+        if close
+        else f"records there: {enumerate_first(beside[:8], len(beside)) or 'none'}"
+    )
+    raise DataError(f"{file}: file not found; {remedy}")

@@ -1,0 +1,29 @@
+"""How large the noise of each sensor is, what colour it has, and where that is known from."""
+
+from greybox.data.noise.noise_model import (
+    AutoRegression,
+    BoundDirection,
+    NoiseBound,
+    NoiseModel,
+    NoiseSource,
+    fit_autoregression,
+    join_series,
+)
+from greybox.data.noise.noise_sources import estimate_noise
+from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.data.noise.spectrum import estimate_noise_from_differences, estimate_noise_of_records
+
+__all__ = [
+    "NOISE_POLICY",
+    "AutoRegression",
+    "BoundDirection",
+    "NoiseBound",
+    "NoiseModel",
+    "NoisePolicy",
+    "NoiseSource",
+    "estimate_noise",
+    "estimate_noise_from_differences",
+    "estimate_noise_of_records",
+    "fit_autoregression",
+    "join_series",
+]

@@ -1,0 +1,326 @@
+"""Noise of each output from the most trustworthy source there is.
+
+Given, a quiet record, repetition, the flat pieces of a record, the spectrum of what no linear response explains, differences. Never the
+residual of a model that may lack something: it would call noise what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import (
+    WHITE,
+    AutoRegression,
+    BoundDirection,
+    NoiseBound,
+    NoiseModel,
+    NoiseSource,
+    fit_autoregression,
+    join_series,
+)
+from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.data.noise.repeats import (
+    deviations_between_periods,
+    deviations_between_repeats,
+    estimate_resolution,
+    find_flat_pieces,
+)
+from greybox.data.noise.spectrum import (
+    LeftoverSpectrum,
+    estimate_noise_of_records,
+    estimate_spread,
+    leftover_spectrum,
+    spectral_level,
+)
+from greybox.data.problems import is_constant
+from greybox.data.sampling import find_time_gaps
+from greybox.model.model import Model
+
+
+@dataclass(frozen=True)
+class _Level:
+    std: float
+    source: NoiseSource
+    colour: AutoRegression = WHITE
+    direction: BoundDirection | None = None
+    samples: float = np.inf
+    weight: float = np.inf
+    """Standard deviation to weigh with, where the level is only a ceiling and the noise most likely smaller."""
+
+    def to_bound(self, period: float) -> NoiseBound:
+        """What it says, with samples ``period`` apart in s."""
+        shows_colour = self.source not in (NoiseSource.GIVEN, NoiseSource.DIFFERENCES, NoiseSource.RESIDUAL)
+        direction = self.direction or self.source.direction
+        known = self.colour.order > 0 or (shows_colour and direction is BoundDirection.ABOUT)
+        time = period * self.colour.memory if known else None
+        return NoiseBound(self.std, direction, self.source, time, float(1 / np.sqrt(2 * self.samples)))
+
+
+def estimate_noise(
+    model: Model,
+    experiments: Sequence[Experiment],
+    given: Mapping[str, float],
+    quiet: Experiment | Sequence[Experiment] = (),
+    *,
+    robust: bool = False,
+    alike: bool = True,
+    policy: NoisePolicy = NOISE_POLICY,
+) -> NoiseModel:
+    """Noise of each output: as given, else from quiet records, from repetition, or from differences.
+
+    Repetition is looked for in the experiments themselves: a periodic input, or several experiments with the same input.
+
+    Parameters
+    ----------
+    model
+        Its outputs are the sensors.
+    experiments
+        The records that are to be fitted.
+    given
+        Standard deviations by output, in the model's units.
+    quiet
+        Records with the input at rest; they also show the colour, of given noise as well.
+    robust
+        Estimates that a few outliers do not move.
+    alike
+        Whether experiments with the same input repeat one another; not where they have constants of their own.
+    policy
+        When a record is quiet, when inputs are the same, how high the order of the colour may be.
+
+    Returns
+    -------
+    NoiseModel
+        Level, source and colour of each output.
+
+    Raises
+    ------
+    ModelError
+        For noise of an unknown output.
+    DataError
+        For a quiet record whose input moves, or that lacks an output it should show.
+    """
+    quiet_records = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
+    check_given_noise(model, given)
+    _check_quiet(model, experiments, quiet_records, policy)
+    levels: dict[str, _Level] = {}
+    std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
+    for j, output in enumerate(model.outputs):
+        columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
+        if any(np.isfinite(c).any() for c in columns):
+            level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
+            std[j], colour[j] = min(level.std, level.weight), level.colour
+            levels[output.name] = level
+    for name in _find_silent_outputs(levels, experiments):
+        del levels[name]
+    sources = {name: level.source for name, level in levels.items()}
+    known = all(source.is_independent for source in sources.values())
+    period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
+    bounds = {name: level.to_bound(period) for name, level in levels.items()}
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds)
+
+
+def _estimate_level(
+    model: Model,
+    experiments: Sequence[Experiment],
+    quiet: Sequence[Experiment],
+    name: str,
+    given: Mapping[str, float],
+    robust: bool,
+    alike: bool,
+    policy: NoisePolicy,
+) -> _Level:
+    inputs = [i.name for i in model.inputs]
+    at_rest = [
+        e.outputs[name] - np.nanmean(e.outputs[name]) for e in quiet if np.isfinite(e.outputs.get(name, np.nan)).any()
+    ]
+    colour = WHITE
+    if at_rest:
+        series = join_series(at_rest)
+        if _have_same_pace(experiments, quiet, policy):
+            colour = fit_autoregression(series, policy=policy)
+        samples = int(np.isfinite(series).sum())
+        if name not in given and samples >= policy.quiet_min_samples and not is_constant(series):
+            return _Level(estimate_spread(series, robust=robust), NoiseSource.QUIET_RECORD, colour, samples=samples)
+    if name in given:
+        return _Level(given[name], NoiseSource.GIVEN, colour)
+    measured = [e for e in experiments if name in e.outputs]
+    columns = [e.outputs[name] for e in measured]
+    movement = float(np.nanstd(np.concatenate(columns))) or float(np.nanmax(np.abs(np.concatenate(columns)))) or 1.0
+    rounding = estimate_resolution(columns, policy) / np.sqrt(12)
+    level = (
+        _repeated_level(experiments, name, inputs, robust, alike, policy)
+        or _level_of_records(measured, name, inputs, robust, policy)
+        or _Level(movement, NoiseSource.RESIDUAL)
+    )
+    least = policy.min_relative_level * movement
+    if max(level.std, rounding) < least:
+        return replace(level, std=least, direction=BoundDirection.AT_MOST, weight=max(level.weight, least))
+    return replace(level, std=max(level.std, rounding), weight=max(level.weight, rounding, least))
+
+
+def _level_of_records(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise from flat pieces or from the plant in motion; of two ceilings the lower one.
+
+    A fit weighs with what differences show where that is less than the ceiling: of white noise on a slow signal they show it closely.
+    """
+    flat = _flat_level(experiments, name, inputs, robust, policy)
+    moving = _moving_level(experiments, name, inputs, robust, policy)
+    levels = [level for level in (flat, moving) if level is not None]
+    if not levels:
+        return None
+    ceiling = min(level.std for level in levels)
+    about = [
+        level
+        for level in levels
+        if level.direction is BoundDirection.ABOUT and level.std <= policy.about_ratio * ceiling
+    ]
+    if about:
+        return about[0]
+    lowest = min(levels, key=lambda level: level.std)
+    # The signal jumps across a gap in time: no difference may reach over it.
+    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE)
+    return replace(at_most, weight=differences) if np.isfinite(differences) else at_most
+
+
+def _repeated_level(
+    experiments: Sequence[Experiment],
+    name: str,
+    inputs: Sequence[str],
+    robust: bool,
+    alike: bool,
+    policy: NoisePolicy,
+) -> _Level | None:
+    """The noise from periods of a periodic input, or from experiments with the same input."""
+    periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs, policy))]
+    repeats = deviations_between_repeats(experiments, name, inputs, policy) if alike else []
+    for source, sets in (NoiseSource.REPEATED_PERIODS, periods), (NoiseSource.REPEATED_EXPERIMENTS, repeats):
+        if sets and estimate_spread(series := join_series([d for each in sets for d in each])) > 0:
+            # K repeats less their mean hold the information of K - 1.
+            copies = sum(map(len, sets)) / sum(len(each) - 1 for each in sets)
+            colour = fit_autoregression(series, copies=copies, policy=policy)
+            samples = np.isfinite(series).sum() / copies
+            return _Level(estimate_spread(series, robust=robust), source, colour, samples=samples)
+    return None
+
+
+def _flat_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise from the flat pieces of the records, no larger than what their spectra allow."""
+    flat = find_flat_pieces(experiments, name, inputs, policy)
+    if flat is None:
+        return None
+    series = join_series(flat.pieces)
+    samples = int(np.isfinite(series).sum())
+    if not flat.agree:
+        return _Level(flat.most, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
+    colour = fit_autoregression(series, policy=policy)
+    if colour.memory > policy.longest_memory:
+        # What remembers for longer moves: the pieces had not settled, or something drifts.
+        return _Level(flat.std, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
+    level = max(estimate_spread(series, robust=True), flat.std) if robust else flat.std
+    return _Level(level, NoiseSource.FLAT_PIECES, colour, BoundDirection.ABOUT, samples)
+
+
+def _moving_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+) -> _Level | None:
+    """The noise while the plant moves: from what is left of the spectrum, or from differences where records are short or broken."""
+    spectra = [] if robust else _leftover_spectra(experiments, name, inputs, policy)
+    if spectra:
+        level = spectral_level(spectra, policy)
+        if level.is_noise:
+            return _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
+        return _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
+    # The signal jumps across a gap in time: no difference may reach over it.
+    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    return _Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None
+
+
+def _leftover_spectra(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], policy: NoisePolicy
+) -> list[LeftoverSpectrum]:
+    """What no linear response explains, in every stretch of evenly sampled rows without a gap that is long enough."""
+    spectra = []
+    for record in experiments:
+        values = record.outputs[name]
+        if is_constant(values):
+            continue
+        driven = np.column_stack([record.inputs[n] for n in inputs]) if inputs else np.zeros((record.rows, 0))
+        missing = ~np.isfinite(values)
+        breaks = np.union1d(find_time_gaps(record.time) + 1, np.flatnonzero(np.diff(missing.astype(int))) + 1)
+        if not record.regular and not len(find_time_gaps(record.time)):
+            continue
+        edges = np.concatenate([[0], breaks, [record.rows]]).astype(int)
+        for start, stop in pairwise(edges):
+            if missing[start]:
+                continue
+            spectrum = leftover_spectrum(driven[start:stop], values[start:stop], policy)
+            if spectrum is not None:
+                spectra.append(spectrum)
+    return spectra
+
+
+def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> list[str]:
+    """Outputs that read the same in every row while another one moves, and whose noise nobody gave: nothing shows it.
+
+    A handful of samples may be equal by chance; those have the residual of the fit as their source.
+    """
+    columns = {name: [e.outputs[name] for e in experiments if name in e.outputs] for name in levels}
+    resting = [name for name, each in columns.items() if all(map(is_constant, each))]
+    if len(resting) == len(levels):
+        return []
+    return [name for name in resting if levels[name].source in (NoiseSource.SPECTRUM, NoiseSource.DIFFERENCES)]
+
+
+def check_given_noise(model: Model, given: Mapping[str, float]) -> None:
+    """Refuse noise of an output that the model has not, and what is no standard deviation. Raises ModelError."""
+    names = [o.name for o in model.outputs]
+    if not isinstance(given, Mapping):
+        raise ModelError(
+            f"noise: {given!r} is not assigned to an output; give a standard deviation for each, as in {{{names[0]!r}: 1e-6}}"
+        )
+    for name, value in given.items():
+        if name not in names:
+            raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, names)}")
+        if not (np.isfinite(value) and value > 0):
+            unit = model.outputs[names.index(name)].unit
+            raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {unit}")
+
+
+def _check_quiet(
+    model: Model, experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy
+) -> None:
+    for record in quiet:
+        for signal in model.inputs:
+            if signal.name not in record.inputs:
+                raise DataError(
+                    f"quiet record {record.name!r} has no input {signal.name!r}; {nearest(signal.name, record.inputs)}"
+                )
+            moved = float(np.ptp(record.inputs[signal.name]))
+            range_of = max((float(np.ptp(e.inputs[signal.name])) for e in experiments), default=0.0)
+            if moved > policy.quiet_input_share * range_of:
+                raise DataError(
+                    f"quiet record {record.name!r}: input {signal.name!r} moves by {moved:.4g} {signal.unit}, and by {range_of:.4g}"
+                    f" {signal.unit} in the estimation records; give a record with the input at rest"
+                )
+        if not any(o.name in record.outputs for o in model.outputs):
+            raise DataError(
+                f"quiet record {record.name!r} has none of the model's outputs; it needs the columns of the estimation records"
+            )
+
+
+def _have_same_pace(experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy) -> bool:
+    paces = [float(np.median(e.intervals)) for e in (*experiments, *quiet)]
+    return max(paces) - min(paces) <= policy.same_pace * max(paces)

@@ -1,0 +1,232 @@
+"""The noise of a sensor from one record of any input: what no smooth frequency response explains.
+
+A linear plant answers in the frequency domain with ``Y = G U + T``, where ``G`` is its frequency response and ``T`` the transient
+of the record's ends, both smooth over frequency. Over a few neighbouring frequencies both are polynomials; what these do not
+explain is noise, and what the plant does nonlinearly (the local polynomial method: Pintelon, Schoukens 2012, System
+identification: a frequency domain approach, chapter 7). So the result is never less than the noise, however fast the signal is.
+
+What is left is noise alone where it has the spectrum of a sensor: flat, or that of one time constant. Such a band is looked for from
+the highest frequency down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import chdtri
+
+from greybox.base.numerics import MAD_TO_STD
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.data.problems import is_constant
+
+
+@dataclass(frozen=True)
+class LeftoverSpectrum:
+    """Power that a smooth frequency response leaves, in bands of frequency from low to high.
+
+    Parameters
+    ----------
+    frequency : array (m,)
+        Middle of each band in radians per sample, 0 to pi.
+    power : array (m,)
+        Variance per sample of white noise with this power: its mean over all frequencies is the variance of the rest.
+    freedom : array (m,)
+        Degrees of freedom of each.
+    measured : array (m,)
+        Power of the output itself, in the same unit.
+    """
+
+    frequency: np.ndarray
+    power: np.ndarray
+    freedom: np.ndarray
+    measured: np.ndarray
+
+
+@dataclass(frozen=True)
+class SpectralLevel:
+    """The noise that a `LeftoverSpectrum` shows.
+
+    Parameters
+    ----------
+    std
+        Standard deviation.
+    most
+        What it does not exceed.
+    is_noise
+        Whether a band has the spectrum of a sensor's noise; otherwise the level is one that the noise does not exceed.
+    correlation
+        From sample to sample.
+    freedom
+        Degrees of freedom of the level.
+    """
+
+    std: float
+    most: float
+    is_noise: bool
+    correlation: float
+    freedom: float
+
+    @property
+    def colour(self) -> AutoRegression:
+        """The noise as an autoregression of first order, or white."""
+        return AutoRegression((self.correlation,)) if self.correlation else AutoRegression()
+
+
+def leftover_spectrum(
+    inputs: np.ndarray, output: np.ndarray, policy: NoisePolicy = NOISE_POLICY
+) -> LeftoverSpectrum | None:
+    """What a smooth frequency response from ``inputs`` (N, nu) leaves of ``output`` (N,); None for a record that is too short."""
+    rows = len(output)
+    moving = inputs[:, np.ptp(inputs, axis=0) > 0] if rows else inputs
+    order = policy.response_order + 1
+    unknowns = order * (moving.shape[1] + 1)
+    width = unknowns + policy.free_frequencies
+    y = np.fft.rfft(output - output.mean())[1:] / np.sqrt(rows)
+    u = np.fft.rfft(moving - moving.mean(axis=0), axis=0)[1:] / np.sqrt(rows)
+    blocks = len(y) // width
+    if blocks < policy.fewest_bands:
+        return None
+    edges = np.linspace(0, len(y), blocks + 1).astype(int)
+    position, power, freedom, measured = [], [], [], []
+    for start, end in pairwise(edges):
+        away = np.linspace(-1.0, 1.0, end - start)
+        shape = away[:, None] ** np.arange(order)
+        response = (u[start:end, :, None] * shape[:, None, :]).reshape(end - start, -1)
+        basis = np.hstack([shape.astype(complex), response])
+        scale = np.linalg.norm(basis, axis=0)
+        basis = basis[:, scale > 0] / scale[scale > 0]
+        left, singular, _ = np.linalg.svd(basis, full_matrices=False)
+        left = left[:, singular > policy.same_response * singular[0]]
+        rest = y[start:end] - left @ (left.conj().T @ y[start:end])
+        free = end - start - left.shape[1]
+        position.append(np.pi * (start + end + 1) / 2 / len(y))
+        power.append(float(np.sum(np.abs(rest) ** 2)) / free)
+        freedom.append(2 * free)
+        measured.append(float(np.mean(np.abs(y[start:end]) ** 2)))
+    columns = (np.array(each, float) for each in (position, power, freedom, measured))
+    return _join_bands(LeftoverSpectrum(*columns), policy.most_bands)
+
+
+def spectral_level(spectra: list[LeftoverSpectrum], policy: NoisePolicy = NOISE_POLICY) -> SpectralLevel:
+    """The noise of a sensor from what is left of its records."""
+    frequency, power, freedom, measured = (
+        np.concatenate([getattr(s, name) for s in spectra]) for name in ("frequency", "power", "freedom", "measured")
+    )
+    without_signal = measured <= policy.signal_share * power
+    most = _most_of_a_sensor(frequency, power, freedom, policy)
+    for begin in policy.noise_band_begins:
+        band = frequency >= begin * np.pi
+        level = _fit_sensor(frequency[band], power[band], freedom[band], policy)
+        if level is not None and level.is_noise and without_signal[band].all():
+            return level
+        if level is not None:
+            most = min(most, level.most)
+    return SpectralLevel(most, most, False, 0.0, float(freedom.sum()))
+
+
+def _join_bands(spectrum: LeftoverSpectrum, most: int) -> LeftoverSpectrum:
+    """The same in at most ``most`` bands, each the mean of neighbours."""
+    groups = np.array_split(np.arange(len(spectrum.power)), min(len(spectrum.power), most))
+    weights = [spectrum.freedom[g] for g in groups]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.array([np.average(values[g], weights=w) for g, w in zip(groups, weights, strict=True)])
+
+    total = np.array([w.sum() for w in weights])
+    return LeftoverSpectrum(mean(spectrum.frequency), mean(spectrum.power), total, mean(spectrum.measured))
+
+
+def sensor_shape(frequency: np.ndarray, correlation: float) -> np.ndarray:
+    """Spectrum of an autoregression of first order with variance one, whose mean over all frequencies is one."""
+    return (1 - correlation**2) / np.abs(1 - correlation * np.exp(-1j * frequency)) ** 2
+
+
+def _fit_sensor(
+    frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy
+) -> SpectralLevel | None:
+    """The noise with the spectrum of a sensor that explains these bands; None where it does not, by more than chance."""
+    if len(power) < policy.fewest_noise_bands or not (power > 0).all():
+        return None
+    correlations = np.linspace(0.0, policy.longest_correlation, policy.correlation_steps)
+    shares = power / np.array([sensor_shape(frequency, c) for c in correlations])
+    variances = shares @ freedom / freedom.sum()
+    ratios = shares / variances[:, None]
+    # Whittle's likelihood of means of freedom / 2 exponential periodograms
+    deviances = (ratios - 1 - np.log(ratios)) @ freedom
+    best = int(np.argmin(deviances))
+    if deviances[best] > chdtri(len(power) - 1, policy.noise_band_chance):
+        return None
+    likely = deviances <= deviances[best] + policy.colour_gain
+    chosen = 0 if likely[0] else best
+    levels = np.sqrt(variances)
+    chance = 1 + policy.spectral_deviations / np.sqrt(2 * freedom.sum())
+    high, low = levels[likely].max() * chance, levels[likely].min() / chance
+    is_noise = bool(high <= policy.about_ratio * low)
+    return SpectralLevel(
+        float(levels[chosen]), float(high), is_noise, float(correlations[chosen]), float(freedom.sum())
+    )
+
+
+def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy) -> float:
+    """The largest standard deviation of a sensor whose spectrum nowhere exceeds what is left."""
+    # The lowest of many bands is low by chance: each counts as what one of them hardly ever falls short of.
+    power = power * freedom / chdtri(freedom, 1 - policy.lowest_band_chance / len(power))
+    correlations = np.linspace(0.0, policy.longest_correlation, policy.correlation_steps)
+    most = max(float(np.min(power / sensor_shape(frequency, c))) for c in correlations)
+    return float(np.sqrt(most))
+
+
+# The noise level of a sensor from the record itself, where it is not given.
+
+
+def estimate_noise_from_differences(
+    values: np.ndarray, *, robust: bool = False, policy: NoisePolicy = NOISE_POLICY
+) -> float:
+    """Standard deviation of white noise on a sampled signal, from its high-order differences.
+
+    The difference of order ``d`` has variance ``binomial(2 d, d) sigma^2`` for white noise, and little left of a smooth signal. An
+    upper estimate where the signal itself moves from sample to sample; too low where the noise is coloured. ``values`` (N,)
+    may contain NaN (differences that touch a gap are left out). ``robust`` takes the median of the differences' sizes, which a few
+    outliers do not move (each of them is in ``d + 1`` differences). Returns NaN with fewer than ten usable differences.
+    """
+    estimates = []
+    variance, difference = 1.0, np.asarray(values, float)
+    for order in range(1, policy.max_difference_order + 1):
+        difference = np.diff(difference)
+        variance *= 2 * (2 * order - 1) / order
+        usable = difference[np.isfinite(difference)]
+        if len(usable) >= policy.min_differences:
+            estimates.append(estimate_spread(usable, robust=robust) / float(np.sqrt(variance)))
+    return min(estimates, default=float("nan"))
+
+
+def estimate_noise_of_records(
+    records: Iterable[np.ndarray], *, robust: bool = False, policy: NoisePolicy = NOISE_POLICY
+) -> float:
+    """`estimate_noise_from_differences` over several records of one sensor, pooled by their number of samples.
+
+    A record in which the sensor does not move at all tells nothing of its noise, and is left out if there are others.
+    """
+    columns = list(records)
+    columns = [c for c in columns if not is_constant(c)] or columns
+    levels = [estimate_noise_from_differences(values, robust=robust, policy=policy) for values in columns]
+    pairs = [(level, int(np.isfinite(values).sum())) for level, values in zip(levels, columns, strict=True)]
+    usable = [(noise, count) for noise, count in pairs if np.isfinite(noise)]
+    total = sum(count for _, count in usable)
+    return float(np.sqrt(sum(noise**2 * count for noise, count in usable) / total)) if total else float("nan")
+
+
+def estimate_spread(values: np.ndarray, *, robust: bool = False) -> float:
+    """Root mean square of a series of mean zero, NaN left out; ``robust``: 1.48 times the median size, the same for normal values.
+
+    More than half of the values may be exactly zero (a coarse sensor); then the root mean square says more.
+    """
+    usable = values[np.isfinite(values)]
+    if not len(usable):
+        return 0.0
+    middle = MAD_TO_STD * float(np.median(np.abs(usable))) if robust else 0.0
+    return middle or float(np.sqrt(np.mean(usable**2)))

@@ -1,0 +1,150 @@
+"""What a record must satisfy; a message names all offending rows at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.numerics import LARGEST_VALUE, SMALLEST_VALUE
+from greybox.data.policy import RECORD_POLICY, RecordPolicy
+
+
+@dataclass(frozen=True)
+class RowLabels:
+    """How rows are called in messages: ``line 17`` of a text file, ``row 16`` of anything else (counted from 1)."""
+
+    word: str = "row"
+    numbers: Sequence[int] | np.ndarray | None = None
+
+    def select(self, rows: slice) -> RowLabels:
+        """The same for these rows alone, which are counted from 0 again."""
+        numbers = range(1, (rows.stop or 0) + 1) if self.numbers is None else self.numbers
+        return RowLabels(self.word, numbers[rows])
+
+    def describe(self, rows: Sequence[int] | np.ndarray, shown: int = 5) -> str:
+        """Name the rows (counted from 0): ``line 17`` or ``lines 17, 18, 19, 20, 21 and 40 more``."""
+        named = [str(int(r) + 1 if self.numbers is None else int(self.numbers[r])) for r in rows[:shown]]
+        word = self.word if len(rows) == 1 else f"{self.word}s"
+        return f"{word} {enumerate_first(named, len(rows))}"
+
+
+def enumerate_first(shown: Sequence[str], total: int) -> str:
+    """``a, b, c and 40 more`` of ``total`` things."""
+    return ", ".join(shown) + (f" and {total - len(shown)} more" if total > len(shown) else "")
+
+
+def raise_problems(subject: str, problems: Sequence[str]) -> None:
+    """Raise one DataError that lists every problem of ``subject``; nothing happens without problems."""
+    if len(problems) == 1:
+        raise DataError(f"{subject}: {problems[0]}")
+    if problems:
+        raise DataError(f"{subject}: {len(problems)} problems:\n" + "\n".join(f"  - {p}" for p in problems))
+
+
+def find_array_problems(
+    time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray], labels: RowLabels
+) -> list[str]:
+    """Problems that make arrays of equal length unusable as any record, whole or part."""
+    problems: list[str] = []
+    if len(time) < 2:
+        problems.append(f"{len(time)} rows; a record needs at least 2")
+    problems += _find_time_problems(time, labels)
+    for name, values in inputs.items():
+        problems += _find_rows(
+            f"input {name!r} is empty or NaN",
+            np.isnan(values),
+            labels,
+            "an input must be known at every row; fill it or cut the record there",
+        )
+    for kind, signals in (("input", inputs), ("output", outputs)):
+        for name, values in signals.items():
+            empty = ", or leave it empty" if kind == "output" else ""
+            problems += _find_rows(
+                f"{kind} {name!r} is infinite", np.isinf(values), labels, f"write a finite number{empty}"
+            )
+            problems += _find_rows(
+                f"{kind} {name!r} is beyond {LARGEST_VALUE:g}",
+                np.isfinite(values) & (np.abs(values) > LARGEST_VALUE),
+                labels,
+                f"the squares of such numbers overflow; correct it{empty}",
+            )
+    return problems
+
+
+def find_measurement_problems(
+    inputs: Mapping[str, np.ndarray],
+    outputs: Mapping[str, np.ndarray],
+    rows: int,
+    allow_constant_input: bool,
+    policy: RecordPolicy = RECORD_POLICY,
+) -> list[str]:
+    """Problems of a measured record from which nothing can be learnt."""
+    problems: list[str] = []
+    if rows < policy.min_rows:
+        problems.append(f"{rows} rows; a record needs at least {policy.min_rows}")
+    if not outputs:
+        problems.append("no output; a record needs at least one measured output")
+    if not rows:
+        return problems
+    empty = [name for name, values in outputs.items() if np.isnan(values).all()]
+    problems += [
+        f"output {name!r} holds no value at all; remove it from the record if it was not measured" for name in empty
+    ]
+    for kind, signals in (("input", inputs), ("output", outputs)):
+        for name, values in signals.items():
+            largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+            if 0 < largest < SMALLEST_VALUE:
+                problems.append(
+                    f"{kind} {name!r} never exceeds {largest:.3g}, and the squares of such numbers vanish; check its unit"
+                )
+    inputs_rest = all(map(is_constant, inputs.values()))
+    if outputs and not empty and all(map(is_constant, outputs.values())):
+        constant = [*(inputs if inputs_rest else ()), *outputs]
+        what = "nothing moves" if inputs_rest else "no output moves"
+        problems.append(
+            f"{what}: {', '.join(map(repr, constant))} {'is' if len(constant) == 1 else 'are'} constant over the whole record;"
+            " a record must show the plant in motion: check the sensors and the columns"
+        )
+    elif inputs and inputs_rest and not allow_constant_input and not any(v[0] for v in inputs.values()):
+        names = " and ".join(map(repr, inputs))
+        problems.append(
+            f"constant input: {names} {'is' if len(inputs) == 1 else 'are'} 0 in every row, so the record"
+            " does not excite the plant; check the column, or for a free decay set allow_constant_input=True"
+            " (shell: --free-decay)"
+        )
+    return problems
+
+
+def is_constant(values: np.ndarray) -> bool:
+    """Whether every measured value is the same; gaps aside."""
+    known = values[~np.isnan(values)]
+    return bool(len(known) == 0 or np.all(known == known[0]))
+
+
+def _find_time_problems(time: np.ndarray, labels: RowLabels) -> list[str]:
+    unknown = _find_rows("time is empty or NaN", np.isnan(time), labels, "every row needs its time")
+    unknown += _find_rows("time is infinite", np.isinf(time), labels, "every row needs its time")
+    huge = np.isfinite(time) & (np.abs(time) > LARGEST_VALUE)
+    unknown += _find_rows(f"time is beyond {LARGEST_VALUE:g}", huge, labels, "the squares of such numbers overflow")
+    if unknown:
+        return unknown
+    step = np.diff(time)
+    repeated, backwards = np.append(False, step == 0), np.append(False, step < 0)
+    rule = "time must increase from row to row"
+    remedy = "read separate runs from separate files, or split there (shell: --split-holes)"
+    return [
+        *_find_rows("time is repeated", repeated, labels, rule, time),
+        *_find_rows("time goes back", backwards, labels, f"{rule}; {remedy}", time),
+    ]
+
+
+def _find_rows(what: str, bad: np.ndarray, labels: RowLabels, rule: str, time: np.ndarray | None = None) -> list[str]:
+    """One problem that names the rows where ``bad`` (N,), and none if there is no such row."""
+    rows = np.flatnonzero(bad)
+    if not len(rows):
+        return []
+    value = "" if time is None else f" ({time[rows[0]]:.12g} s after {time[rows[0] - 1]:.12g} s)"
+    return [f"{what} at {labels.describe(rows)}{value}; {rule}"]

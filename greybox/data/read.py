@@ -1,0 +1,340 @@
+"""From a file to an `Experiment` in the model's units. Nothing is repaired: a bad file is refused with every reason."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.findings import Finding
+from greybox.data.channels import ChannelTable
+from greybox.data.columns import (
+    TIME,
+    ColumnMapping,
+    ColumnMatch,
+    RequestedSignal,
+    SignalKind,
+    convert_column,
+    match_columns,
+    read_conditions,
+    request_conditions,
+)
+from greybox.data.experiment import HOLDS, Experiment, Hold
+from greybox.data.findings import RecordCode
+from greybox.data.formats import RecordFile, open_record_file
+from greybox.data.policy import READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
+from greybox.model.model import Model
+
+Arrays = dict[str, np.ndarray]
+
+
+def read_csv(
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
+    name: str | None = None,
+    conditions: Mapping[str, float | None] | None = None,
+    allow_constant_input: bool = False,
+    policy: RecordPolicy = RECORD_POLICY,
+    reading: ReadingPolicy = READING_POLICY,
+) -> Experiment:
+    """Read a record for ``model`` from a text, MATLAB, NumPy, Parquet, MDF, TDMS, HDF5, ROS, MCAP or Excel file.
+
+    Headers are ``name [unit]``, ``name (unit)`` or ``name`` (then in the model's unit, which ``findings`` say); names are those of
+    the model's inputs and outputs, exactly, and ``time`` or ``t`` (seconds unless a unit is given). Values are converted to the
+    model's units. Other columns are ignored, which ``findings`` say. Every input needs its column; of the outputs at least
+    one. Empty fields and NaN are gaps, allowed in outputs only. Text files: columns separated by ``,``, ``;``, tab or
+    blanks, decimal comma except between commas, lines that begin with ``#`` or ``%`` are comments; the last comment before the
+    numbers may be the header. The columns of a matrix ``data`` are called ``data(:,1)``, fields of a struct ``log.x``.
+
+    Parameters
+    ----------
+    path
+        The file.
+    model
+        Its inputs and outputs are looked for, and their units are those of the record.
+    columns
+        Signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit [ms]"}``; a number
+        counts columns from 1. Or the names of all columns in their order, for a file without a header or a matrix:
+        ``["time [ms]", "u", "-", "x"]``, with ``-`` for a column that is not wanted.
+    sampling_time
+        Seconds between rows, for a file without a time column; for a file whose signals have stamps of their own, the step of the
+        time base that they are brought to, in the place of the stamps of the fastest.
+    hold
+        How the input moves between samples, see `Experiment`.
+    interpolation
+        Input -> ``"zero"``, ``"first"`` or ``"band-limited"``, where an input with stamps of its own does not move between them as
+        ``hold`` says.
+    name
+        What results call the record; None takes the file's name without suffix.
+    conditions
+        Constants of this experiment, name -> value; None as the value takes it from the file, which has a column of that name
+        (its mean is taken) or a comment line such as ``# P_S = 801 kPa``.
+    allow_constant_input
+        Accept inputs that are zero throughout (free decay).
+    policy
+        When a record is long enough, and when a sensor is in doubt.
+    reading
+        How large a file may be.
+
+    Returns
+    -------
+    Experiment
+        The record in the model's units, with what a reader should know about it in ``findings``.
+
+    Raises
+    ------
+    DataError
+        With every problem of the file in one message, rows called by their line number in the file.
+
+    Examples
+    --------
+    >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
+    """
+    source = _RecordSource(columns, sampling_time, interpolation, reading)
+    (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, policy, split=False)
+    return experiment
+
+
+def read_experiments(
+    paths: Sequence[str | os.PathLike[str]],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
+    conditions: Mapping[str, float | None] | None = None,
+    allow_constant_input: bool = False,
+    split: bool = False,
+    policy: RecordPolicy = RECORD_POLICY,
+    reading: ReadingPolicy = READING_POLICY,
+) -> tuple[Experiment, ...]:
+    """Read several records for one model, each as `read_csv` does.
+
+    Parameters
+    ----------
+    paths
+        The files. Files of the same name get their folder's name in front.
+    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, policy, reading
+        As of `read_csv`.
+    split
+        A file in which time starts anew holds several runs; each becomes a record ``name[first:last]``.
+
+    Returns
+    -------
+    tuple of Experiment
+        The records in the order of the files.
+
+    Raises
+    ------
+    DataError
+        One, with the problems of all files.
+    """
+    files = [Path(p) for p in ([paths] if isinstance(paths, (str, os.PathLike)) else paths)]
+    if not files:
+        raise DataError("no file to read; give at least one path")
+    source = _RecordSource(columns, sampling_time, interpolation, reading)
+    stems = [f.stem for f in files]
+    experiments: list[Experiment] = []
+    problems: list[str] = []
+    for file in files:
+        name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
+        try:
+            experiments += _read_runs(
+                file, model, source, hold, name, conditions, allow_constant_input, policy, split=split
+            )
+        except DataError as error:
+            problems.append(str(error))
+    if problems:
+        raise DataError("\n".join(problems))
+    return tuple(experiments)
+
+
+class RecordArrays(NamedTuple):
+    """What a file holds of a model's signals, in the model's units: arrays (N,), and how the rows are called."""
+
+    file: RecordFile
+    match: ColumnMatch
+    time: np.ndarray
+    inputs: Arrays
+    outputs: Arrays
+    conditions: Arrays
+    findings: tuple[Finding, ...] = ()
+
+
+class _RecordSource(NamedTuple):
+    """How files are laid out, and how large they may be."""
+
+    columns: ColumnMapping | Sequence[str] | None
+    sampling_time: float | None
+    interpolation: Mapping[str, Hold] | None
+    reading: ReadingPolicy
+
+
+def read_arrays(
+    path: str | os.PathLike[str],
+    model: Model,
+    *,
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    conditions: Sequence[RequestedSignal] = (),
+    inputs_only: bool = False,
+    hold: Hold = "zero",
+    interpolation: Mapping[str, Hold] | None = None,
+    reading: ReadingPolicy = READING_POLICY,
+) -> RecordArrays:
+    """The arrays of a file, unchecked; with ``inputs_only`` without outputs. Raises DataError.
+
+    Signals with stamps of their own are brought to one time base: ``sampling_time`` is then its step, and inputs move between
+    their samples as ``interpolation`` (name -> course) says, else as ``hold``.
+    """
+    by_name = None if columns is None or isinstance(columns, Mapping) else list(columns)
+    if isinstance(columns, str):
+        raise DataError(f"columns={columns!r} is one text; give a list of names, or a dictionary signal -> header")
+    if sampling_time is not None and not 0 < sampling_time < math.inf:
+        raise DataError(
+            f"sampling_time {sampling_time}: give the seconds between rows, above 0 (shell: --sampling-time)"
+        )
+    file = open_record_file(path, names=by_name, policy=reading)
+    mapping = columns if isinstance(columns, Mapping) else None
+    channels = file.table if isinstance(file.table, ChannelTable) else None
+    has_clock = sampling_time is not None and channels is None
+    try:
+        match = match_columns(file.table, model, mapping, conditions, has_clock=has_clock, inputs_only=inputs_only)
+    except DataError as error:
+        raise DataError(f"{file.path.name}: {error}") from None
+    raise_problems(file.path.name, match.problems)
+    if channels is not None:
+        _check_interpolation(interpolation or {}, model)
+        table = channels.for_signals(match, hold, interpolation or {}, sampling_time)
+        file = replace(file, table=table)
+    raw, problems, findings = file.values([c.position for c in match.columns.values()])
+    groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
+    rows = 0
+    for signal, column in match.columns.items():
+        # Each column is let go of as it is converted: a long record is in memory once.
+        values = convert_column(raw.pop(column.position), signal, column, problems)
+        values.setflags(write=False)  # then no record needs a copy of its own
+        groups[signal.kind][signal.name] = values
+        rows = len(values)
+    raise_problems(file.path.name, problems)
+    time = sampling_time * np.arange(rows) if has_clock and sampling_time else groups[SignalKind.TIME][TIME]
+    return RecordArrays(
+        file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION], findings
+    )
+
+
+def _check_interpolation(interpolation: Mapping[str, str], model: Model) -> None:
+    inputs = [i.name for i in model.inputs]
+    for name, course in interpolation.items():
+        if name not in inputs:
+            raise DataError(
+                f"interpolation names {name!r}, which is no input of model {model.name!r}; {nearest(name, inputs)}"
+            )
+        if course not in HOLDS:
+            raise DataError(
+                f"interpolation of {name!r}: there is no course {course!r}; {nearest(str(course), list(HOLDS))}"
+            )
+
+
+def _read_runs(
+    path: str | os.PathLike[str],
+    model: Model,
+    source: _RecordSource,
+    hold: Hold,
+    name: str | None,
+    conditions: Mapping[str, float | None] | None,
+    allow_constant_input: bool,
+    policy: RecordPolicy,
+    *,
+    split: bool,
+) -> list[Experiment]:
+    """The record in a file as `read_csv` gives it; with ``split`` each run of a file in which time starts anew."""
+    given = {name: value for name, value in (conditions or {}).items() if value is not None}
+    requested = request_conditions(model, [name for name in conditions or {} if name not in given])
+    record = read_arrays(path, model, conditions=requested, hold=hold, **source._asdict())
+    file, table, problems = record.file.path, record.file.table, list[str]()
+    from_file, findings = read_conditions(requested, record.conditions, table.comments, problems, policy)
+    runs = _cut_runs(record.time, record.inputs, record.outputs, split)
+    for rows, t, u, y in runs:
+        # A file of too few rows is called so, and not by what else follows from it.
+        if len(t) > 1:
+            problems += find_array_problems(t, u, y, table.row_labels.select(rows))
+        problems += find_measurement_problems(u, y, len(t), allow_constant_input, policy)
+    raise_problems(file.name, problems)
+    title = name or file.stem
+    findings = [*_inspect_columns(record.match), *record.findings, *findings]
+    if len(runs) > 1:
+        findings.append(Finding(RecordCode.ONE_OF_RUNS, values={"runs": len(runs)}))
+    unwrapped = [_unwrap_outputs(y, model) for *_, y in runs]
+    return [
+        Experiment.from_arrays(
+            t,
+            u,
+            y,
+            name=title if len(runs) == 1 else f"{title}[{rows.start}:{rows.stop}]",
+            hold=hold,
+            source=file.name,
+            conditions=given | from_file,
+            findings=(*findings, *jumps),
+            allow_constant_input=allow_constant_input,
+            policy=policy,
+        )
+        for (rows, t, u, _), (y, jumps) in zip(runs, unwrapped, strict=True)
+    ]
+
+
+def _unwrap_outputs(outputs: Arrays, model: Model) -> tuple[dict[str, np.ndarray], list[Finding]]:
+    """Readings that start anew after a period, with their jumps taken out."""
+    continuous, findings = dict(outputs), []
+    for o in model.outputs:
+        values = outputs.get(o.name)
+        if not o.wraps or values is None:
+            continue
+        known = np.isfinite(values)
+        continuous[o.name] = values.copy()
+        continuous[o.name][known] = np.unwrap(values[known], period=o.wraps)
+        jumps = int(np.count_nonzero(np.diff(np.round((continuous[o.name] - values)[known] / o.wraps))))
+        if jumps:
+            figures = {"jumps": jumps, "period": o.wraps, "unit": o.unit}
+            findings.append(Finding(RecordCode.OUTPUT_UNWRAPPED, subject=o.name, values=figures))
+    return continuous, findings
+
+
+def _cut_runs(
+    time: np.ndarray, inputs: Arrays, outputs: Arrays, split: bool
+) -> list[tuple[slice, np.ndarray, Arrays, Arrays]]:
+    """The rows of each run with its arrays: with ``split`` a run ends where time goes back, else the whole is one."""
+    starts = [0, *(np.flatnonzero(np.diff(time) < 0) + 1).tolist()] if split else [0]
+    if len(starts) == 1:
+        return [(slice(0, len(time)), time, dict(inputs), dict(outputs))]
+    parts = [slice(a, b) for a, b in pairwise([*starts, len(time)])]
+    return [
+        (rows, time[rows], {n: v[rows] for n, v in inputs.items()}, {n: v[rows] for n, v in outputs.items()})
+        for rows in parts
+    ]
+
+
+def _inspect_columns(match: ColumnMatch) -> list[Finding]:
+    findings = []
+    if match.unmeasured:
+        findings.append(Finding(RecordCode.OUTPUT_NOT_MEASURED, values={"outputs": list(match.unmeasured)}))
+    if match.unitless:
+        units = {signal.name: signal.unit for signal in match.unitless}
+        findings.append(Finding(RecordCode.UNITS_ASSUMED, values={"units": units}))
+    if match.ignored:
+        findings.append(Finding(RecordCode.COLUMNS_IGNORED, values={"columns": list(match.ignored)}))
+    return findings

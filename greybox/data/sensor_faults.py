@@ -1,0 +1,173 @@
+"""What a record shows of its sensors: those that freeze, jump for one row, or saturate before the motion ends.
+
+Nothing is repaired and nothing is left out: every finding says what was seen and where. The limits stand in
+`greybox.data.policy.RecordPolicy`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.data.findings import RecordCode
+from greybox.data.policy import RECORD_POLICY, RecordPolicy
+from greybox.data.problems import is_constant
+
+
+def inspect_signals(
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    outputs: Mapping[str, np.ndarray],
+    policy: RecordPolicy = RECORD_POLICY,
+) -> Iterator[Finding]:
+    """What is accepted but should be known: what is constant, sensors in doubt, gaps."""
+    for name, values in inputs.items():
+        if is_constant(values):
+            yield Finding(RecordCode.INPUT_CONSTANT, subject=name, values={"value": float(values[0])})
+    for name, values in outputs.items():
+        if is_constant(values):
+            value = float(values[~np.isnan(values)][0])
+            yield Finding(RecordCode.OUTPUT_CONSTANT, Severity.WARNING, name, {"value": value})
+        else:
+            for code, figures in _find_faults(time, values, list(inputs.values()), policy):
+                yield Finding(code, Severity.WARNING, name, figures)
+        gaps = int(np.isnan(values).sum())
+        if gaps:
+            yield Finding(RecordCode.OUTPUT_GAPS, subject=name, values={"gaps": gaps, "rows": len(values)})
+
+
+def _find_faults(
+    time: np.ndarray, values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy
+) -> Iterator[tuple[RecordCode, dict[str, Any]]]:
+    frozen = _find_frozen_stretch(values, inputs, policy)
+    dead = None if frozen else _find_dead_end(values, inputs, policy)
+    if frozen:
+        first, last = frozen
+        yield (
+            RecordCode.SENSOR_FROZEN,
+            {
+                "value": float(values[first]),
+                "rows": last - first + 1,
+                "start": float(time[first]),
+                "stop": float(time[last]),
+            },
+        )
+    elif dead is not None:
+        figures: dict[str, Any] = {"value": float(values[dead]), "start": float(time[dead]), "rows": len(time) - dead}
+        yield RecordCode.SENSOR_DEAD, figures
+    elif len(spikes := _find_spikes(values, inputs, policy)):
+        yield RecordCode.SENSOR_SPIKES, {"count": len(spikes), "times": [float(time[k]) for k in spikes[:5]]}
+    for end, rows, stays in _find_saturation(values, policy):
+        figures = {"end": end, "value": float(values[rows[0]]), "rows": len(rows), "stays": stays}
+        yield RecordCode.SENSOR_SATURATED, figures
+
+
+def _find_frozen_stretch(
+    values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy
+) -> tuple[int, int] | None:
+    """First and last row of the longest stretch in which an output repeats one value while an input moves.
+
+    None for short stretches, for a sensor that repeats its values elsewhere too, and where the output comes and goes no
+    faster than it moves elsewhere: as fast as ever at the end of its range (an end stop, an overflow), else as usual. The
+    input of the last row does not count: its answer comes after.
+    """
+    step = np.abs(np.diff(values))
+    edges = _find_edges(step == 0)
+    if not len(edges):
+        return None
+    longest = int(np.argmax(edges[1::2] - edges[::2]))
+    first, last = int(edges[2 * longest]), int(edges[2 * longest + 1])
+    before = max(first - 1, 0)
+    elsewhere = np.concatenate((step[:before], step[last + 1 :]))
+    moves = elsewhere[np.isfinite(elsewhere)]
+    if last - first + 1 < policy.frozen_rows or _repeats_often(moves, policy):
+        return None
+    at_limit = values[first] in (np.nanmin(values), np.nanmax(values))
+    jumps = np.concatenate((step[before:first], step[last : last + 1]))
+    if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - policy.repeat_share)):
+        return None
+    return None if all(is_constant(u[first:last]) for u in inputs) else (first, last)
+
+
+def _find_dead_end(values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy) -> int | None:
+    """Row from which an output repeats one value to the end of the record, while an input moves about as far as before.
+
+    None for a short stretch, for a sensor that repeats its values elsewhere too, and at the end of its range (an end stop, an overflow).
+    """
+    first = len(values) - int(np.argmax(np.append(values[::-1] != values[-1], True)))
+    steps = np.diff(values[: first + 1])
+    moves = steps[np.isfinite(steps)]
+    if len(values) - first < policy.frozen_rows or _repeats_often(moves, policy):
+        return None
+    if values[-1] in (np.nanmin(values), np.nanmax(values)):
+        return None
+    goes_on = any(np.ptp(u[first:-1]) > policy.input_goes_on * np.ptp(u[: first + 1]) for u in inputs)
+    return first if goes_on else None
+
+
+def _find_saturation(values: np.ndarray, policy: RecordPolicy) -> Iterator[tuple[str, np.ndarray, int]]:
+    """Each end of the range at which an output stays again and again: which, its rows, and how many times it stays.
+
+    Not for a sensor that repeats its values elsewhere too: it is coarse.
+    """
+    ends = {"largest": values == np.nanmax(values), "smallest": values == np.nanmin(values)}
+    stays = np.logical_or.reduce([at_end[1:] & at_end[:-1] for at_end in ends.values()])
+    moves = np.diff(values)[~stays]
+    moves = moves[np.isfinite(moves)]
+    for end, at_end in ends.items():
+        edges = _find_edges(at_end)
+        times = int(np.sum(edges[1::2] - edges[::2] > 1))
+        rows = np.flatnonzero(at_end)
+        often = times >= policy.min_stays and len(rows) >= policy.min_saturated_rows
+        if often and not _repeats_often(moves, policy):
+            yield end, rows, times
+
+
+def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy) -> np.ndarray:
+    """Rows in which an output lies by far more beside its neighbours than it ever does.
+
+    Not where an input leaves and is back as well, or has just done so: the plant may follow. None where there are many: that is noise.
+    """
+    beside, beyond = _measure_offset(values)
+    usual = beside[beside > 0]  # neither rest nor gaps
+    if not len(usual):
+        return np.zeros(0, int)
+    limit = policy.spike_ratio * np.quantile(usual, 1 - policy.repeat_share, overwrite_input=True)
+    del usual  # a long record is in memory a few times only
+    driven = np.zeros(len(values), bool)
+    for u in inputs:
+        pulse = _measure_offset(u)[1] > policy.pulse_share * np.ptp(u)
+        driven |= pulse | np.concatenate(([False], pulse[:-1]))
+    # A spike puts its neighbours aside too, by half as much.
+    highest = beside >= 0
+    highest[:-1] &= beside[:-1] >= beside[1:]
+    highest[1:] &= beside[1:] >= beside[:-1]
+    spikes = np.flatnonzero(highest & (beyond > limit) & ~driven)
+    return spikes if len(spikes) <= max(1, policy.max_spike_share * len(values)) else spikes[:0]
+
+
+def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far each value (N,) lies from the middle of its neighbours; and beyond both, where they are close together, else 0."""
+    offset, beyond = np.zeros(len(values)), np.zeros(len(values))
+    for first in range(1, len(values) - 1, ROWS_AT_A_TIME):
+        rows = slice(first, min(first + ROWS_AT_A_TIME, len(values) - 1))
+        middle, left, right = (values[rows.start + k : rows.stop + k] for k in (0, -1, 1))
+        before, after = middle - left, middle - right
+        offset[rows] = np.abs(before + after) / 2
+        alone = (before * after > 0) & (np.abs(before - after) <= offset[rows])
+        beyond[rows][alone] = np.minimum(np.abs(before), np.abs(after))[alone]
+    return offset, beyond
+
+
+def _repeats_often(moves: np.ndarray, policy: RecordPolicy) -> bool:
+    """Whether a sensor that moves by ``moves`` from row to row repeats its values, or there is no move to judge by."""
+    return not len(moves) or bool(np.mean(moves == 0) > policy.repeat_share)
+
+
+def _find_edges(mask: np.ndarray) -> np.ndarray:
+    """First row of each run of True, and the row after it, in turn."""
+    return np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])).astype(int)))

@@ -1,0 +1,346 @@
+"""What a file holds, looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to name."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import ModelError
+from greybox.base.findings import Finding, Severity
+from greybox.base.units import convert, unit_converter
+from greybox.base.values import Printable
+from greybox.data.channels import ChannelTable
+from greybox.data.columns import TIME, Column, parse_header
+from greybox.data.findings import RecordCode
+from greybox.data.formats import RecordFile, open_record_file
+from greybox.data.policy import CHANNEL_POLICY, READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.data.problems import is_constant
+from greybox.data.sampling import find_sampling_time, find_time_gaps
+from greybox.data.sensor_faults import inspect_signals
+from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
+from greybox.extensions.formats.array_table import ArrayTable
+
+INPUT_WORDS = frozenset(
+    re.split(
+        " ", "u cmd command set setpoint ref reference drive control ctrl input valve duty pwm demand target actuator"
+    )
+)
+"""Words of a name that speak for an input."""
+
+
+@dataclass(frozen=True)
+class SignalSurvey:
+    """One signal of a file.
+
+    Attributes
+    ----------
+    header, unit, clock
+        As the file has them; the clock is "" where the file has one.
+    rows, missing
+        Samples, and those of them that are empty.
+    step
+        Usual seconds between samples; None where nobody knows.
+    regular
+        Whether all steps are alike.
+    start, stop
+        Time of the first and last sample (s).
+    lowest, highest
+        Range; None without a value.
+    gaps
+        Holes in time.
+    held
+        Whether it stays at its values and jumps between them.
+    use
+        ``input``, ``output``, ``constant``, ``time`` or ``text``: what it may be for.
+    name
+        A name that a model can give it.
+    """
+
+    header: str
+    unit: str
+    clock: str
+    rows: int
+    missing: int
+    step: float | None
+    regular: bool
+    start: float | None
+    stop: float | None
+    lowest: float | None
+    highest: float | None
+    gaps: int
+    held: bool
+    use: str
+    name: str
+
+
+@dataclass(frozen=True)
+class FileSurvey(Printable):
+    """What a file holds.
+
+    Attributes
+    ----------
+    file
+        Its name.
+    kind
+        Its format.
+    signals
+        The signals in the order of the file.
+    findings
+        Doubtful sensors, holes, clocks.
+    """
+
+    file: str
+    kind: str
+    signals: tuple[SignalSurvey, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """Proposed columns, name -> header: time, and every input and output. Names are those of the file, as a model can write them."""
+        chosen = [s for s in self.signals if s.use in ("time", "input", "output")]
+        return {s.name: s.header for s in chosen}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as numbers, texts, lists and dictionaries, ready for JSON."""
+        findings = [
+            {"code": str(f.code), "severity": str(f.severity), "subject": f.subject, "values": dict(f.values)}
+            for f in self.findings
+        ]
+        signals = [asdict(s) for s in self.signals]
+        return {
+            "file": self.file,
+            "kind": self.kind,
+            "signals": signals,
+            "columns": dict(self.columns),
+            "findings": findings,
+            "notes": [str(f) for f in self.findings],
+        }
+
+
+def survey_file(
+    path: str | os.PathLike[str],
+    *,
+    names: Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    reading: ReadingPolicy = READING_POLICY,
+    policy: RecordPolicy = RECORD_POLICY,
+) -> FileSurvey:
+    """Look at a file of any kind that is read, without a model.
+
+    Parameters
+    ----------
+    path
+        The file.
+    names
+        Names of its columns in their order, for a file without a header.
+    sampling_time
+        Seconds between rows, for a file without a time column.
+    reading
+        How large it may be.
+    policy
+        What a gap is, and when a sensor is in doubt.
+
+    Returns
+    -------
+    FileSurvey
+        Its signals, what is doubtful, and the columns to name.
+
+    Raises
+    ------
+    DataError
+        For a file that cannot be read.
+    """
+    file = open_record_file(path, names=names, policy=reading)
+    if isinstance(file.table, ChannelTable):
+        return _survey_channels(file, file.table, policy)
+    return _survey_table(file, sampling_time, policy)
+
+
+def _survey_table(file: RecordFile, sampling_time: float | None, policy: RecordPolicy) -> FileSurvey:
+    table = file.table
+    columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
+    clock = next((c for c in columns if c.name == "t" or c.name.lower() == TIME), None)
+    arrays: dict[int, np.ndarray] = {}
+    for k in range(len(columns)):
+        if columns[k].header and _is_column(file, k):
+            values = file.values([k])
+            if not values.problems:
+                arrays[k] = values.arrays[k]
+    rows = max((len(a) for a in arrays.values()), default=0)
+    time: np.ndarray | None = None
+    findings: list[Finding] = []
+    if clock is not None and clock.position in arrays:
+        stamps = arrays[clock.position]
+        time = np.asarray(convert(stamps, clock.unit, "s")) if clock.unit else stamps
+    elif sampling_time:
+        time = sampling_time * np.arange(rows)
+    if time is None:
+        findings.append(Finding(RecordCode.NO_TIME, Severity.WARNING))
+    elif problems := find_stamp_problems(Samples(time, time)):
+        findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": problems[0]}))
+        time = None
+    signals = []
+    used = {TIME}
+    for k, column in enumerate(columns):
+        if not column.header:
+            continue
+        array = arrays.get(k)
+        row_times = time if time is not None and array is not None and len(array) == len(time) else None
+        is_clock = clock is not None and k == clock.position
+        signals.append(_survey_signal(column, "", array, row_times, used, policy, is_clock=is_clock))
+    alike = {
+        s.header: arrays[c.position]
+        for s, c in zip(signals, (c for c in columns if c.header), strict=True)
+        if s.use in ("input", "output")
+    }
+    if time is not None:
+        findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)}, policy)
+    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
+
+
+def _is_column(file: RecordFile, position: int) -> bool:
+    table = file.table
+    if not isinstance(table, ArrayTable):
+        return True
+    info = table.infos[table.columns[position].array]
+    return not info.holds and math.prod(info.shape) > 1
+
+
+def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy) -> FileSurvey:
+    signals: list[SignalSurvey] = []
+    findings: list[Finding] = list(table.findings)
+    used = {TIME}
+    by_base: dict[bytes, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    by_name: dict[str, list[tuple[str, Samples]]] = {}
+    several = len({c.clock for c in table.channels}) > 1
+    for k, channel in enumerate(table.channels):
+        header = table.headers[k + 1]
+        column = Column(header, parse_header(header, 0).name, channel.unit, k + 1)
+        clock = channel.clock if several else ""
+        if channel.holds:
+            signals.append(_survey_signal(column, clock, None, None, used, policy, rows=channel.rows))
+            continue
+        samples = file.load_channel(k)
+        problems = find_stamp_problems(samples)
+        if problems:
+            values = {"reason": problems[0]}
+            findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, header, values))
+        signal = _survey_signal(column, clock, samples.values, None if problems else samples.time, used, policy)
+        signals.append(signal)
+        if signal.use in ("input", "output") and not problems:
+            key = samples.time.tobytes()
+            by_base.setdefault(key, (samples.time, {}))[1][header] = samples.values
+            by_name.setdefault(channel.name, []).append((channel.clock, samples))
+    for time, alike in by_base.values():
+        findings += _find_faults(time, alike, policy)
+    for name, copies in by_name.items():
+        first_clock, first = copies[0]
+        for other_clock, other in copies[1:]:
+            offset = None if other_clock == first_clock else estimate_clock_offset(first, other, CHANNEL_POLICY)
+            if offset is not None:
+                figures = {n: float(v) for n, v in offset._asdict().items()}
+                about = {"reference": first_clock, "signal": name, **figures}
+                findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, other_clock, about))
+    return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
+
+
+def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray], policy: RecordPolicy) -> list[Finding]:
+    """Doubts about each signal; the others of its stamps tell whether the plant moves."""
+    findings: list[Finding] = []
+    for header, values in signals.items():
+        others = {h: v for h, v in signals.items() if h != header and np.isfinite(v).all()}
+        if is_held(values):
+            continue
+        for finding in inspect_signals(time, others, {header: values}, policy):
+            if finding.subject == header and finding.code not in (RecordCode.INPUT_CONSTANT, RecordCode.OUTPUT_GAPS):
+                findings.append(replace(finding, values={**finding.values, "kind": "signal"}))
+    return findings
+
+
+def _survey_signal(
+    column: Column,
+    clock: str,
+    values: np.ndarray | None,
+    time: np.ndarray | None,
+    used: set[str],
+    policy: RecordPolicy,
+    *,
+    is_clock: bool = False,
+    rows: int = 0,
+) -> SignalSurvey:
+    if values is None or not len(values):
+        return SignalSurvey(
+            column.header, column.unit, clock, rows, 0, None, False, None, None, None, None, 0, False, "text", ""
+        )
+    known = values[np.isfinite(values)]
+    regular = time is not None and find_sampling_time(time, policy) is not None
+    held = is_held(values)
+    use = _guess_use(column, values, held)
+    name = TIME if is_clock else _make_name(column.name, used)
+    return SignalSurvey(
+        column.header,
+        column.unit,
+        clock,
+        len(values),
+        len(values) - len(known),
+        float(np.median(np.diff(time))) if time is not None else None,
+        regular,
+        float(time[0]) if time is not None else None,
+        float(time[-1]) if time is not None else None,
+        float(known.min()) if len(known) else None,
+        float(known.max()) if len(known) else None,
+        len(find_time_gaps(time, policy)) if time is not None else 0,
+        held,
+        "time" if is_clock else use,
+        name,
+    )
+
+
+def _guess_use(column: Column, values: np.ndarray, held: bool) -> str:
+    """An input is held, or is called like one; nothing is certain but a constant."""
+    if is_constant(values):
+        return "constant"
+    words = {w.lower() for w in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", column.name)}
+    return "input" if held or words & INPUT_WORDS else "output"
+
+
+def _make_name(text: str, used: set[str]) -> str:
+    """The last part of a name as an identifier, with more of it where the last part is taken."""
+    parts = [p for p in re.split(r"[^0-9A-Za-z_]+", text) if p] or ["signal"]
+    for count in range(1, len(parts) + 1):
+        name = "_".join(parts[-count:])
+        name = f"s_{name}" if name[0].isdigit() else name
+        if name not in used and (count > 1 or not name.isdecimal()):
+            used.add(name)
+            return name
+    number = 2
+    while f"{name}_{number}" in used:
+        number += 1
+    used.add(f"{name}_{number}")
+    return f"{name}_{number}"
+
+
+def _with_input(signals: Sequence[SignalSurvey]) -> tuple[SignalSurvey, ...]:
+    """The signals; where none looks like an input, what is electrical beside something that is not: drives are."""
+    if any(s.use == "input" for s in signals):
+        return tuple(signals)
+    driven = {s.header for s in signals if s.use == "output" and _is_electrical(s.unit)}
+    if all(s.header in driven for s in signals if s.use == "output"):
+        return tuple(signals)
+    return tuple(replace(s, use="input") if s.header in driven else s for s in signals)
+
+
+def _is_electrical(unit: str) -> bool:
+    for electrical in ("V", "A", "W"):
+        try:
+            unit_converter(unit, electrical)
+        except ModelError:
+            continue
+        return True
+    return False

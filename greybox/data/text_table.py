@@ -1,0 +1,412 @@
+"""Text tables: separator, decimal sign and encoding recognised, numbers read exactly, offending lines named.
+
+A file is read line by line, twice: once for its shape, once for the columns that are wanted. Nothing else of it is kept.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import re
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError, shorten
+from greybox.base.units import unit_converter
+from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.problems import RowLabels
+
+GAPS = ("", "NA", "N/A", "#N/A", "n/a", "null", "NULL", "None")  # besides nan in any spelling
+NO_NUMBER = "?"
+BLANKS = ""  # separator: any run of blanks
+SEPARATORS = (";", "\t", ",", BLANKS)
+NUMBER = re.compile(r"[+-]?(([0-9]+\.?[0-9]*|\.[0-9]+)(e[+-]?[0-9]+)?|inf|infinity|nan)", re.IGNORECASE)
+_SEPARATOR_LINE = re.compile(r'"?sep=(?P<separator>.|\\t)"?', re.IGNORECASE)
+_BETWEEN_WORDS = re.compile(r"[;,\s]+")
+# Blanks separate, but not those before or inside the brackets of a unit: time [s]  p_a [kPa].
+_BLANK_HEADER = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:\s*[\[(][^\])]{0,100}[\])])?")
+_BLANK_FIELD = re.compile(r"\"[^\"]*\"|\S+")
+# What a spreadsheet writes instead of a number: #N/A, #DIV/0!, #NAME?, in other languages #NV, #WERT!
+_SPREADSHEET_ERROR = re.compile(r"#(N/A|NV|[^\W\d_]+(/0)?[!?])(?=[,;\t]|\s+[-+.\d#]|\s*$)")
+_WIDE_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+# Columns; row -> number of fields where it is not that of the header; column -> row -> text that is no number.
+Reading = tuple[dict[int, np.ndarray], dict[int, int], dict[int, dict[int, str]]]
+
+
+@dataclass(frozen=True)
+class TextSource:
+    """Where the lines come from: the file and its encoding."""
+
+    path: Path
+    encoding: str
+
+    def read_lines(self) -> Iterator[str]:
+        """Every line, however lines end, without its end."""
+        with open(self.path, encoding=self.encoding, newline=None) as file:
+            for line in file:
+                yield line.removesuffix("\n")
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Lines of a text file that hold numbers, under their ``headers``; ``header_line`` is counted from 1.
+
+    ``comments``: the lines that begin with ``#`` or ``%``. ``headless``: the file has no header, and the headers are the numbers of
+    the columns. ``skipped``: lines of the table before the first row of numbers.
+    """
+
+    source: TextSource
+    headers: tuple[str, ...]
+    row_labels: RowLabels
+    separator: str
+    header_line: int
+    skipped: int
+    comments: tuple[str, ...] = ()
+    headless: bool = False
+    has_comma: bool = False
+    has_point: bool = True
+    policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
+
+    @property
+    def rows(self) -> int:
+        """Rows of numbers."""
+        return len(self.row_labels.numbers) if self.row_labels.numbers is not None else 0
+
+    @property
+    def numbered(self) -> tuple[int, ...]:
+        """Positions of the columns, in the order in which they are counted."""
+        return tuple(range(len(self.headers)))
+
+    def rename(self, names: Sequence[str]) -> TextTable:
+        """The table with ``names`` for headers. Raises DataError for another number of them."""
+        if len(names) != len(self.headers):
+            raise DataError(describe_wrong_count(names, len(self.headers)))
+        return replace(self, headers=tuple(names), headless=False)
+
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
+        """Columns (N,) as float64 with NaN for gaps, and the problems met."""
+        positions = list(dict.fromkeys(positions))
+        check_size(self.rows, len(positions), self.policy)
+        first, *others = (self._read(positions, decimal) for decimal in self._decimals())
+        columns, ragged, bad = min([first, *others], key=lambda reading: sum(map(len, reading[2].values())))
+        if ragged:
+            return columns, [self._describe_ragged(ragged)]
+        wrong = ((self.headers[k], list(texts), list(texts.values())) for k, texts in bad.items() if texts)
+        return columns, [describe_non_numbers(header, rows, texts, self.row_labels) for header, rows, texts in wrong]
+
+    def _decimals(self) -> tuple[str, ...]:
+        """Decimal signs worth trying: a comma can be one wherever it does not separate columns."""
+        if self.separator == "," or not self.has_comma:
+            return (".",)
+        return (".", ",") if self.has_point else (",",)
+
+    def _read_rows(self) -> Iterator[str]:
+        """The lines of numbers."""
+        lines = (line for line in self.source.read_lines() if _is_of_table(line))
+        return islice(lines, self.skipped, None)
+
+    def _read(self, positions: Sequence[int], decimal: str) -> Reading:
+        columns = {k: np.zeros(self.rows) for k in positions}
+        ragged: dict[int, int] = {}
+        bad: dict[int, dict[int, str]] = {k: {} for k in positions}
+        lines, start = self._read_rows(), 0
+        while block := list(islice(lines, self.policy.rows_per_chunk)):
+            if start + len(block) > self.rows:
+                break
+            rows = [split_line(line, self.separator) for line in block]
+            ragged |= {start + k: len(row) for k, row in enumerate(rows) if len(row) != len(self.headers)}
+            for k in () if ragged else positions:
+                columns[k][start : start + len(block)], wrong = _to_numbers([row[k] for row in rows], decimal)
+                bad[k] |= {start + row: rows[row][k] for row in wrong}
+            start += len(block)
+        if start != self.rows:
+            raise DataError(f"{self.source.path.name}: the file changed while it was read; read it again")
+        return columns, ragged, bad
+
+    def _describe_ragged(self, ragged: dict[int, int]) -> str:
+        """Message for lines with more or fewer fields than the header; ``ragged`` is row -> number of fields."""
+        rows, expected = list(ragged), len(self.headers)
+        first = ragged[rows[0]]
+        several = f"have another number of fields ({first} in the first of them)"
+        what = f"has {first} field{'s' if first > 1 else ''}" if len(rows) == 1 else several
+        decimal_comma = self.separator == "," and first > expected
+        remedy = (
+            "write a decimal point, or ';' between the columns"
+            if decimal_comma
+            else "give every line one field a column"
+        )
+        lines = self.row_labels.describe(rows)
+        return f"{lines} {what}, the header (line {self.header_line}) has {expected}; {remedy}"
+
+
+def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
+    """Open a text table. Raises DataError for an empty or binary file, and where the header is not the first line."""
+    source = TextSource(path, _find_encoding(path, policy))
+    numbers, comments, first = _LineNumbers(), dict[int, str](), list[str]()
+    has_comma = has_point = False
+    for number, line in enumerate(source.read_lines(), 1):
+        if _is_of_table(line):
+            numbers.add(number)
+            if len(first) < policy.header_lines:
+                first.append(line)
+            has_comma = has_comma or "," in line
+            has_point = has_point or "." in line
+        elif len(comments) < policy.most_comments and not (line == "" or line.isspace()):
+            comments[number] = line
+    if not first:
+        raise DataError(f"{path.name}: the file is empty; it needs a header line and rows of numbers")
+    stated = read_separator_line(first[0])
+    skipped = 1 if stated is not None and len(first) > 1 else 0
+    if not skipped:
+        stated = None
+    body = first[skipped + 1 : skipped + 1 + policy.separator_lines]
+    separator = stated or _guess_separator(first[skipped], body)
+    rows = numbers.as_sequence()
+    headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
+    headless = _holds_numbers(headers)
+    if not headless:
+        misplaced = describe_misplaced_header(first[skipped:], list(map(int, rows[skipped : len(first)])))
+        if misplaced:
+            raise DataError(f"{path.name}: {misplaced}")
+        skipped += 1
+    else:
+        stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
+        if stated_header is not None:
+            header_line, headers = stated_header
+            headless = False
+        else:
+            headers = [str(k) for k in range(1, len(headers) + 1)]
+    check_width(len(headers), policy)
+    labels = RowLabels("line", rows[skipped:])
+    return TextTable(
+        source,
+        tuple(headers),
+        labels,
+        separator,
+        header_line,
+        skipped,
+        tuple(comments.values()),
+        headless,
+        has_comma,
+        has_point,
+        policy,
+    )
+
+
+class _LineNumbers:
+    """Numbers of the lines of a table: a range, as long as no blank line or comment lies between them."""
+
+    def __init__(self) -> None:
+        self.first = self.last = 0
+        self.scattered: array | None = None
+
+    def add(self, number: int) -> None:
+        """One more line, behind the others."""
+        if self.scattered is not None:
+            self.scattered.append(number)
+        elif not self.first:
+            self.first = self.last = number
+        elif number == self.last + 1:
+            self.last = number
+        else:
+            self.scattered = array("q", range(self.first, self.last + 1))
+            self.scattered.append(number)
+
+    def as_sequence(self) -> Sequence[int] | np.ndarray:
+        """The numbers in their order."""
+        if self.scattered is not None:
+            return np.frombuffer(self.scattered, dtype=np.int64)
+        return range(self.first, self.last + 1) if self.first else range(0)
+
+
+def _is_of_table(line: str) -> bool:
+    """Whether a line belongs to the table: it is neither blank nor a comment. A spreadsheet's ``#N/A`` begins no comment."""
+    text = line.lstrip()
+    if not text:
+        return False
+    return text[0] not in "#%" or (text[0] == "#" and _SPREADSHEET_ERROR.match(text) is not None)
+
+
+def _find_header_in_comments(
+    comments: dict[int, str], first_row: int, separator: str, columns: int
+) -> tuple[int, list[str]] | None:
+    """Line and headers of the last comment before the first row that has a name for each column: ``# time [s], u [V], x [um]``."""
+    for number, line in reversed([(n, text) for n, text in comments.items() if n < first_row]):
+        text = line.lstrip().lstrip("#%").strip()
+        for between in dict.fromkeys((separator, *SEPARATORS)):
+            headers = split_header(text, between)
+            if columns > 1 and len(headers) == columns and all(map(_is_name, headers)):
+                return number, headers
+    return None
+
+
+def _is_name(field: str) -> bool:
+    return any(map(str.isalpha, field)) and NUMBER.fullmatch(field) is None
+
+
+def _holds_numbers(fields: Sequence[str]) -> bool:
+    """Whether the fields are those of a row, not of a header: numbers and perhaps gaps."""
+    numbers = [NUMBER.fullmatch(field.replace(",", ".")) is not None for field in fields]
+    return any(numbers) and all(is_number or field in GAPS for is_number, field in zip(numbers, fields, strict=True))
+
+
+def split_line(line: str, separator: str) -> list[str]:
+    """The fields of a line, blanks around them removed."""
+    if separator == BLANKS:
+        return line.split() if '"' not in line else [f.strip('"').strip() for f in _BLANK_FIELD.findall(line)]
+    if '"' not in line:
+        return [f.strip() for f in line.split(separator)]
+    try:
+        return [f.strip() for f in next(csv.reader([line], delimiter=separator, skipinitialspace=True))]
+    except csv.Error:  # a quotation mark that is never closed, and more behind it than a field may hold
+        return [line]
+
+
+def split_header(line: str, separator: str) -> list[str]:
+    """The headers of the header line; with blanks as separator a unit in brackets stays with its name."""
+    if separator != BLANKS:
+        return split_line(line, separator)
+    return [f.strip('"').strip() for f in _BLANK_HEADER.findall(line)]
+
+
+def read_separator_line(line: str) -> str | None:
+    """The separator in the line ``sep=;`` that Excel writes first; None for any other line."""
+    match = _SEPARATOR_LINE.fullmatch(line.strip(" \r"))
+    return match["separator"].replace("\\t", "\t") if match else None
+
+
+def describe_misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> str:
+    """What instruments put between the first of ``lines`` and the rows of numbers, with the remedy; "" where nothing is.
+
+    ``numbers``: line of the file of each, counted from 1. Only lines that hold something are given.
+    """
+    plain = [line.replace('"', "") for line in lines]
+    first = next((k for k, line in enumerate(plain) if _is_row_of_numbers(line)), 0)
+    if first < 2 or NUMBER.fullmatch(_split_words(plain[first - 1])[0]):
+        return ""
+    header, number = plain[first - 1], numbers[first - 1]
+    if first == 2 and _is_row_of_units(header):
+        example = "'time [s],u [V],x [um]'"
+        return f"line {number} looks like units ({shorten(header)}); put them into the header, as in {example}, and delete the line"
+    if len(_split_words(plain[0])) == len(_split_words(header)):
+        return ""
+    before = f"the {first - 1} lines" if first > 2 else "the line"
+    return f"line {number} looks like the header ({shorten(header)}); delete {before} before it, or begin them with '#'"
+
+
+def _split_words(line: str) -> list[str]:
+    return [word for word in _BETWEEN_WORDS.split(line.strip()) if word] or [""]
+
+
+def _is_row_of_numbers(line: str) -> bool:
+    """Whether more than half of a line's words are numbers."""
+    words = _split_words(line)
+    return 2 * sum(NUMBER.fullmatch(word) is not None for word in words) > len(words)
+
+
+def _is_row_of_units(line: str) -> bool:
+    words = [word.strip("[]()") for word in _split_words(line)]
+    try:
+        for word in words:
+            unit_converter(word, word)
+    except ModelError:
+        return False
+    return any(words)
+
+
+def _guess_separator(header: str, body: Sequence[str]) -> str:
+    """The separator by which header and most lines have the same number (over 1) of fields, numbers if possible, else the busiest."""
+    best, best_share = "", (0.0, 0.0)
+    for separator in SEPARATORS:
+        count = len(split_header(header, separator))
+        rows = [split_line(line, separator) for line in body]
+        fitting = [row for row in rows if len(row) == count]
+        share = (sum(map(_holds_numbers, fitting)) / max(len(rows), 1), len(fitting) / max(len(rows), 1))
+        if count > 1 and share > best_share:
+            best, best_share = separator, share
+    if best_share > (0.0, 0.0):
+        return best
+    counts = Counter({s: len(split_header(header, s)) for s in SEPARATORS[:3]})
+    separator, count = counts.most_common(1)[0]
+    return separator if count > 1 else BLANKS
+
+
+def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
+    """The encoding of a text: UTF-8, UTF-16 with or without its mark, or that of older instruments.
+
+    Raises DataError for a file that is no text, and for a line longer than the policy allows, which no table has.
+    """
+    with open(path, "rb") as file:
+        start = file.read(policy.bytes_per_block)
+        encoding = _guess_encoding(start[:4096], path.name)
+        decoder = codecs.getincrementaldecoder(encoding)()
+        block, since_end = start, 0
+        while block:
+            *lines, rest = re.split(rb"[\r\n]", block)
+            longest = max([since_end + len(lines[0]), *map(len, lines[1:])]) if lines else 0
+            since_end = len(rest) if lines else since_end + len(rest)
+            if max(longest, since_end) > policy.longest_line:
+                raise DataError(
+                    f"{path.name}: a line is longer than {policy.longest_line} characters; write one line for each row"
+                )
+            try:
+                decoder.decode(block)
+            except UnicodeDecodeError as error:
+                if encoding.startswith("utf-16"):
+                    raise DataError(
+                        f"{path.name}: not readable as UTF-16 text ({error.reason}); save it again as UTF-8"
+                    ) from error
+                # What older instruments write; it has the micro and degree signs, and every byte is a letter in it.
+                encoding = "latin-1"
+                decoder = codecs.getincrementaldecoder(encoding)()
+            block = file.read(policy.bytes_per_block)
+        try:
+            decoder.decode(b"", final=True)
+        except UnicodeDecodeError as error:
+            if encoding.startswith("utf-16"):
+                raise DataError(
+                    f"{path.name}: not readable as UTF-16 text ({error.reason}); save it again as UTF-8"
+                ) from error
+            encoding = "latin-1"
+    return encoding
+
+
+def _guess_encoding(start: bytes, name: str) -> str:
+    if start[:2] in _WIDE_MARKS:
+        return "utf-16"
+    even, odd = start[0::2].count(0), start[1::2].count(0)
+    if not even + odd:
+        return "utf-8-sig"
+    # Latin letters in UTF-16 without its mark: every other byte is zero, and no line end hides in the others.
+    for zeros, others, encoding in ((odd, even, "utf-16-le"), (even, odd, "utf-16-be")):
+        if others == 0 and 2 * zeros > len(start) // 2:
+            return encoding
+    raise DataError(f"{name}: this is not a text file; export it as CSV, .npz, .mat (-v7) or .parquet")
+
+
+def _to_numbers(texts: Sequence[str], decimal: str) -> tuple[np.ndarray, list[int]]:
+    """Numbers (N,) with NaN for gaps, and the rows whose text is neither a number nor a gap."""
+    if decimal == ",":
+        texts = [text.replace(",", ".") if "." not in text else NO_NUMBER for text in texts]
+    together = "".join(texts)
+    # Python reads 1_000 and digits of other scripts as numbers; nobody who looks at the file would.
+    if "_" not in together and together.isascii():
+        try:
+            return np.array(list(map(float, texts))), []
+        except ValueError:
+            pass  # a gap or a text: looked at one by one below
+    values, wrong = np.full(len(texts), np.nan), []
+    for k, text in enumerate(texts):
+        if NUMBER.fullmatch(text):
+            values[k] = float(text)
+        elif text not in GAPS:
+            wrong.append(k)
+    return values, wrong

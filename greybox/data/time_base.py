@@ -1,0 +1,433 @@
+"""Signals with stamps of their own on one time base.
+
+The base is the stamps of the fastest signal, or a grid. An input is taken at every row, by the course that belongs to it: held,
+straight, or band-limited. An output is taken where it was measured:
+ each measurement moves along its own slope to the nearest row, by at
+most half a row, and the rows between are empty, so that nothing measured once is counted twice. Rows at which an input is not known
+are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import TIME_ROUNDING
+from greybox.data.columns import SignalKind, check_size
+from greybox.data.experiment import Hold
+from greybox.data.findings import RecordCode
+from greybox.data.policy import (
+    CHANNEL_POLICY,
+    READING_POLICY,
+    RECORD_POLICY,
+    ChannelPolicy,
+    ReadingPolicy,
+    RecordPolicy,
+)
+from greybox.data.sampling import find_sampling_time, find_time_gaps
+
+
+class Samples(NamedTuple):
+    """Stamps in seconds and values, both (N,); ``latency``: the shortest time (s) from stamp to recording, by the recorder's clock."""
+
+    time: np.ndarray
+    values: np.ndarray
+    latency: float | None = None
+
+
+class ChannelUse(NamedTuple):
+    """What a channel is for, and its ``course`` between samples; ``mean``: a held input counts by its mean in each interval."""
+
+    name: str
+    kind: SignalKind
+    course: Hold
+    mean: bool
+
+
+@dataclass(frozen=True)
+class TimeBase:
+    """The common ``time`` (N,), position -> values (N,), what was done, and why it could not be done."""
+
+    time: np.ndarray
+    columns: Mapping[int, np.ndarray]
+    findings: tuple[Finding, ...] = ()
+    problems: tuple[str, ...] = ()
+
+
+def find_stamp_problems(samples: Samples) -> list[str]:
+    """Why these stamps are no time."""
+    if len(samples.time) < 2:
+        return [f"{len(samples.time)} samples; a signal needs at least 2"]
+    if not np.isfinite(samples.time).all():
+        return ["time is empty, NaN or infinite; every sample needs its time"]
+    steps = np.diff(samples.time)
+    bad = np.flatnonzero(steps <= 0)
+    if len(bad):
+        what = "repeated" if steps[bad[0]] == 0 else "going back"
+        return [
+            f"time is {what} at sample {bad[0] + 2} ({samples.time[bad[0] + 1]:.12g} s after {samples.time[bad[0]]:.12g} s),"
+            f" {len(bad)} time{'s' * (len(bad) != 1)}; time must increase from sample to sample"
+        ]
+    return []
+
+
+def bring_to_one_base(
+    samples: Mapping[int, Samples],
+    uses: Mapping[int, ChannelUse],
+    step: float | None = None,
+    reading: ReadingPolicy = READING_POLICY,
+    policy: ChannelPolicy = CHANNEL_POLICY,
+    records: RecordPolicy = RECORD_POLICY,
+) -> TimeBase:
+    """The signals on one time base.
+
+    Parameters
+    ----------
+    samples
+        Position -> samples with increasing stamps.
+    uses
+        Position -> what each is for.
+    step
+        Seconds between the rows of the base; None takes the stamps of the fastest signal.
+    reading
+        How large the result may be.
+    policy, records
+        How band-limited signals are interpolated; what a gap in time is.
+    """
+    first = next(iter(samples.values()))
+    if step is None and all(_same_stamps(s.time, first.time) for s in samples.values()):
+        return TimeBase(first.time, {k: s.values for k, s in samples.items()})
+    fastest = _find_fastest(samples, uses)
+    half_row = (_usual_step(samples[fastest].time) if step is None else step) / 2
+    start, stop = _find_window(samples, uses, half_row, records)
+    if not start < stop:
+        spans = ", ".join(f"{uses[k].name!r} {s.time[0]:.6g} to {s.time[-1]:.6g} s" for k, s in samples.items())
+        return TimeBase(
+            np.zeros(0),
+            {k: np.zeros(0) for k in samples},
+            problems=(f"the signals share no time ({spans}); choose signals of one run",),
+        )
+    if step is None:
+        base = samples[fastest].time
+        slack = TIME_ROUNDING * (base[-1] - base[0])
+        base = base[(base >= start - slack) & (base <= stop + slack)]
+    else:
+        rows = int((stop - start) / step + TIME_ROUNDING) + 1
+        check_size(rows, len(samples), reading)
+        base = start + step * np.arange(rows)
+    check_size(len(base), len(samples), reading)
+    for k, s in samples.items():
+        if uses[k].kind is SignalKind.INPUT:
+            base = base[~_in_gap(base, s, uses[k].course, records)]
+    if len(base) < 2:
+        return TimeBase(base, {k: np.full(len(base), np.nan) for k in samples})
+    columns: dict[int, np.ndarray] = {}
+    problems: list[str] = []
+    for k, s in samples.items():
+        if uses[k].course == "band-limited" and find_sampling_time(s.time, records) is None:
+            problems.append(
+                f"{uses[k].name!r} has irregular times: a band-limited signal needs uniform ones; take it straight (first)"
+            )
+            continue
+        is_output = uses[k].kind is SignalKind.OUTPUT
+        columns[k] = _place_measurements(s, base) if is_output else _interpolate(s, base, uses[k], policy)
+    if problems:
+        return TimeBase(np.zeros(0), {k: np.zeros(0) for k in samples}, problems=tuple(problems))
+    signals = [
+        [
+            uses[k].name,
+            str(uses[k].kind),
+            _usual_step(s.time),
+            "measured" if uses[k].kind is SignalKind.OUTPUT else uses[k].course,
+        ]
+        for k, s in samples.items()
+    ]
+    values = {
+        "base": "" if step is not None else uses[fastest].name,
+        "step": _usual_step(base),
+        "rows": len(base),
+        "start": float(base[0]),
+        "stop": float(base[-1]),
+        "signals": signals,
+    }
+    return TimeBase(base, columns, (Finding(RecordCode.BROUGHT_TO_ONE_TIME, values=values),))
+
+
+def interpolate_band_limited(samples: Samples, at: np.ndarray, policy: ChannelPolicy = CHANNEL_POLICY) -> np.ndarray:
+    """A uniformly sampled signal without content above half its rate, at other times ``at`` (M,).
+
+    Whittaker-Shannon, cut by a Kaiser window; beyond its ends the signal is reflected about its last value.
+    """
+    half = min(policy.band_limited_samples, len(samples.time) - 1)
+    step = (samples.time[-1] - samples.time[0]) / (len(samples.time) - 1)
+    y = samples.values
+    padded = np.concatenate((2 * y[0] - y[half:0:-1], y, 2 * y[-1] - y[-2 : -half - 2 : -1]))
+    place = (at - samples.time[0]) / step
+    whole = np.floor(place).astype(int)
+    result = np.zeros(len(at))
+    for shift in range(1 - half, half + 1):
+        distance = place - (whole + shift)
+        window = np.i0(policy.kaiser_beta * np.sqrt(np.maximum(1 - (distance / half) ** 2, 0))) / np.i0(
+            policy.kaiser_beta
+        )
+        result += padded[np.clip(whole + shift + half, 0, len(padded) - 1)] * np.sinc(distance) * window
+    return result
+
+
+def _same_stamps(a: np.ndarray, b: np.ndarray) -> bool:
+    return a is b or (len(a) == len(b) and bool(np.array_equal(a, b)))
+
+
+def _usual_step(time: np.ndarray) -> float:
+    return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+
+
+def _find_fastest(samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse]) -> int:
+    """The signal with the shortest step; of equal ones an output, whose measurements then stay where they are."""
+    steps = {k: _usual_step(s.time) for k, s in samples.items() if uses[k].kind is not SignalKind.CONDITION}
+    shortest = min(steps.values())
+    close = [k for k, step in steps.items() if step <= shortest * (1 + RECORD_POLICY.step_tolerance)]
+    return next((k for k in close if uses[k].kind is SignalKind.OUTPUT), close[0])
+
+
+def _find_window(
+    samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse], half_row: float, records: RecordPolicy
+) -> tuple[float, float]:
+    """First and last time at which every input is known and some output was measured, within half a row."""
+    spans: list[tuple[float, float]] = []
+    outputs = [s for k, s in samples.items() if uses[k].kind is SignalKind.OUTPUT]
+    for k, s in samples.items():
+        if uses[k].kind is not SignalKind.INPUT:
+            continue
+        end = float(s.time[-1])
+        if uses[k].course == "zero":
+            # A held signal stays for its step; one that is written when it changes stays for good.
+            regular = find_sampling_time(s.time, records) is not None
+            end = end + _usual_step(s.time) if regular else float("inf")
+        spans.append((float(s.time[0]), end))
+    if outputs:
+        first, last = min(float(s.time[0]) for s in outputs), max(float(s.time[-1]) for s in outputs)
+        spans.append((first - half_row, last + half_row))
+    start, stop = max(a for a, _ in spans), min(b for _, b in spans)
+    return start, stop if np.isfinite(stop) else max(float(s.time[-1]) for s in samples.values())
+
+
+def _in_gap(base: np.ndarray, samples: Samples, course: Hold, records: RecordPolicy) -> np.ndarray:
+    """Which rows lie in a gap of an input, where nobody knows it."""
+    after = find_time_gaps(samples.time, records)
+    known = _usual_step(samples.time) if course == "zero" else 0.0  # a held value stays for its step
+    inside = np.zeros(len(base), bool)
+    for k in after:
+        inside |= (base > samples.time[k] + known) & (base < samples.time[k + 1])
+    return inside
+
+
+def _place_measurements(samples: Samples, base: np.ndarray) -> np.ndarray:
+    """Each measurement at its nearest row, moved along the line to its neighbour; NaN at rows that are nearest to none."""
+    known = np.isfinite(samples.values)
+    time, values = samples.time[known], samples.values[known]
+    result = np.full(len(base), np.nan)
+    if len(time) < 2:
+        return result
+    after = np.clip(np.searchsorted(time, base), 1, len(time) - 1)
+    before = after - 1
+    distance = np.minimum(np.abs(base - time[before]), np.abs(base - time[after]))
+    steps = np.diff(base)
+    reach = np.minimum(np.append(steps, steps[-1]), np.append(steps[0], steps)) / 2
+    near = distance <= np.minimum(reach, _usual_step(time)) * (1 + TIME_ROUNDING)
+    # A measurement half way between two rows belongs to the earlier one.
+    nearest = np.where(np.abs(base - time[before]) <= np.abs(base - time[after]), before, after)
+    twice = np.append(False, near[1:] & near[:-1] & (nearest[1:] == nearest[:-1]))
+    near &= ~twice
+    slope = np.diff(values) / np.diff(time)
+    result[near] = (values[before] + slope[before] * (base - time[before]))[near]
+    return result
+
+
+def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse, policy: ChannelPolicy) -> np.ndarray:
+    known = np.isfinite(samples.values)
+    time, values = samples.time[known], samples.values[known]
+    if not len(time):
+        return np.full(len(base), np.nan)
+    if use.course == "first" or use.kind is SignalKind.CONDITION:
+        return np.interp(base, time, values)
+    if use.course == "band-limited":
+        return interpolate_band_limited(Samples(time, values), base, policy)
+    slack = TIME_ROUNDING * (base[-1] - base[0])
+    row = np.clip(np.searchsorted(time, base + slack, side="right") - 1, 0, len(time) - 1)
+    held = values[row]
+    if use.mean:
+        # The mean of a held signal over an interval does to a plant, in first order, what the signal does.
+        area = np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(time))))
+        ends = np.append(base, 2 * base[-1] - base[-2])
+        total = np.interp(ends, time, area) + values[-1] * np.maximum(ends - time[-1], 0)
+        inside = np.searchsorted(time, ends[1:] - slack) - 1 > row
+        held = np.where(inside, np.diff(total) / np.diff(ends), held)
+    return held
+
+
+# How two clocks of one file lie to each other, from a signal that both have stamped.
+#
+# Which offset and which drift make the copy of the second clock lie on that of the first is a least-squares problem; correlation gives
+# its start. Without a common signal nobody can tell an offset from a delay of the plant, which is said.
+
+
+class ClockOffset(NamedTuple):
+    """``offset`` (s) to be added to the stamps of the second clock at time ``middle`` (s), and its standard deviation; ``drift`` in s/s."""
+
+    offset: float
+    std: float
+    drift: float
+    middle: float
+    correlation: float
+
+    def correct(self, time: np.ndarray) -> np.ndarray:
+        """The stamps (N,) of the second clock on the first."""
+        return time + self.offset + self.drift * (time - self.middle)
+
+
+def correct_clocks(
+    samples: Mapping[int, Samples],
+    wanted: Sequence[int],
+    clocks: Mapping[int, str],
+    shared: Sequence[tuple[int, int, str]],
+    policy: ChannelPolicy = CHANNEL_POLICY,
+) -> tuple[dict[int, Samples], tuple[Finding, ...]]:
+    """The wanted samples on the clock of the first of them, and what was found.
+
+    Parameters
+    ----------
+    samples
+        Position -> samples, of the wanted channels and of those in ``shared``.
+    wanted
+        Positions of the wanted channels.
+    clocks
+        Position -> clock.
+    shared
+        Pairs of positions of a signal that the first clock and another one have stamped, with its name.
+    policy
+        When an offset is believed.
+    """
+    reference = clocks[wanted[0]]
+    others = list(dict.fromkeys(clocks[k] for k in wanted if clocks[k] != reference))
+    corrected = {k: samples[k] for k in wanted}
+    findings: list[Finding] = []
+    for clock in others:
+        pairs = [(a, b, name) for a, b, name in shared if clocks[b] == clock]
+        estimates = [(estimate_clock_offset(samples[a], samples[b], policy), name) for a, b, name in pairs]
+        best = max(
+            ((e, name) for e, name in estimates if e is not None), key=lambda pair: pair[0].correlation, default=None
+        )
+        of_recorder = None if best is not None else _compare_latencies(samples, wanted, clocks, clock)
+        if of_recorder is not None:
+            if abs(of_recorder) > policy.recorder_latency:
+                values = {"reference": reference, "offset": of_recorder}
+                findings.append(Finding(RecordCode.CLOCK_OFFSET_BY_RECORDER, Severity.WARNING, clock, values))
+                for k in wanted:
+                    if clocks[k] == clock:
+                        corrected[k] = samples[k]._replace(time=samples[k].time + of_recorder)
+        elif best is None:
+            findings.append(Finding(RecordCode.CLOCKS_NOT_COMPARED, subject=clock, values={"reference": reference}))
+        if best is None:
+            continue
+        offset, name = best
+        values = {"reference": reference, "signal": name, **{n: float(v) for n, v in offset._asdict().items()}}
+        findings.append(Finding(RecordCode.CLOCK_OFFSET, Severity.WARNING, clock, values))
+        for k in wanted:
+            if clocks[k] == clock:
+                corrected[k] = samples[k]._replace(time=offset.correct(samples[k].time))
+    return corrected, tuple(findings)
+
+
+def _compare_latencies(
+    samples: Mapping[int, Samples], wanted: Sequence[int], clocks: Mapping[int, str], clock: str
+) -> float | None:
+    """Seconds to be added to the stamps of ``clock``, from what the recorder saw of it and of the first clock; None if it saw nothing."""
+    first, other = samples[wanted[0]].latency, next(samples[k].latency for k in wanted if clocks[k] == clock)
+    return None if first is None or other is None else other - first
+
+
+def estimate_clock_offset(
+    first: Samples, second: Samples, policy: ChannelPolicy = CHANNEL_POLICY
+) -> ClockOffset | None:
+    """What must be added to the stamps of ``second`` for its signal to lie on that of ``first``.
+
+    None where the two do not look alike at any offset, or show none because they hardly move.
+    """
+    first, second = (Samples(s.time[np.isfinite(s.values)], s.values[np.isfinite(s.values)]) for s in (first, second))
+    if min(len(first.time), len(second.time)) < policy.least_shared_samples:
+        return None
+    coarse, step = _correlate(first, second, policy)
+    if coarse is None:
+        return None
+    return _refine(first, second, coarse, step, policy)
+
+
+def is_held(values: np.ndarray, policy: ChannelPolicy = CHANNEL_POLICY) -> bool:
+    """Whether a signal (N,) stays at its values and jumps between them: a command, a switch, a set point."""
+    known = values[np.isfinite(values)]
+    return len(known) > 1 and 0 < float(np.mean(np.diff(known) != 0)) <= policy.held_values
+
+
+def _correlate(first: Samples, second: Samples, policy: ChannelPolicy) -> tuple[float | None, float]:
+    """The offset at which the two correlate most, on a grid of ``step`` seconds."""
+    from scipy.signal import fftconvolve
+
+    spans = [s.time[-1] - s.time[0] for s in (first, second)]
+    step = max(
+        min(float(np.median(np.diff(s.time))) for s in (first, second)), max(spans) / policy.most_correlated_rows
+    )
+    grids = [s.time[0] + step * np.arange(int((s.time[-1] - s.time[0]) / step) + 1) for s in (first, second)]
+    a, b = (np.interp(g, s.time, s.values) for g, s in zip(grids, (first, second), strict=True))
+    a, b = a - a.mean(), b - b.mean()
+    if not (a.any() and b.any()):
+        return None, step
+    products = fftconvolve(a, b[::-1])
+    lag = int(np.argmax(np.abs(products))) - (len(b) - 1)
+    return float(grids[0][0] + lag * step - grids[1][0]), step
+
+
+def _refine(first: Samples, second: Samples, offset: float, step: float, policy: ChannelPolicy) -> ClockOffset | None:
+    """Gauss-Newton on offset, drift, gain and level: ``second(t) = gain * first(t + offset + drift (t - middle)) + level``."""
+    middle, drift = float(second.time.mean()), 0.0
+    slope = Samples(first.time, np.gradient(first.values, first.time))
+    correlation, covariance = 0.0, np.full((2, 2), np.inf)
+    for _ in range(policy.offset_iterations):
+        at = second.time + offset + drift * (second.time - middle)
+        inside = (at >= first.time[0]) & (at <= first.time[-1])
+        if inside.sum() < policy.least_shared_samples:
+            return None
+        t, y = second.time[inside], second.values[inside]
+        model = np.interp(at[inside], first.time, first.values)
+        rate = np.interp(at[inside], slope.time, slope.values)
+        if not (np.ptp(model) and np.ptp(y)):
+            return None
+        correlation = float(np.corrcoef(model, y)[0, 1])
+        gain = float(np.polyfit(model, y, 1)[0])
+        columns = np.column_stack([model, np.ones_like(t), gain * rate, gain * rate * (t - middle)])
+        solution, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
+        if rank < columns.shape[1]:
+            return None
+        residual = y - columns @ solution
+        covariance = np.linalg.inv(columns.T @ columns)[2:, 2:] * float(residual @ residual) / max(len(t) - 4, 1)
+        move = np.clip(solution[2], -step, step)
+        offset, drift = offset + float(move), drift + float(solution[3])
+        if abs(move) < policy.offset_resolution * step:
+            break
+    if correlation < policy.least_correlation:
+        return None
+    std = float(np.sqrt(covariance[0, 0]))
+    steps = [float(np.median(np.diff(s.time))) for s in (first, second)]
+    # The edges of a held signal are known to a step of each clock, however well the rest of it fits.
+    held = any(is_held(s.values, policy) for s in (first, second))
+    if held:
+        std = float(np.sqrt(std**2 + (steps[0] ** 2 + steps[1] ** 2) / 12))
+    span = second.time[-1] - second.time[0]
+    least = max(steps) if held else policy.drift_significance * float(np.sqrt(covariance[1, 1])) * span
+    if abs(drift) * span <= 2 * least:
+        drift = 0.0
+    return ClockOffset(offset, std, drift, middle, correlation)

@@ -1,0 +1,317 @@
+"""`check`: are the equations right, how would they be integrated, and what can the records determine."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from typing import Any
+
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.findings import Finding
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import NoiseModel
+from greybox.estimation.fit_issues import find_excluded_outputs
+from greybox.estimation.identifiability.combinations import OpenDirection
+from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
+from greybox.estimation.identifiability.practical import (
+    ExpectedPrecision,
+    PracticalIdentifiability,
+    analyse_problem,
+    list_measured_outputs,
+)
+from greybox.estimation.identifiability.sensitivity import simulate_generic_record
+from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.estimation.options import FitOptions
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.model.effects.catalogue import CATALOGUE
+from greybox.model.effects.placement import Placement, find_placements
+from greybox.model.model import Model
+from greybox.model.signals import Input, Parameter, State
+from greybox.model.sites import STORE
+from greybox.simulation.kernel.compiled import CompiledKernel
+
+FORMAT = 1
+"""Version of ``check.json``."""
+
+
+@dataclass(frozen=True)
+class ModelCheck(Printable):
+    """What is known of a model, and of records for it, before a fit.
+
+    Parameters
+    ----------
+    model
+        The model as it was given.
+    linear
+        Whether it is linear in states and inputs.
+    discretisation
+        How it would be integrated.
+    kernel, kernel_reason, compiled
+        What runs it, why, and whether that is compiled code.
+    experiments
+        The records, or a simulated one.
+    assumed
+        What was assumed for the simulated record that stood in for data; None where records were given.
+    noise
+        Standard deviation by measured output.
+    noise_model
+        The same with where it is known from.
+    excluded
+        What is left out of the outputs, and why.
+    structure
+        What the measured outputs determine at best; None where the model could not be run, then ``doubt`` says why.
+    practical
+        What these records determine.
+    placements
+        Where the effects of the catalogue find a place in it, and what the others lack.
+    policy, options
+        What it was steered by.
+    """
+
+    model: Model
+    linear: bool
+    discretisation: str
+    kernel: str
+    kernel_reason: str
+    compiled: bool
+    experiments: tuple[Experiment, ...]
+    assumed: Finding | None
+    noise: Mapping[str, float]
+    noise_model: NoiseModel
+    excluded: tuple[Finding, ...]
+    structure: StructuralIdentifiability | None
+    practical: PracticalIdentifiability
+    doubt: str = ""
+    placements: tuple[Placement, ...] = ()
+    policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
+    options: FitOptions = field(default_factory=FitOptions, repr=False)
+
+    @property
+    def constants(self) -> Mapping[str, ExpectedPrecision]:
+        """What to expect of each free constant."""
+        return self.practical.constants
+
+    @property
+    def open_directions(self) -> tuple[OpenDirection, ...]:
+        """Combinations that no record of the measured outputs determines."""
+        return self.structure.directions if self.structure else ()
+
+    @property
+    def roles(self) -> dict[str, dict[str, str]]:
+        """``states``, ``inputs`` and ``parameters`` of the plant that have a role, by name."""
+        return _list_roles(self.model)
+
+    @property
+    def failure(self) -> Finding | None:
+        """Why nothing can be said of the records, None where something can."""
+        return self.practical.failure
+
+    @property
+    def complete(self) -> bool:
+        """Whether every free constant is determined, by the structure and by the records."""
+        structure_complete = self.structure is None or self.structure.complete
+        return structure_complete and not self.failure and all(c.determined for c in self.constants.values())
+
+    def as_dict(self) -> dict[str, Any]:
+        """The results as numbers, texts, lists and dictionaries, ready for JSON; what is not finite is None."""
+        structure, practical = self.structure, self.practical
+        records = [
+            {
+                "name": e.name,
+                "rows": e.rows,
+                "duration": e.duration,
+                "sampling_time": e.sampling_time,
+                "data": e.fingerprint,
+                "notes": [str(finding) for finding in e.findings],
+                "findings": e.findings,
+            }
+            for e in self.experiments
+        ]
+        structure_data = {"doubt": self.doubt}
+        if structure is not None:
+            structure_data = _to_plain(structure) | {
+                "remedies": [str(finding) for finding in structure.recommendations],
+                "verdict": structure.verdict,
+            }
+        practical_data = _to_plain(practical) | {
+            "remarks": [str(finding) for finding in practical.findings],
+            "failure": str(practical.failure or ""),
+            "excitation": [
+                _to_plain(excitation) | {"warnings": [str(finding) for finding in excitation.findings]}
+                for excitation in practical.excitation
+            ],
+        }
+        return _to_plain(
+            {
+                "format": FORMAT,
+                "model": self.model.title,
+                "linear": self.linear,
+                "discretisation": self.discretisation,
+                "kernel": self.kernel,
+                "records": records,
+                "assumed": str(self.assumed or ""),
+                "noise": {
+                    "std": self.noise,
+                    "source": "; ".join(map(str, (self.noise_model, *self.excluded))),
+                    "sources": self.noise_model.sources,
+                },
+                "structure": structure_data,
+                "data": practical_data,
+                "complete": self.complete,
+                "roles": self.roles,
+                "effects": [{"name": p.name, "site": p.site} for p in self.placements if p.effect is not None],
+                "without_place": [
+                    {
+                        "name": p.name,
+                        "reason": p.reason,
+                        "missing": None if p.missing is None else dict(zip(("kind", "name"), p.missing, strict=True)),
+                    }
+                    for p in self.placements
+                    if p.effect is None
+                ],
+                "policy": self.policy,
+                "options": self.options.to_data(),
+            }
+        )
+
+
+def check(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment] = (),
+    *,
+    noise: Mapping[str, float] | None = None,
+    outputs: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> ModelCheck:
+    """What is known about a model before a fit, and which constants the records determine near the start values.
+
+    Units and names were checked when the model was made. The standard deviations to expect hold if the model is right and the
+    start values are near: a fit says more.
+
+    Parameters
+    ----------
+    model
+        The model with its start values.
+    experiments
+        The records; without them a simulated record stands in, see `greybox.estimation.identifiability.sensitivity`.
+    noise
+        Standard deviation by output, estimated from the records if left out.
+    outputs
+        What if only these were measured? None for all that the records have.
+    options
+        How the model is integrated, and whether records begin at rest.
+    policy
+        When a constant is determined, and how a simulated record is made.
+
+    Returns
+    -------
+    ModelCheck
+        Integration, structural and practical identifiability.
+
+    Raises
+    ------
+    DataError, ModelError
+        For records that do not go with the model, and for unknown outputs.
+
+    Examples
+    --------
+    >>> [str(d) for d in check(micro_actuator).open_directions]  # doctest: +SKIP
+    ['M, B, K, Kf scale together']
+    """
+    options = options or FitOptions()
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    _check_outputs(model, outputs)
+    assumed = None
+    if not group:
+        record, assumed = simulate_generic_record(model, policy.experiment)
+        group = (record,)
+    if outputs is not None:
+        group = tuple(_select_outputs(e, outputs) for e in group)
+        noise = {name: std for name, std in (noise or {}).items() if name in outputs}
+    problem = prepare_problem(
+        model,
+        group,
+        noise,
+        at_rest=options.at_rest,
+        method=options.method,
+        substeps=options.substeps,
+        policy=options.policy,
+    )
+    measured = list_measured_outputs(problem)
+    structure, doubt = _analyse_structure(model, measured, options.at_rest, policy)
+    return ModelCheck(
+        model,
+        model.system.linear,
+        problem.step.label,
+        problem.kernel.description,
+        problem.kernel.reason,
+        problem.kernel.name == CompiledKernel.name,
+        group,
+        assumed,
+        {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
+        problem.noise,
+        tuple(find_excluded_outputs(problem)),
+        structure,
+        analyse_problem(problem, structure, policy),
+        doubt,
+        tuple(find_placements(model, CATALOGUE)),
+        policy,
+        options,
+    )
+
+
+def _list_roles(model: Model) -> dict[str, dict[str, str]]:
+    """The role of each state, input and parameter of the plant; a body's velocity and displacement are found by their balances."""
+    groups: dict[str, Sequence[State | Input | Parameter]] = {
+        "states": model.states,
+        "inputs": model.inputs,
+        "parameters": model.parameters,
+    }
+    roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
+    for site in model.sites:
+        roles["states"] = {name: role for role, name in site.states.items() if name and role != STORE} | roles["states"]
+    roles["states"] = {s.name: roles["states"][s.name] for s in model.states if s.name in roles["states"]}
+    return roles
+
+
+def _analyse_structure(
+    model: Model, measured: Sequence[str], at_rest: bool, policy: IdentifiabilityPolicy
+) -> tuple[StructuralIdentifiability | None, str]:
+    """The structural result, or why there is none: of a model that overflows, and the records are still looked at."""
+    try:
+        return analyse_structural_identifiability(model, measured, at_rest=at_rest, policy=policy), ""
+    except DataError as error:
+        return None, str(error)
+
+
+def _check_outputs(model: Model, outputs: Sequence[str] | None) -> None:
+    known = [o.name for o in model.outputs]
+    for name in outputs or ():
+        if name not in known:
+            raise ModelError(f"model {model.title!r} has no output {name!r}; {nearest(name, known)}")
+
+
+def _select_outputs(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
+    kept = {name: values for name, values in experiment.outputs.items() if name in outputs}
+    if not kept:
+        raise DataError(
+            f"experiment {experiment.name!r} has none of the outputs {', '.join(outputs)};"
+            f" it has {', '.join(experiment.outputs) or 'none'}"
+        )
+    return replace(experiment, outputs=kept)
+
+
+def _to_plain(value: Any) -> Any:
+    """Dataclasses and mappings as dictionaries, sequences as lists, what is not finite as None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: _to_plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _to_plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_to_plain(item) for item in value]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value

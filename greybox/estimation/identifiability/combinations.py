@@ -1,0 +1,343 @@
+"""Which combinations of the constants are determined, as formulas."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
+from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
+from greybox.base.units import parse_unit
+from greybox.base.values import Printable
+from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
+from greybox.estimation.identifiability.sensitivity import Sensitivity, SensitivityRank, highest_ranks
+from greybox.estimation.identifiability.transfer_functions import (
+    Polynomial,
+    divide,
+    format_polynomial,
+    logarithmic_gradient,
+    remove_known_factors,
+    transfer_function_coefficients,
+)
+from greybox.model.model import Model
+
+# Open directions in words: which constants can change together without any change of the outputs.
+
+
+@dataclass(frozen=True)
+class OpenDirection(Printable):
+    """Constants that can change together: ``weights`` are their relative changes, the largest at most some units.
+
+    ``scaling``: the weights are exponents, valid everywhere: each constant times ``c^weight`` leaves the outputs as they
+    are, for every ``c``. Otherwise they hold near one point only. ``seen_by`` are the outputs, not among the measured
+    ones, that would show the change.
+    """
+
+    weights: Mapping[str, float]
+    scaling: bool
+    seen_by: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The constants that take part."""
+        return tuple(self.weights)
+
+
+def find_open_directions(
+    ranks: Sequence[SensitivityRank], names: Sequence[str], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> list[OpenDirection]:
+    """The open directions, as many as there are, each with as few constants as possible; scalings first."""
+    size = ranks[0].null.shape[1]
+    chosen: list[np.ndarray] = []
+    directions = []
+    # At one point alone every direction is the same everywhere: whole exponents show a scaling there.
+    common = common_null_space([r.row for r in ranks], size)
+    powers = (to_small_integers(v, policy) for v in find_sparsest_vectors(common, policy))
+    scalings = (OpenDirection(_name_weights(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v, policy))
+    trades = (
+        OpenDirection(_name_weights(v / np.abs(v).max(), names), False)
+        for v in find_sparsest_vectors(ranks[0].null, policy)
+    )
+    for direction in itertools.chain(scalings, trades):
+        if len(chosen) == size:
+            break
+        v = np.array([direction.weights.get(name, 0.0) for name in names])
+        if are_independent([*chosen, v]):
+            chosen.append(v)
+            directions.append(direction)
+    return directions
+
+
+def common_null_space(spans: Sequence[np.ndarray], most: int) -> np.ndarray:
+    """Basis (n, k) of the vectors that are orthogonal to every one of ``spans`` (n, r): the same at every point."""
+    stacked = np.hstack(spans).T
+    if not stacked.size:
+        return np.eye(stacked.shape[1])[:, :most]
+    return decompose_columns(stacked, DIRECTION_RANK, np.ones(stacked.shape[1])).weak
+
+
+def find_sparsest_vectors(
+    basis: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> Iterator[np.ndarray]:
+    """Vectors of a subspace (n, k) with the fewest entries, fewest first: those of which no entry can be made zero."""
+    n, k = basis.shape
+    if not k:
+        return
+    touched = np.flatnonzero(np.abs(basis).max(axis=1) > DIRECTION_CUTOFF)
+    tried, seen = 0, list[set[int]]()
+    for size in range(1, n - k + 2):
+        for subset in itertools.combinations(touched.tolist(), size):
+            tried += 1
+            if tried > policy.max_subsets:
+                yield from _echelon(basis)
+                return
+            if any(s <= set(subset) for s in seen):
+                continue
+            others = np.setdiff1d(np.arange(n), subset)
+            vanishing = decompose_columns(basis[others], DIRECTION_RANK, np.ones(k)).weak
+            if vanishing.shape[1] == 1:
+                v = basis @ vanishing[:, 0]
+                v[others] = 0.0
+                seen.append(set(subset))
+                yield v
+
+
+def to_small_integers(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> np.ndarray:
+    """``v`` times a number that makes its entries small integers, if there is one; the first entry positive."""
+    entries = v[np.abs(v) > DIRECTION_CUTOFF]
+    v = v / entries[np.argmin(np.abs(entries))]
+    v = v * (1.0 if v[np.flatnonzero(np.abs(v) > DIRECTION_CUTOFF)[0]] > 0 else -1.0)
+    for times in range(1, policy.largest_exponent + 1):
+        if np.abs(v * times - np.round(v * times)).max() < EXPONENT_AGREEMENT * policy.largest_exponent:
+            return np.round(v * times)
+    return v
+
+
+def is_integer(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> bool:
+    """Whether all entries are small integers."""
+    return bool(np.all(v == np.round(v)) and np.abs(v).max() <= policy.largest_exponent)
+
+
+def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:
+    """A basis with zeros where an elimination with pivoting puts them, for a subspace too large to search."""
+    rows = basis.T.copy()
+    for k in range(len(rows)):
+        row, column = divmod(int(np.argmax(np.abs(rows[k:]))), rows.shape[1])
+        rows[[k, k + row]] = rows[[k + row, k]]
+        rows[k] /= rows[k, column]
+        for j in range(len(rows)):
+            if j != k:
+                rows[j] -= rows[j, column] * rows[k]
+    rows[np.abs(rows) < DIRECTION_CUTOFF] = 0.0
+    yield from rows[np.argsort((rows != 0).sum(axis=1), kind="stable")]
+
+
+def _name_weights(v: np.ndarray, names: Sequence[str]) -> dict[str, float]:
+    return {name: float(w) for name, w in zip(names, v, strict=True) if abs(w) > DIRECTION_CUTOFF}
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterCombination:
+    """A formula in the constants, up to a known factor, and what it depends on: ``poly`` has one exponent a parameter.
+
+    ``is_coefficient``: it is a coefficient of a transfer function, not a ratio of two.
+    """
+
+    text: str
+    poly: Polynomial
+    is_coefficient: bool = False
+
+    def slope(self, p: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """``d log / d log p`` of the free constants (nf,) at the parameters ``p`` (np,)."""
+        return logarithmic_gradient(self.poly, p)[which]
+
+
+def find_determined_combinations(
+    model: Model,
+    ranks: Sequence[SensitivityRank],
+    points: Sequence[np.ndarray],
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> list[ParameterCombination]:
+    """Independent combinations that every point determines, the plainest first; at most as many as the rank.
+
+    ``points`` (np,): the parameters at which ``ranks`` were found. Products of powers are found for every model, sums
+    for linear ones, among the coefficients of their transfer functions.
+    """
+    which = free_parameter_indices(model)
+    chosen: list[ParameterCombination] = []
+    slopes: list[np.ndarray] = []
+    candidates = [*find_product_combinations(model, ranks, policy), *find_transfer_function_combinations(model)]
+    for plain in sorted(candidates, key=simplicity_key):
+        if len(chosen) == ranks[0].rank:
+            break
+        candidate = _bare(plain, chosen, model)
+        at = [candidate.slope(p, which) for p in points]
+        if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
+            continue
+        if are_independent([*slopes, at[0]]):
+            chosen.append(candidate)
+            slopes.append(at[0])
+    return chosen
+
+
+def free_parameter_indices(model: Model) -> np.ndarray:
+    """Positions of the free constants among all parameters."""
+    return np.array([k for k, q in enumerate(model.all_parameters) if not q.fixed], int)
+
+
+def find_product_combinations(
+    model: Model, ranks: Sequence[SensitivityRank], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> Iterator[ParameterCombination]:
+    """Products of powers that do not change along any open direction, at any point."""
+    which, names = free_parameter_indices(model), list(model.values)
+    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which)), policy):
+        powers = to_small_integers(v, policy)
+        if is_integer(powers, policy):
+            whole = np.zeros(len(names), int)
+            # A quotient with the positive powers in front is what people call it.
+            whole[which] = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
+            poly = {tuple(whole.tolist()): Fraction(1)}
+            yield ParameterCombination(format_polynomial(poly, names), poly)
+
+
+def find_transfer_function_combinations(model: Model) -> list[ParameterCombination]:
+    """The coefficients of a linear model's transfer functions, and their ratios where these are formulas: gains, lags."""
+    if not model.system.linear:
+        return []
+    which, names = free_parameter_indices(model), list(model.values)
+    known = np.setdiff1d(np.arange(len(names)), which).tolist()
+    base = list({_key(poly): poly for poly in transfer_function_coefficients(model.system)}.values())
+    ratios = [divide(one, other) for one in base for other in base if one is not other]
+    combinations: dict[tuple, ParameterCombination] = {}
+    for is_coefficient, poly in [*((True, poly) for poly in base), *((False, ratio) for ratio in ratios if ratio)]:
+        bare = remove_known_factors(poly, known)
+        if len(bare) == 1 and max(*next(iter(bare)), 0) == 0:  # 1/Ra: the constant itself
+            bare = {tuple(-k for k in e): f for e, f in bare.items()}
+        if any(e[k] for e in bare for k in which):
+            combinations.setdefault(
+                _key(bare), ParameterCombination(format_polynomial(bare, names), bare, is_coefficient)
+            )
+    return list(combinations.values())
+
+
+def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
+    """Whether a formula with this slope (nf,) does not change along any open direction."""
+    size = np.linalg.norm(slope)
+    return bool(
+        np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(rank.null.T @ slope) < DIRECTION_CUTOFF * size
+    )
+
+
+def _bare(
+    candidate: ParameterCombination, chosen: Sequence[ParameterCombination], model: Model
+) -> ParameterCombination:
+    """A sum without the factors that are determined by themselves: ``K + Ks`` for ``(K + Ks)/La``."""
+    if len(candidate.poly) == 1:
+        return candidate
+    names = list(model.values)
+    poly = remove_known_factors(candidate.poly, [names.index(c.text) for c in chosen if c.text in names])
+    return ParameterCombination(format_polynomial(poly, names), poly, candidate.is_coefficient)
+
+
+def _key(poly: Polynomial) -> tuple:
+    return tuple(sorted(poly.items()))
+
+
+def simplicity_key(candidate: ParameterCombination) -> tuple[int, int, bool, int]:
+    """Products before sums, short ones first; of the sums first those that the transfer function has itself."""
+    powers = np.array(list(candidate.poly))
+    size, terms = int(np.abs(powers).sum()), len(powers)
+    return terms, size if terms == 1 else 0, not candidate.is_coefficient, size
+
+
+# What would close a gap in identifiability: another sensor, a constant that is known, or a relation between two of them.
+
+EASILY_MEASURED = ("mass", "resistance", "inductance")  # roles of constants that a balance or a meter shows
+
+
+def find_recommendations(
+    model: Model,
+    points: Sequence[Sensitivity],
+    measured: Sequence[str],
+    others: Sequence[str],
+    sensors: Sequence[str],
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> list[Finding]:
+    """What would determine more constants, the most effective first.
+
+    ``others``: outputs of the model that are not measured; ``sensors``: states that have no output.
+    """
+    names = [q.name for q in model.free_parameters]
+    present = highest_ranks(points, measured)[0]
+    if not present.null.shape[1]:
+        return []
+    findings = []
+    for code, added in ((IdentifiabilityCode.MEASURE_OUTPUT, others), (IdentifiabilityCode.ADD_SENSOR, sensors)):
+        ranks = {o: highest_ranks(points, [*measured, o])[0] for o in added}
+        best = max((r.rank for r in ranks.values()), default=present.rank)
+        if best == present.rank:
+            continue
+        useful = [o for o in ranks if ranks[o].rank == best]
+        then = find_closing_constants(model, names, ranks[useful[0]], policy)
+        findings.append(Finding(code, values={"signals": useful, "rank": best, "count": len(names), "then": then}))
+    closing = find_closing_constants(model, names, present, policy)
+    return [*findings, Finding(IdentifiabilityCode.FIX_CONSTANTS, values=closing)]
+
+
+def find_closing_constants(
+    model: Model, names: Sequence[str], rank: SensitivityRank, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> dict[str, Any]:
+    """Which constants to fix, and which relations would do as well; empty where nothing is missing.
+
+    ``missing``: how many; ``constants``: where one is missing those of which any closes the gap, else a set that closes all of
+    them; ``relations``: pairs of constants of one dimension, ``equal`` where they have the same value now.
+    """
+    missing = rank.null.shape[1]
+    if not missing:
+        return {}
+    easy = {q.name for q in model.free_parameters if q.role in EASILY_MEASURED}
+    sets = find_closing_sets(rank.null, policy)
+    if missing == 1:
+        constants = [names[k] for (k,) in sorted(sets)]
+    else:
+        sets = sorted(sets, key=lambda s: -len(easy & {names[k] for k in s}))
+        constants = [names[k] for k in sets[0]] if sets else []
+    relations = find_closing_relations(model, names, rank.null)
+    equal = [relation for relation in relations if relation["equal"]]
+    return {"missing": missing, "constants": constants, "relations": equal[: policy.max_relations] or relations[:1]}
+
+
+def find_closing_sets(
+    null: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
+) -> list[tuple[int, ...]]:
+    """Sets of as many constants as there are open directions that, once known, close them all."""
+    n, k = null.shape
+    sets: list[tuple[int, ...]] = []
+    for subset in itertools.islice(itertools.combinations(range(n), k), policy.max_closing_sets):
+        if decompose_columns(null[list(subset)], DIRECTION_RANK, np.ones(k)).rank == k:
+            sets.append(subset)
+    return sets
+
+
+def find_closing_relations(model: Model, names: Sequence[str], null: np.ndarray) -> list[dict[str, Any]]:
+    """Relations such as ``Kf = Kv`` between constants of one dimension that would close a direction, equal ones first."""
+    units = {q.name: q.unit for q in model.free_parameters}
+    relations = []
+    for (j, one), (k, other) in itertools.combinations(enumerate(names), 2):
+        unit = parse_unit(units[one])
+        if (
+            not unit.dimensions
+            or unit != parse_unit(units[other])
+            or np.abs(null[j] - null[k]).max() < DIRECTION_CUTOFF
+        ):
+            continue
+        equal = bool(np.isclose(model.parameter(one).value, model.parameter(other).value))
+        relations.append({"constants": [one, other], "equal": equal})
+    return sorted(relations, key=lambda relation: not relation["equal"])

@@ -1,0 +1,171 @@
+"""`analyse_excitation`: how much an input can tell, whatever the model, and whether that is enough for a given one."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding, Severity
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment
+from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.policy import EXCITATION_POLICY, ExcitationPolicy
+from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
+from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.model.model import Model
+
+
+@dataclass(frozen=True)
+class Excitation(Printable):
+    """How rich the inputs of a record are.
+
+    Parameters
+    ----------
+    orders
+        Input -> order of persistent excitation, at most ``limit`` (``limit`` means: as rich as can be seen).
+    bands
+        Input -> frequency in rad/s below which 99.9 % of its movement lies.
+    limit
+        Highest order that the record can show.
+    needed
+        Order that the model needs; None without a model or for a nonlinear one, for which no order is enough or too little by itself.
+    poles
+        Fastest motion of the model in rad/s.
+    findings
+        Where the inputs are too poor for the model.
+    """
+
+    orders: Mapping[str, int]
+    bands: Mapping[str, float]
+    limit: int
+    needed: int | None = None
+    poles: float = 0.0
+    findings: tuple[Finding, ...] = ()
+
+
+def analyse_excitation(
+    experiment: Experiment,
+    model: Model | None = None,
+    *,
+    structure: StructuralIdentifiability | None = None,
+    policy: ExcitationPolicy = EXCITATION_POLICY,
+) -> Excitation:
+    """Persistent excitation of the inputs of a record, against what a model asks for.
+
+    An input is persistently exciting of order ``n`` when ``n`` of its values at different lags are linearly independent
+    throughout: 1 for a constant or a step, 2 for each sinusoid, any number for noise. Each of them carries one number
+    about each measured output. Judged by the rank of the lagged inputs in short segments of the record, the median of
+    these, so that a single step in a long record does not count; lags are spread over half a segment, so that slow tones
+    in fast sampling are distinguished.
+
+    Parameters
+    ----------
+    experiment
+        The record.
+    model
+        What the inputs are to excite; None looks at the inputs alone.
+    structure
+        The model's `analyse_structural_identifiability`, if it is at hand: saves computing it.
+    policy
+        How orders and bands are judged.
+
+    Returns
+    -------
+    Excitation
+        Orders, bands, and findings where they are too low for the model.
+
+    Raises
+    ------
+    DataError
+        For an input of the model that the experiment does not have.
+
+    Examples
+    --------
+    >>> analyse_excitation(record, model).orders  # doctest: +SKIP
+    {'u': 40}
+    """
+    names = list(experiment.inputs) if model is None else [i.name for i in model.inputs]
+    missing = [name for name in names if name not in experiment.inputs]
+    if missing:
+        raise DataError(
+            f"experiment {experiment.name!r} has no input {missing[0]!r}; it has {', '.join(experiment.inputs) or 'none'}"
+        )
+    limit = _find_highest_order(experiment.rows, policy)
+    orders = {name: excitation_order(experiment.inputs[name], policy) for name in names}
+    bands = {name: excitation_bandwidth(experiment.time, experiment.inputs[name], policy) for name in names}
+    if model is None or not names:
+        return Excitation(orders, bands, limit)
+    fastest, _ = fastest_and_slowest_rate(model)
+    needed = None
+    if model.system.linear:
+        measured = [o.name for o in model.outputs if o.name in experiment.outputs]
+        structure = structure or analyse_structural_identifiability(model, measured or None)
+        needed = math.ceil(structure.rank / len(structure.outputs))
+    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, policy)
+    return Excitation(orders, bands, limit, needed, fastest, tuple(findings))
+
+
+def excitation_order(u: np.ndarray, policy: ExcitationPolicy = EXCITATION_POLICY) -> int:
+    """Order of persistent excitation of one input (N,), at most about a quarter of its rows and the policy's highest."""
+    size = float(np.abs(u).max(initial=0.0))
+    if size == 0.0:
+        return 0
+    length = _choose_segment(len(u), policy)
+    limit = _find_highest_order(len(u), policy)
+    generator = np.random.default_rng(0)  # lags without a common divisor: no two tones look alike
+    lags = np.sort(generator.choice(np.arange(1, length // 2), limit - 1, replace=False))
+    lags = np.concatenate([[0], lags])
+    starts = np.arange(length - lags[-1])
+    orders = []
+    for k in range(len(u) // length):
+        part = u[k * length : (k + 1) * length] / size
+        s = np.linalg.svd(part[starts[:, None] + lags], compute_uv=False)
+        orders.append(int((s > policy.order_threshold * s[0]).sum()) if s[0] > 0 else 0)
+    return statistics.median_high(orders)
+
+
+def excitation_bandwidth(time: np.ndarray, u: np.ndarray, policy: ExcitationPolicy = EXCITATION_POLICY) -> float:
+    """Frequency in rad/s below which nearly all of the movement of an input (N,) lies."""
+    grid = np.linspace(time[0], time[-1], len(time))
+    even = np.interp(grid, time, u)
+    even = (even - even.mean()) * np.hanning(len(even))
+    power = np.abs(np.fft.rfft(even)) ** 2
+    if power.sum() <= 0:
+        return 0.0
+    k = int(np.searchsorted(np.cumsum(power), policy.band_power * power.sum()))
+    return float(2 * np.pi * np.fft.rfftfreq(len(even), grid[1] - grid[0])[min(k, len(power) - 1)])
+
+
+def _choose_segment(rows: int, policy: ExcitationPolicy) -> int:
+    return max(min(policy.min_segment_rows, rows), rows // policy.segments)
+
+
+def _find_highest_order(rows: int, policy: ExcitationPolicy) -> int:
+    return max(1, min(policy.max_order, _choose_segment(rows, policy) // 4))
+
+
+def _find_poor_excitation(
+    orders: Mapping[str, int],
+    bands: Mapping[str, float],
+    limit: int,
+    needed: int | None,
+    fastest: float,
+    policy: ExcitationPolicy,
+) -> list[Finding]:
+    total = sum(orders.values())
+    if not total:
+        return [Finding(IdentifiabilityCode.NO_INPUT_MOVES, Severity.WARNING)]
+    findings = []
+    if needed is not None and total < needed and max(orders.values()) < limit:
+        figures = {"inputs": list(orders), "order": total, "needed": needed}
+        findings.append(Finding(IdentifiabilityCode.EXCITATION_ORDER_LOW, Severity.WARNING, values=figures))
+    widest = max(bands.values())
+    if 0 < widest < policy.min_band_share * fastest:
+        rates = {"band": widest, "fastest": fastest}
+        findings.append(Finding(IdentifiabilityCode.EXCITATION_BAND_NARROW, Severity.WARNING, values=rates))
+    return findings

@@ -1,0 +1,338 @@
+"""`analyse_practical_identifiability`: what given records determine of the free constants, near their present values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding, Severity
+from greybox.base.linear_algebra import are_independent, decompose_symmetric, eliminate, orthonormalise
+from greybox.base.numerics import INDEPENDENT_FORMULA, TINY
+from greybox.data.experiment import Experiment
+from greybox.estimation.identifiability.combinations import (
+    ParameterCombination,
+    find_product_combinations,
+    find_transfer_function_combinations,
+    free_parameter_indices,
+    is_determined,
+    simplicity_key,
+)
+from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
+from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
+from greybox.estimation.identifiability.sensitivity import SensitivityRank
+from greybox.estimation.identifiability.sensitivity import compute_rank as rank_at
+from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
+from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.model.model import Model
+
+
+@dataclass(frozen=True)
+class ExpectedPrecision:
+    """What the records can say about one constant.
+
+    Parameters
+    ----------
+    value, unit
+        The present value and its unit.
+    std
+        Standard deviation to expect, in ``unit``; None: infinite.
+    determined
+        Whether the 95 % interval stays within 50 % of the value.
+    averaged
+        Only because many samples are averaged: if the constant changed by 50 % and the others made up for it as well as they can,
+        the outputs would change by less than their noise. It then rests on noise that is white and a model that is right to a small
+        part of the noise.
+    """
+
+    value: float
+    unit: str
+    std: float | None
+    determined: bool
+    averaged: bool = False
+
+
+@dataclass(frozen=True)
+class PracticalIdentifiability:
+    """What records determine.
+
+    Parameters
+    ----------
+    constants
+        Free constants by name.
+    rank
+        Combinations that show above the noise.
+    averaged
+        Further ones that come from averaging alone.
+    combinations, by_averaging
+        These as formulas, with their expected relative standard deviation.
+    weakest
+        Relative weights of the worst direction among those that the structure determines, and ``weakest_std`` its relative standard
+        deviation.
+    excitation
+        How rich the inputs of each record are.
+    findings
+        What limits the records.
+    failure
+        Why nothing can be said, None where something can.
+    """
+
+    constants: Mapping[str, ExpectedPrecision]
+    rank: int
+    averaged: int
+    combinations: Mapping[str, float]
+    by_averaging: Mapping[str, float]
+    weakest: Mapping[str, float]
+    weakest_std: float
+    excitation: tuple[Excitation, ...]
+    findings: tuple[Finding, ...]
+    failure: Finding | None = None
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Constants whose interval is too wide."""
+        return tuple(name for name, c in self.constants.items() if not c.determined)
+
+
+def analyse_practical_identifiability(
+    model: Model,
+    experiments: Experiment | Sequence[Experiment],
+    *,
+    noise: Mapping[str, float] | None = None,
+    at_rest: bool = False,
+    method: str = "automatic",
+    substeps: int = 0,
+    structure: StructuralIdentifiability | None = None,
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> PracticalIdentifiability:
+    """Which constants, and which combinations of them, given records determine near the present values of a model.
+
+    From the slopes of a free run over each record; initial states are estimated along, unless ``at_rest``. The numbers hold for
+    white noise and a model that is right.
+
+    Parameters
+    ----------
+    model
+        The model with its present values.
+    experiments
+        The records.
+    noise
+        Standard deviation by output, estimated from the records if left out.
+    at_rest
+        The records begin in the declared state.
+    method, substeps
+        How the model is integrated, as in `greybox.FitOptions`.
+    structure
+        The model's `analyse_structural_identifiability` from the measured outputs, if it is at hand.
+    policy
+        When a constant is determined.
+
+    Returns
+    -------
+    PracticalIdentifiability
+        Expected standard deviations, combinations, and what limits the records.
+
+    Raises
+    ------
+    DataError, ModelError
+        For records that do not go with the model.
+
+    Examples
+    --------
+    >>> analyse_practical_identifiability(model, record, noise={"x": 2e-7}).undetermined  # doctest: +SKIP
+    ('La',)
+    """
+    problem = prepare_problem(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
+    if structure is None:
+        measured = list_measured_outputs(problem)
+        structure = analyse_structural_identifiability(model, measured, at_rest=at_rest, policy=policy)
+    return analyse_problem(problem, structure, policy)
+
+
+def list_measured_outputs(problem: EstimationProblem) -> list[str]:
+    """Names of the outputs that at least one record has, but for sensors that were left out as dead."""
+    names = [o.name for o in problem.model.outputs if any(o.name in e.outputs for e in problem.experiments)]
+    return [name for name in names if name not in problem.constant_outputs]
+
+
+def analyse_problem(
+    problem: EstimationProblem,
+    structure: StructuralIdentifiability | None,
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> PracticalIdentifiability:
+    """`analyse_practical_identifiability` for a problem that is laid out already; ``structure`` is None where it is not known."""
+    variables, n = problem.variables, len(problem.variables.names)
+    drives = tuple(
+        analyse_excitation(e, problem.model, structure=structure, policy=policy.excitation) for e in problem.experiments
+    )
+    if not n:
+        return _make_failure(drives, Finding(IdentifiabilityCode.NO_FREE_CONSTANT))
+    evaluation = problem.shooting(variables).evaluate(variables.here)
+    if not np.isfinite(evaluation.cost):
+        record, sample = evaluation.failed or (0, 0)
+        time, name = float(problem.records[record].h[:sample].sum()), problem.experiments[record].name
+        overflow = Finding(IdentifiabilityCode.MODEL_OVERFLOWS, Severity.ERROR, name, {"time": time})
+        return _make_failure(drives, overflow)
+    constants_and_states = evaluation.hessian / 2
+    first_states = np.arange(n, len(constants_and_states))
+    information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
+    samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
+    values, vectors = np.linalg.eigh(information)
+    stds = 1 / np.sqrt(np.maximum(values, TINY))
+    widest = policy.max_relative_interval
+    shown, reached = stds * np.sqrt(samples) < widest, policy.interval_stds * stds < widest
+    rank, averaged = int(shown.sum()), int((reached & ~shown).sum())
+    total = rank + averaged
+    above, by_averaging = _choose_combinations(problem, structure, information, samples, total, policy)
+    # Formulas that account for everything say it better than directions of length one, which mix them.
+    rank = len(above) if len(above) + len(by_averaging) == total else max(rank, len(above))
+    averaged = total - rank
+    missing = structure.count - structure.rank if structure else 0
+    weakest = {
+        name: float(w)
+        for name, w in zip(variables.names, vectors[:, min(missing, n - 1)], strict=True)
+        if abs(w) > policy.direction_weight
+    }
+    constants = _estimate_precision(problem, information, samples, policy)
+    findings = _find_limits(structure, rank, averaged, drives)
+    std = float(stds[min(missing, n - 1)])
+    return PracticalIdentifiability(constants, rank, averaged, above, by_averaging, weakest, std, drives, findings)
+
+
+def _make_failure(drives: tuple[Excitation, ...], failure: Finding) -> PracticalIdentifiability:
+    return PracticalIdentifiability({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
+
+
+def _estimate_precision(
+    problem: EstimationProblem, information: np.ndarray, samples: float, policy: IdentifiabilityPolicy
+) -> dict[str, ExpectedPrecision]:
+    variables = problem.variables
+    decomposition = decompose_symmetric(information)
+    variance = np.where(decomposition.is_open, np.inf, np.diag(decomposition.pseudo_inverse))
+    constants = {}
+    for k, name in enumerate(variables.names):
+        value, unit = float(variables.base[k]), variables.quantities[k].unit
+        if not np.isfinite(variance[k]):
+            constants[name] = ExpectedPrecision(value, unit, None, False)
+            continue
+        std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
+        share = std / abs(value) if value else 0.0
+        determined = policy.interval_stds * share <= policy.max_relative_interval
+        averaged = bool(share * np.sqrt(samples) > policy.max_relative_interval)
+        constants[name] = ExpectedPrecision(value, unit, std, determined, averaged)
+    return constants
+
+
+def _choose_combinations(
+    problem: EstimationProblem,
+    structure: StructuralIdentifiability | None,
+    information: np.ndarray,
+    samples: float,
+    most: int,
+    policy: IdentifiabilityPolicy,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Formulas that the records determine, above the noise and by averaging, each with its relative deviation."""
+    if structure is None:
+        return {}, {}
+    p, which = problem.variables.fixed, free_parameter_indices(problem.model)
+    covariance = np.linalg.inv(information + np.eye(len(which)) / policy.prior_spread**2)
+    candidates = []
+    for candidate in _list_candidates(problem.model, structure, p, policy):
+        slope = candidate.slope(p, which)
+        variance = float(slope @ covariance @ slope)
+        if 0 <= variance < np.inf:  # rounding can make it negative where the information is next to singular
+            candidates.append((candidate.text, slope, float(np.sqrt(variance))))
+    chosen: list[np.ndarray] = []
+    groups: tuple[dict[str, float], dict[str, float]] = ({}, {})
+    widest = policy.max_relative_interval
+    for group, limit in zip(groups, (widest / np.sqrt(samples), widest / policy.interval_stds), strict=True):
+        for text, slope, std in candidates:
+            if len(chosen) < most and std < limit and are_independent([*chosen, slope], INDEPENDENT_FORMULA):
+                chosen.append(slope)
+                group[text] = std
+    return groups
+
+
+def _list_candidates(
+    model: Model, structure: StructuralIdentifiability, p: np.ndarray, policy: IdentifiabilityPolicy
+) -> list[ParameterCombination]:
+    """The formulas that the structure determines at the parameters ``p``, plain ones first."""
+    names, which = list(structure.constants), free_parameter_indices(model)
+    scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
+    null = np.array(scalings).reshape(-1, len(names)).T
+    basis = orthonormalise(null)
+    rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
+    candidates = list(find_product_combinations(model, [rank], policy))
+    if model.system.linear:
+        generator = np.random.default_rng(0)
+        slopes = np.where(p[which] != 0, p[which], 1.0)
+        sensitivity = compute_transfer_function_sensitivity(
+            model.system, p, which, slopes, structure.at_rest, generator, policy.experiment
+        )
+        present = rank_at(sensitivity, structure.outputs)
+        candidates += find_transfer_function_combinations(model)
+        candidates = [c for c in candidates if is_determined(c.slope(p, which), present)]
+    return sorted(candidates, key=simplicity_key)
+
+
+def _find_limits(
+    structure: StructuralIdentifiability | None, rank: int, averaged: int, drives: Sequence[Excitation]
+) -> tuple[Finding, ...]:
+    findings: list[Finding] = []
+    if structure and rank + averaged < structure.rank:
+        figures = {"structure": structure.rank, "records": rank + averaged}
+        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=figures))
+    if averaged:
+        figures = {"averaged": averaged, "total": rank + averaged}
+        findings.append(Finding(IdentifiabilityCode.AVERAGING_ONLY, Severity.WARNING, values=figures))
+    for drive in drives:
+        findings += [finding for finding in drive.findings if finding not in findings]
+    return tuple(findings)
+
+
+# After a fit that left constants open: what would determine them.
+
+
+def recommend_after_fit(fit: Fit) -> tuple[Finding, ...]:
+    """What would determine the constants that the records of a fit left open.
+
+    Another output of the model that was not measured, a sensor, a constant that is known, or a relation between two (tried one
+    after the other, see `analyse_structural_identifiability`); or, where the measured outputs could show them all, a richer record.
+
+    Parameters
+    ----------
+    fit
+        A fit, of which some free constants may have no standard deviation.
+
+    Returns
+    -------
+    tuple of Finding
+        The most effective first; empty where no constant is open, or nothing can be said.
+
+    Examples
+    --------
+    >>> [finding.code for finding in recommend_after_fit(fit)]  # doctest: +SKIP
+    ['measure_output', 'fix_constants']
+    """
+    undetermined = [n for n, e in fit.parameters.items() if not e.fixed and e.std is None and not e.at_bound]
+    if not (fit.success and undetermined):
+        return ()
+    try:
+        at_rest = bool(fit.provenance.options.get("at_rest", False))
+        structure = analyse_structural_identifiability(fit.model, list(fit.misfit), at_rest=at_rest)
+    except DataError:  # a nonlinear model that overflows wherever it is looked at
+        return ()
+    if structure.complete:
+        figures = {
+            "inputs": list(structure.inputs),
+            "outputs": list(structure.outputs),
+            "count": structure.count,
+            "certain": structure.certain,
+        }
+        return (Finding(IdentifiabilityCode.RICHER_RECORD, values=figures),)
+    return structure.recommendations

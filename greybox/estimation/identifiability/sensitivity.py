@@ -1,0 +1,396 @@
+"""What the outputs do when constants change: a matrix of slopes, whichever way it was computed, and its rank."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError
+from greybox.base.findings import Finding
+from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
+from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
+from greybox.data.experiment import Experiment
+from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.policy import RANDOM_EXPERIMENT_POLICY, RandomExperimentPolicy
+from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.estimation.transcription.simulation_error import SingleShooting
+from greybox.model.model import Model
+from greybox.model.signals import Parameter
+from greybox.model.validation import check_constants
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.kernel.interpreted import InterpretedKernel
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.records import to_record
+from greybox.simulation.simulate import declared_initial_state, simulate
+
+# Where nothing special is true: random constants near the nominal ones, and records with a rich input.
+
+
+def simulate_generic_record(
+    model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
+) -> tuple[Experiment, Finding]:
+    """A simulated record of ``model`` at its start values, and a finding that says what was assumed.
+
+    The input takes a new random level, between -1 and 1 in its unit, every few samples (between 0 and 1 where a state
+    would reach its bound otherwise). Raises DataError where the model cannot be simulated that way.
+    """
+    step, rows = choose_sampling(model, policy)
+    time = step * np.arange(rows)
+    for low in lowest_input_levels(model):
+        generator = np.random.default_rng(policy.seed)
+        inputs = {i.name: draw_levels(generator, rows, low) for i in model.inputs}
+        run = simulate(model, {"time": time, **inputs})
+        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values())), policy):
+            break
+    if run.overflow is not None:
+        raise DataError(
+            f"{model.title} cannot be simulated at its start values: it overflows after {run.overflow:.3g} s;"
+            " give other values with --start, or a record to check it with"
+        )
+    outputs = {name: values for name, values in run.outputs.items() if np.ptp(values) > 0}
+    if not outputs:
+        raise DataError(f"{model.title}: no output moves when every input does; check the equations of the outputs")
+    noise = {name: policy.noise_share * float(np.std(values)) for name, values in outputs.items()}
+    record = Experiment("generic", time, inputs, run.record(noise, generator).outputs)
+    figures = {
+        "rows": rows,
+        "step": step,
+        "inputs": {i.name: {"low": low, "high": 1.0, "unit": i.unit} for i in model.inputs},
+        "noise_share": policy.noise_share,
+    }
+    return record, Finding(IdentifiabilityCode.SIMULATED_RECORD, values=figures)
+
+
+def choose_sampling(model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> tuple[float, int]:
+    """Sampling time in seconds and number of rows that show the model's fastest and slowest motion."""
+    fastest, slowest = fastest_and_slowest_rate(model)
+    if not fastest:
+        return 0.01, policy.min_rows
+    step = 1 / (policy.samples_per_time_constant * fastest)
+    rows = math.ceil(policy.slow_time_constants / slowest / step)
+    if rows > policy.max_rows:  # the slow end counts: what is faster is integrated between the samples
+        return policy.slow_time_constants / slowest / policy.max_rows, policy.max_rows
+    return step, max(rows, policy.min_rows)
+
+
+def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
+    """The fastest pole and the slowest decay at the start values, in 1/s; zeros for a model without either."""
+    p = np.array(list(model.values.values()))
+    jacobian = model.system.jacobian(declared_initial_state(model), np.zeros(len(model.inputs)), p).full()
+    if not np.isfinite(jacobian).all():
+        return 0.0, 0.0
+    eigenvalues = np.linalg.eigvals(jacobian)
+    size = np.abs(eigenvalues)
+    moving = size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)
+    if not moving.any():
+        return 0.0, 0.0
+    decays = -eigenvalues.real[moving & (eigenvalues.real < -INTEGRATING_POLE * size.max())]
+    return float(size[moving].max()), float(decays.min() if len(decays) else size[moving].min())
+
+
+def lowest_input_levels(model: Model) -> tuple[float, ...]:
+    """Least levels of a generic input to try: where a state has a lower bound, an input below zero may take it there."""
+    return (-1.0, 0.0) if any(math.isfinite(s.bounds[0]) for s in model.all_states) else (-1.0,)
+
+
+def touches_bounds(model: Model, x: np.ndarray, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> bool:
+    """Whether a state, of (N, nx), comes to its bounds."""
+    low, high = np.array([s.bounds for s in model.all_states]).T
+    near = policy.bound_margin * np.ptp(x, axis=0)
+    return bool((x <= low + near).any() or (x >= high - near).any())
+
+
+def draw_levels(generator: np.random.Generator, rows: int, low: float) -> np.ndarray:
+    """Random levels (rows,), each kept for a random number of samples, short and long ones alike."""
+    lengths = np.ceil(np.exp(generator.uniform(0, np.log(rows / 20), rows))).astype(int)
+    return np.repeat(generator.uniform(low, 1, rows), lengths)[:rows]
+
+
+def draw_constants(
+    model: Model,
+    generator: np.random.Generator,
+    spread: float = RANDOM_EXPERIMENT_POLICY.constant_spread,
+    tries: int = RANDOM_EXPERIMENT_POLICY.tries,
+) -> np.ndarray:
+    """All parameters (np,): free ones at random within ``e^spread`` times their values, fixed ones as they are.
+
+    Inside bounds and rules; where these leave no room the spread shrinks, down to the values themselves.
+    """
+    parameters = model.all_parameters
+    for _ in range(tries):
+        draw = generator.uniform(-1.0, 1.0, len(parameters))
+        p = [
+            q.value if q.fixed else _draw_value(q.value, q.bounds, spread * r)
+            for q, r in zip(parameters, draw, strict=True)
+        ]
+        try:
+            check_constants(model.title, model.rules, model.parameters_at(p))
+        except ModelError:
+            spread /= 2
+            continue
+        return np.array(p)
+    return np.array([q.value for q in parameters])
+
+
+def _draw_value(value: float, bounds: tuple[float, float], exponent: float) -> float:
+    low, high = bounds
+    if value == 0.0:  # off: a little of it, on the side where it may be
+        span = high - low if math.isfinite(high - low) else 1.0
+        drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
+    else:
+        drawn = value * math.exp(exponent)
+    return min(max(drawn, low), high)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Slopes of the outputs at one point, along the logarithm (or the scale) of each free constant.
+
+    ``blocks``: output -> ``(states, constants)``, matrices (R, nx) along the initial states, which are unknown as well, and
+    (R, np) along the constants. ``doubtful``: singular values below this may come from the integration.
+    """
+
+    blocks: dict[str, tuple[np.ndarray, np.ndarray]]
+    doubtful: float = COLUMN_RANK.certain
+
+    def compress(self) -> Sensitivity:
+        """The same information in as few rows as there are columns."""
+        small = {}
+        for name, (states, constants) in self.blocks.items():
+            r = np.asarray(np.linalg.qr(np.hstack([states, constants]), mode="r"))
+            small[name] = r[:, : states.shape[1]], r[:, states.shape[1] :]
+        return Sensitivity(small, self.doubtful)
+
+    def decompose(self, outputs: Sequence[str]) -> ColumnDecomposition:
+        """Slopes along the constants that no change of the initial states can undo, columns scaled to length one before that."""
+        basis = range_basis(np.vstack([self.blocks[name][0] for name in outputs]))
+        constants = np.vstack([self.blocks[name][1] for name in outputs])
+        for _ in range(2):  # the second time for what rounding left
+            constants = constants - basis @ (basis.T @ constants)
+        return decompose_columns(constants, replace(COLUMN_RANK, certain=self.doubtful), self.lengths(outputs))
+
+    def lengths(self, outputs: Sequence[str]) -> np.ndarray:
+        """Length of each constant's column: how much it moves the outputs."""
+        return np.linalg.norm(np.vstack([self.blocks[name][1] for name in outputs]), axis=0)
+
+
+@dataclass(frozen=True, eq=False)
+class SensitivityRank:
+    """``rank`` of the sensitivities; ``null`` (np, k) and ``row`` (np, rank) span what is open and what is determined.
+
+    ``values`` are the singular values, ``gap`` the ratio of the last that counts to the first that does not. ``certain``
+    is false where one lies between rounding and information. ``point`` numbers the point.
+    """
+
+    rank: int
+    null: np.ndarray
+    row: np.ndarray
+    values: np.ndarray
+    gap: float
+    certain: bool
+    point: int = 0
+
+
+def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
+    """Rank at one point, with only ``outputs`` measured."""
+    columns = point.decompose(outputs)
+    certain = columns.without_doubtful()
+    return SensitivityRank(
+        certain.rank, certain.null_basis, certain.row_basis, columns.values, certain.gap, columns.is_certain
+    )
+
+
+def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
+    """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
+    ranks = [replace(compute_rank(point, outputs), point=k) for k, point in enumerate(points)]
+    ranks = [r for r in ranks if r.certain] or ranks
+    highest = max(r.rank for r in ranks)
+    return [r for r in ranks if r.rank == highest]
+
+
+# Sensitivities of any other model: free runs over records with a rich random input, differentiated by the kernel.
+
+
+def compute_free_run_sensitivities(
+    model: Model, at_rest: bool, seed: int, count: int, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
+) -> list[tuple[Sensitivity, np.ndarray]]:
+    """Sensitivities at ``count`` random points, or a few more, and all parameters (np,) there.
+
+    Constants that are zero, which switches an effect off, are given a value that shows. Raises DataError where the model
+    cannot be run at any point. Points where a state touches its bound are taken only if there are no others: the
+    equations are cut off there.
+    """
+    model = switch_on(model, np.random.default_rng((seed, 0)), policy)
+    points: list[tuple[Sensitivity, np.ndarray]] = []
+    touching: list[tuple[Sensitivity, np.ndarray]] = []
+    draws = count * policy.tries_per_point
+    plan = [*(policy.amplitudes * draws)[:draws], *policy.large_amplitudes]
+    for k, amplitude in enumerate(plan):
+        enough = len(points) >= count
+        if enough and (amplitude not in policy.large_amplitudes or _have_influence(points).all()):
+            continue
+        generator = np.random.default_rng((seed, k))
+        # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
+        p = draw_constants(model, generator, policy.constant_spread / 4 ** (k // count), policy.tries)
+        point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator, policy)
+        if point is not None:
+            (touching if point.doubtful > policy.integration_doubt else points).append((point, p))
+    points = points or touching[:count]
+    if not points:
+        raise DataError(
+            f"{model.title} overflows at every random point near its values: it cannot be checked;"
+            " give other values with model.start(...), or with --start"
+        )
+    return points
+
+
+def switch_on(
+    model: Model, generator: np.random.Generator, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
+) -> Model:
+    """``model`` with its free constants of zero at values that move the outputs by about a tenth.
+
+    Some show only after others have been switched on, and too large a value may be cut off by the equations: hence
+    several rounds.
+    """
+    off = [q for q in model.free_parameters if q.value == 0.0]
+    names = [q.name for q in model.free_parameters]
+    for _ in range(policy.switching_rounds if off else 0):
+        slope = _measure_influence(model, generator, policy)
+        values = {
+            q.name: _choose_next_value(q, model.values[q.name], slope[names.index(q.name)], policy.switched_on_share)
+            for q in off
+        }
+        if all(values[q.name] == model.values[q.name] for q in off):
+            break
+        model = model.start(**values)
+    return model
+
+
+def _choose_next_value(q: Parameter, value: float, slope: float, share: float) -> float:
+    """The next value to try, given the present one and what a step of one in it (or of itself) does."""
+    if value != 0.0:
+        return value if slope > 0 else value / 10
+    if slope == 0:
+        return 0.0
+    up, down = np.clip([share / slope, -share / slope], *q.bounds)
+    return float(up or down)
+
+
+def _measure_influence(model: Model, generator: np.random.Generator, policy: RandomExperimentPolicy) -> np.ndarray:
+    """Movement of the outputs, as a share of their own, that a unit of each free constant makes (nf,)."""
+    records = [_make_record(model, step, 1.0, generator, policy) for step in choose_sampling_times(model, policy)]
+    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+    sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1, policy)
+    if sensitivity is None:
+        return np.zeros(len(model.free_parameters))
+    return sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(policy.run_rows * len(records))
+
+
+def _have_influence(points: list[tuple[Sensitivity, np.ndarray]]) -> np.ndarray:
+    """Which constants move an output at one of the points at least (nf,)."""
+    return np.any([s.lengths(list(s.blocks)) > 0 for s, _ in points], axis=0)
+
+
+def _compute_point(
+    model: Model, at_rest: bool, amplitude: float, generator: np.random.Generator, policy: RandomExperimentPolicy
+) -> Sensitivity | None:
+    """One point, None where a run overflows. A second, finer run tells small singular values from integration error."""
+    records = [_make_record(model, step, amplitude, generator, policy) for step in choose_sampling_times(model, policy)]
+    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+    nudges = 1 + policy.state_offset * generator.uniform(-1, 1, (len(records), len(start))) * (not at_rest)
+    factor = policy.substep_factor
+
+    def compute(finer: int) -> Sensitivity | None:
+        return _compute_sensitivity(model, records, start * nudges, at_rest, finer, policy)
+
+    runs = ((finer, compute(finer)) for finer in (1, factor))
+    finer, coarse = next(((finer, s) for finer, s in runs if s is not None), (1, None))
+    if coarse is None:
+        return None
+    names = list(coarse.blocks)
+    before = _singular_values(coarse, names)
+    small = (before > COLUMN_CUTOFF) & (before < policy.recheck_below)
+    if not small.any():
+        return coarse
+    fine = compute(factor * finer)
+    if fine is None:
+        return coarse
+    shrunk = before[small & (_singular_values(fine, names) < before / factor)]
+    return replace(coarse, doubtful=max(coarse.doubtful, 2 * float(shrunk.max(initial=0.0))))
+
+
+def _singular_values(point: Sensitivity, names: list[str]) -> np.ndarray:
+    return point.decompose(names).values
+
+
+def set_parameters(model: Model, p: np.ndarray) -> Model:
+    """``model`` with these values of all its parameters (np,)."""
+    return model.start(**{name: float(v) for name, v in zip(model.values, p, strict=True)})
+
+
+def choose_sampling_times(model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> list[float]:
+    """Sampling times (s) that show the fastest motion, and the slowest where one record cannot show both."""
+    fastest, slowest = fastest_and_slowest_rate(model)
+    if not fastest:
+        return [0.01]
+    short = 1 / (policy.run_samples_per_time_constant * fastest)
+    long = min(policy.run_slow_time_constants / (slowest * policy.run_rows), policy.longest_step / fastest)
+    return [short] if long < 2 * short else [short, long]
+
+
+def _make_record(
+    model: Model, step: float, amplitude: float, generator: np.random.Generator, policy: RandomExperimentPolicy
+) -> Experiment:
+    rows = policy.run_rows
+    time = step * np.arange(rows)
+    low = generator.choice(lowest_input_levels(model))
+    inputs = {i.name: amplitude * draw_levels(generator, rows, low) for i in model.inputs}
+    return Experiment("random", time, inputs, {o.name: np.zeros(rows) for o in model.outputs})
+
+
+def _compute_sensitivity(
+    model: Model,
+    experiments: list[Experiment],
+    starts: np.ndarray,
+    at_rest: bool,
+    finer: int,
+    policy: RandomExperimentPolicy,
+) -> Sensitivity | None:
+    """Slopes of the outputs over the records with ``finer`` times the usual substeps; None where a run overflows."""
+    records = tuple(to_record(model, e) for e in experiments)
+    nx, ny = starts.shape[1], len(model.outputs)
+    scale = np.where(starts[0] != 0, np.abs(starts[0]), 1.0)
+    free = np.full(nx, not at_rest)
+    p = np.array(list(model.values.values()))
+    jacobians, touched = [], False
+    for e, record in enumerate(records):
+        variables = DecisionVector.of(model, InitialStates(starts[e : e + 1], free, scale))
+        step = discretise(model.system, p, starts[e : e + 1], record.lengths)
+        if finer > 1:
+            step = discretise(model.system, p, starts[e : e + 1], record.lengths, substeps=finer * step.substeps)
+        kernel = (
+            InterpretedKernel(step)
+            if variables.size * step.substeps <= policy.interpreted_operations
+            else make_kernel(step)
+        )
+        shooting = SingleShooting(variables, step, kernel, (record,), np.ones(ny))
+        ((residual, jacobian),) = shooting.residuals(variables.here)
+        if not np.isfinite(jacobian).all():
+            return None
+        jacobians.append((np.std(residual, axis=0), jacobian))
+        touched |= touches_bounds(model, shooting.simulate(variables.here)[0][1], policy)
+    n, states_each = len(variables.which), int(free.sum())
+    blocks = {}
+    for j, output in enumerate(model.outputs):
+        size = max(float(movement[j]) for movement, _ in jacobians) or 1.0
+        parts = [jacobian[:, j, :] / size for _, jacobian in jacobians]
+        states = np.zeros((sum(len(part) for part in parts), states_each * len(parts)))
+        row = 0
+        for e, part in enumerate(parts):
+            states[row : row + len(part), states_each * e : states_each * (e + 1)] = part[:, n:]
+            row += len(part)
+        blocks[output.name] = states, np.vstack([part[:, :n] for part in parts])
+    return Sensitivity(blocks, policy.bound_doubt if touched else policy.integration_doubt).compress()

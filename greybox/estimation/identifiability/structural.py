@@ -1,0 +1,230 @@
+"""`analyse_structural_identifiability`: what a model's outputs could tell at best, whatever the record, before anything is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.errors import ModelError, nearest
+from greybox.base.findings import Finding
+from greybox.base.numerics import DIRECTION_CUTOFF
+from greybox.base.values import Printable
+from greybox.estimation.identifiability.combinations import (
+    OpenDirection,
+    find_determined_combinations,
+    find_open_directions,
+    find_recommendations,
+    free_parameter_indices,
+)
+from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
+from greybox.estimation.identifiability.sensitivity import (
+    Sensitivity,
+    SensitivityRank,
+    compute_free_run_sensitivities,
+    draw_constants,
+    highest_ranks,
+)
+from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
+from greybox.model.model import Model
+from greybox.model.signals import Output
+
+
+class IdentifiabilityVerdict(StrEnum):
+    """What the structure of a model allows."""
+
+    NOTHING_FREE = "nothing_free"
+    COMPLETE = "complete"
+    INCOMPLETE = "incomplete"
+
+
+@dataclass(frozen=True)
+class StructuralIdentifiability(Printable):
+    """What rich data on the measured outputs determine of the free constants of a model, near generic values of these.
+
+    Parameters
+    ----------
+    model, inputs, outputs, constants
+        Title of the model, its inputs, its measured outputs, its free constants.
+    at_rest
+        Whether records begin in the declared state.
+    rank, count
+        How many combinations are determined, of how many free constants; equal numbers mean that each is (locally: there may be a
+        second solution far off).
+    directions
+        What stays open, one `OpenDirection` each.
+    determined
+        Independent combinations that are determined, as formulas (all of the rank where the model is linear and not too large).
+    recommendations
+        What would close the gap, the most effective first.
+    gap
+        Ratio of the singular values on both sides of the rank.
+    certain
+        False where no clear gap was found; the rank may then be too low.
+    method
+        How the sensitivities were computed.
+    policy
+        The numbers that this was judged by.
+    """
+
+    model: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    constants: tuple[str, ...]
+    at_rest: bool
+    rank: int
+    count: int
+    directions: tuple[OpenDirection, ...]
+    determined: tuple[str, ...]
+    recommendations: tuple[Finding, ...]
+    gap: float
+    certain: bool
+    method: str
+    policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every free constant is determined."""
+        return self.rank == self.count
+
+    @property
+    def verdict(self) -> IdentifiabilityVerdict:
+        """The result in one word."""
+        if not self.count:
+            return IdentifiabilityVerdict.NOTHING_FREE
+        return IdentifiabilityVerdict.COMPLETE if self.complete else IdentifiabilityVerdict.INCOMPLETE
+
+
+def analyse_structural_identifiability(
+    model: Model,
+    outputs: Sequence[str] | None = None,
+    seed: int = 0,
+    *,
+    at_rest: bool = False,
+    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
+) -> StructuralIdentifiability:
+    """Structural identifiability of the free constants of a model from its inputs and the measured outputs.
+
+    The rank is that of the slopes of the outputs along the logarithms of the constants and the initial states, at three
+    random points: of the transfer functions and free responses for a linear model, of free runs with a random input for
+    any other (square roots, sines, friction ...). It holds for almost all values of the constants, not for
+    special ones, and for a rich input: see `analyse_practical_identifiability` for a given record.
+
+    Parameters
+    ----------
+    model
+        The model with its present values.
+    outputs
+        Names of those that are measured, None for all.
+    seed
+        Chooses the random points.
+    at_rest
+        The record begins in the declared state, otherwise in an unknown one.
+    policy
+        Random points, and how far the search for formulas and remedies goes.
+
+    Returns
+    -------
+    StructuralIdentifiability
+        Rank, open directions, determined combinations, and what would determine more.
+
+    Raises
+    ------
+    ModelError
+        For an unknown output.
+    DataError
+        For a nonlinear model that overflows at every point.
+
+    Examples
+    --------
+    >>> found = analyse_structural_identifiability(micro_actuator, ["x"])  # doctest: +SKIP
+    >>> found.rank, found.count  # doctest: +SKIP
+    (4, 7)
+    """
+    known = [o.name for o in model.outputs]
+    unknown = [name for name in outputs or () if name not in known]
+    if unknown:
+        raise ModelError(f"model {model.title!r} has no output {unknown[0]!r}; {nearest(unknown[0], known)}")
+    if outputs is not None and not outputs:
+        raise ModelError(f"model {model.title!r}: no output is measured; name at least one of {', '.join(known)}")
+    measured = [name for name in known if outputs is None or name in outputs]
+    names = tuple(q.name for q in model.free_parameters)
+    common = model.title, tuple(i.name for i in model.inputs), tuple(measured), names, at_rest
+    if not names:
+        return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "", policy)
+    sensors = find_unmeasured_states(model)
+    points, values, method = _compute_points(add_sensors(model, sensors), seed, at_rest, policy)
+    ranks = highest_ranks(points, measured)
+    others = [name for name in known if name not in measured]
+    directions = find_open_directions(ranks, names, policy)
+    combinations = find_determined_combinations(model, ranks, [values[r.point] for r in ranks], policy)
+    return StructuralIdentifiability(
+        *common,
+        ranks[0].rank,
+        len(names),
+        tuple(replace(d, seen_by=_find_revealing_outputs(d, names, points, measured, others)) for d in directions),
+        tuple(c.text for c in combinations) if directions else names,
+        tuple(find_recommendations(model, points, measured, others, sensors, policy)),
+        min(r.gap for r in ranks),
+        ranks[0].certain,
+        method,
+        policy,
+    )
+
+
+def find_unmeasured_states(model: Model) -> list[str]:
+    """States of the plant that are not an output: where another sensor could sit."""
+    used = {i.name for i in model.inputs} | {o.name for o in model.outputs}
+    system = model.system
+    numbers = {s.name: system.state_names.index(s.name) for s in model.states if s.name in system.state_names}
+    measured = {
+        name for name, k in numbers.items() if any(ca.is_equal(y, system.x[k]) for y in ca.vertsplit(system.outputs))
+    }
+    return [name for name in numbers if name not in used | measured]
+
+
+def add_sensors(model: Model, states: Sequence[str]) -> Model:
+    """``model`` with an output for each of these states."""
+    if not states:
+        return model
+    units = {s.name: s.unit for s in model.states}
+    return replace(model, outputs=[*model.outputs, *(Output(name, units[name]) for name in states)])
+
+
+def _compute_points(
+    model: Model, seed: int, at_rest: bool, policy: IdentifiabilityPolicy
+) -> tuple[list[Sensitivity], list[np.ndarray], str]:
+    """Sensitivities at random points, the constants there, and how they were computed."""
+    if not model.system.linear:
+        pairs = compute_free_run_sensitivities(model, at_rest, seed, policy.points, policy.experiment)
+        return [s for s, _ in pairs], [p for _, p in pairs], "free runs with a random input"
+    which, random = free_parameter_indices(model), policy.experiment
+    points, values = [], []
+    for k in range(policy.points):
+        generator = np.random.default_rng((seed, k))
+        p = draw_constants(model, generator, random.constant_spread, random.tries)
+        points.append(
+            compute_transfer_function_sensitivity(model.system, p, which, p[which], at_rest, generator, random)
+        )
+        values.append(p)
+    return points, values, "transfer functions and free responses"
+
+
+def _find_revealing_outputs(
+    direction: OpenDirection,
+    names: Sequence[str],
+    points: Sequence[Sensitivity],
+    measured: Sequence[str],
+    others: Sequence[str],
+) -> tuple[str, ...]:
+    """The outputs that would show a change along the direction."""
+    v = np.array([direction.weights.get(name, 0.0) for name in names])
+    return tuple(o for o in others if _is_shown(v, highest_ranks(points, [*measured, o])[0]))
+
+
+def _is_shown(v: np.ndarray, rank: SensitivityRank) -> bool:
+    rest = v - rank.null @ (rank.null.T @ v)
+    return bool(np.linalg.norm(rest) > DIRECTION_CUTOFF * np.linalg.norm(v))

@@ -1,0 +1,310 @@
+"""Linear models about an operating point; what has no derivative there is named, and so is what replaces it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.base.errors import ModelError
+from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
+from greybox.base.units import format_unit
+from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
+from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.policy import (
+    DEFAULT_OPERATING_POINT,
+    DEFAULT_SAMPLING,
+    OperatingPointPolicy,
+    SamplingPolicy,
+)
+from greybox.estimation.linear.sampling import sample
+from greybox.estimation.result import Fit
+from greybox.model.model import Model
+
+# Derivatives where they differ by side: dry friction at standstill, the edge of a dead zone, a valve that is just shut.
+
+
+@dataclass(frozen=True)
+class OneSidedDerivatives:
+    """Jacobians of the rates (nx, nx + nu) and of the outputs (ny, nx + nu), and what was chosen where there was a choice."""
+
+    rates: np.ndarray
+    outputs: np.ndarray
+    findings: tuple[Finding, ...]
+
+
+def differentiate_one_sided(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> OneSidedDerivatives:
+    """Jacobians at ``z``, of each variable on the side where they are larger; dry friction at standstill without its jump."""
+    jacobian, kinks = _differentiate(functions, z, p)
+    findings = _describe_friction(functions, z, p)
+    findings += [_describe_kink(functions, z, p, column, side) for column, side in kinks]
+    return OneSidedDerivatives(jacobian[: functions.nx], jacobian[functions.nx :], tuple(findings))
+
+
+def _differentiate(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Jacobian (nx + ny, nx + nu), and the variables in which it differs by side with the side (1 or -1) that was taken."""
+    sizes, at_rest = functions.sizes(z, p), [k for k in functions.bodies if z[k] == 0]
+    direction = functions.direction(z)
+    if not at_rest:
+        return _differentiate_by_column(functions, z, p, sizes, direction)
+    # Friction jumps at standstill: its derivative is the mean of those while sliding either way, from which the jump is left out.
+    results = []
+    for way in (1, -1):
+        sliding = np.where([d.state in at_rest for d in functions.system.dry], way, direction)
+        results.append(_differentiate_by_column(functions, z, p, sizes, sliding, dict.fromkeys(at_rest, way)))
+    (forward, kinks), (backward, _) = results
+    return (forward + backward) / 2, kinks
+
+
+def _differentiate_by_column(
+    functions: ModelFunctions,
+    z: np.ndarray,
+    p: np.ndarray,
+    sizes: np.ndarray,
+    direction: np.ndarray,
+    decided: dict[int, int] | None = None,
+) -> tuple[np.ndarray, list[tuple[int, int]]]:
+    """Jacobian column by column; ``decided`` are the sides of variables that leave no choice."""
+    switches = functions.switches(direction)
+    edges = switches.edges(z, sizes, p)
+    jacobian = switches.jacobian(edges, z, np.zeros(len(z)), p)[1]
+    if not len(edges):
+        return jacobian, []
+    jacobian, kinks = jacobian.copy(), []
+    weight = 1 / np.maximum(np.abs(jacobian * sizes).sum(axis=1), TINY)
+    for column in range(len(z)):
+        move = np.zeros(len(z))
+        move[column] = sizes[column]
+        above, below = (switches.jacobian(edges, z, side * move, p)[1][:, column] for side in (1, -1))
+        if decided and column in decided:
+            jacobian[:, column] = above if decided[column] > 0 else below
+            continue
+        differs = np.abs(above - below) > SAME_DERIVATIVE * np.maximum(np.abs(above), np.abs(below))
+        larger = 1 if np.linalg.norm(weight * above) >= np.linalg.norm(weight * below) else -1
+        jacobian[:, column] = above if larger > 0 else below
+        if differs.any():
+            kinks.append((column, larger))
+    return jacobian, kinks
+
+
+def _describe_friction(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> list[Finding]:
+    """What replaces dry friction."""
+    findings = []
+    for k, (push, static) in functions.holding(z, p).items():
+        if static == 0:
+            continue
+        effects = [d.effect for d in functions.system.dry if d.state == k]
+        state = functions.names[k]
+        balance = next(b for b in functions.system.balances if b.state == state)
+        values = {
+            "effects": effects,
+            "state": state,
+            "level": static,
+            "held": abs(push),
+            "unit": format_unit(balance.unit),
+        }
+        findings.append(Finding(ExportFinding.FRICTION_LEFT_OUT, Severity.WARNING, " and ".join(effects), values))
+    return findings
+
+
+def _describe_kink(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, column: int, side: int) -> Finding:
+    model = functions.model
+    responsible = []
+    for effect in model.effects:
+        reduced = ModelFunctions(model.without(effect.name))
+        reduced_z = np.array([z[functions.names.index(name)] for name in reduced.names])
+        reduced_p = np.array(list(reduced.model.values.values()))
+        if column >= len(functions.names) or functions.names[column] not in reduced.names:
+            continue
+        number = reduced.names.index(functions.names[column])
+        if number not in [c for c, _ in _differentiate(reduced, reduced_z, reduced_p)[1]]:
+            responsible.append(effect.name)
+    name = functions.names[column]
+    values = {
+        "effects": responsible,
+        "model": model.name,
+        "variable": name,
+        "value": float(z[column]),
+        "unit": format_unit(functions.units[column]),
+        "side": "above" if side > 0 else "below",
+    }
+    return Finding(ExportFinding.KINK, Severity.WARNING, name, values)
+
+
+def linearise(
+    plant: Fit | Model,
+    at: Mapping[str, float] | None = None,
+    *,
+    dt: float | None = None,
+    method: str = "zoh",
+    delay: float = 0.0,
+    operating_point: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
+    sampling: SamplingPolicy = DEFAULT_SAMPLING,
+) -> Linearisation:
+    """Linearise a fit, or a model at its present values, about an operating point.
+
+    What has no derivative at the point is among the findings, with what replaces it: dry friction at standstill is left out (it
+    acts as a disturbance up to its level), play is taken as closed, and at a kink (the edge of a dead zone) the side with the larger
+    derivative is used. So is a point that lies far outside the records of the fit.
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model.
+    at
+        States and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`.
+    dt
+        Sampling time in seconds; None: continuous.
+    method
+        ``zoh`` (exact for a held input) or ``tustin``.
+    delay
+        Seconds by which every input arrives late besides what the model says itself, fractions of a sample included.
+    operating_point, sampling
+        How an equilibrium is sought, and when a sampling time is too long.
+
+    Returns
+    -------
+    Linearisation
+        Matrices with names and units, the operating point, and findings.
+
+    Raises
+    ------
+    ModelError
+        For unknown names, where there is no equilibrium, and where a derivative is not finite.
+
+    Examples
+    --------
+    >>> linear = gb.linearise(fit, {"u": 0.5}, dt=1e-3)  # doctest: +SKIP
+    >>> linear.poles  # doctest: +SKIP
+    """
+    source = to_plant(plant)
+    functions = ModelFunctions(source.model)
+    linear = linearise_at(source, functions, source.p, at, dt, method, delay, operating_point, sampling)
+    inputs, outputs = (
+        {n: float(v) for n, v in zip(names, values, strict=True)}
+        for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
+    )
+    outside = source.find_extrapolation(inputs, outputs, operating_point.extrapolation)
+    return replace(linear, findings=(*linear.findings, *outside))
+
+
+def linearise_at(
+    plant: Plant,
+    functions: ModelFunctions,
+    p: np.ndarray,
+    at: Mapping[str, float] | None,
+    dt: float | None = None,
+    method: str = "zoh",
+    delay: float = 0.0,
+    operating_point: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
+    sampling: SamplingPolicy = DEFAULT_SAMPLING,
+) -> Linearisation:
+    """`linearise` with the ``functions`` of the model made already, at the parameters ``p`` (np,): what a family of models repeats."""
+    point = solve_operating_point(functions, p, at, operating_point)
+    continuous = _linearise_continuous(plant, functions, p, point).with_delay(delay)
+    return continuous if dt is None else sample(continuous, dt, method, policy=sampling)
+
+
+def _linearise_continuous(
+    plant: Plant, functions: ModelFunctions, p: np.ndarray, point: OperatingPoint
+) -> Linearisation:
+    model, system, nx = plant.model, functions.system, functions.nx
+    derivatives = differentiate_one_sided(functions, point.z, p)
+    rates, outputs, closed = _close_play(functions, derivatives, point.z, p)
+    sizes = functions.sizes(point.z, p)
+    rates, outputs = _remove_cancelled(rates, sizes), _remove_cancelled(outputs, sizes)
+    rated = np.flatnonzero(functions.rated)
+    delay = np.zeros(functions.nu)
+    for d in system.delays:
+        delay[d.column] += functions.seconds(d, p)
+    states = [model.all_states[k] for k in rated]
+    linear = Linearisation(
+        name=model.title,
+        A=rates[np.ix_(rated, rated)],
+        B=rates[rated, nx:],
+        C=outputs[:, rated],
+        D=outputs[:, nx:],
+        state_names=tuple(x.name for x in states),
+        input_names=system.input_names,
+        output_names=system.output_names,
+        state_units=tuple(format_unit(x.unit) for x in states),
+        input_units=tuple(format_unit(i.unit) for i in model.inputs),
+        output_units=tuple(format_unit(o.unit) for o in model.outputs),
+        x0=point.z[rated],
+        u0=point.z[nx:],
+        y0=np.array(list(point.outputs.values())),
+        rates=np.array([point.rates[x.name] for x in states]),
+        delay=delay,
+        parameters=dict(zip(system.parameter_names, map(float, p), strict=True)),
+    )
+    idle = _find_idle_inputs(functions, linear, point)
+    return replace(linear, findings=(*plant.findings, *point.findings, *derivatives.findings, *closed, *idle))
+
+
+def _remove_cancelled(jacobian: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """The Jacobian without entries that a typical move of their variable would lose in the rounding error of the row."""
+    moves = np.abs(jacobian * sizes)
+    finite = np.isfinite(moves)
+    row = np.nansum(moves, axis=1, keepdims=True, where=finite)
+    return np.where(finite & (moves <= CANCELLED_DERIVATIVE * row), 0.0, jacobian)
+
+
+def _close_play(
+    functions: ModelFunctions, derivatives: OneSidedDerivatives, z: np.ndarray, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, list[Finding]]:
+    """Jacobians with the states that are set after each step expressed by the others: play taken as closed."""
+    rates, outputs, findings = derivatives.rates, derivatives.outputs, []
+    for k, update in enumerate(functions.system.updates):
+        slope, name = _engaged_slope(functions, k, z, p), functions.names[update.state]
+        if slope is None:
+            raise ModelError(
+                f"effect {update.effect!r} cannot be linearised: its state {name!r} depends on its own past at every operating point; leave"
+                f" the effect out with model.without({update.effect!r}), or export the sampled nonlinear model"
+            )
+        rates = rates + np.outer(rates[:, update.state], slope)
+        outputs = outputs + np.outer(outputs[:, update.state], slope)
+        values = {"state": name}
+        findings.append(Finding(ExportFinding.PLAY_CLOSED, Severity.WARNING, update.effect, values))
+    return rates, outputs, findings
+
+
+def _engaged_slope(functions: ModelFunctions, k: int, z: np.ndarray, p: np.ndarray) -> np.ndarray | None:
+    """Slope (nx + nu,) of what a state is set to, where that does not depend on the state itself; None if it always does."""
+    state = functions.system.updates[k].state
+    far = 1e6 * (1.0 + np.abs(z).max(initial=0.0))
+    for shift in (-far, far):
+        shifted = z.copy()
+        shifted[state] += shift
+        slope = functions.update_slopes(shifted, p)[k]
+        if slope[state] == 0:
+            return slope
+    return None
+
+
+def _find_idle_inputs(functions: ModelFunctions, linear: Linearisation, point: OperatingPoint) -> list[Finding]:
+    """Inputs that move nothing at this point, with the effects that keep them from it."""
+    findings = []
+    for j, name in enumerate(linear.input_names):
+        if linear.B[:, j].any() or linear.D[:, j].any():
+            continue
+        effects = [e.name for e in functions.model.effects if _input_acts(functions.model.without(e.name), point, j)]
+        values = {
+            "value": float(point.inputs[name]),
+            "unit": format_unit(functions.model.inputs[j].unit),
+            "effects": effects,
+        }
+        findings.append(Finding(ExportFinding.INPUT_WITHOUT_EFFECT, Severity.WARNING, name, values))
+    return findings
+
+
+def _input_acts(model: Model, point: OperatingPoint, column: int) -> bool:
+    reduced = ModelFunctions(model)
+    values = {**point.states, **point.inputs}
+    z = np.array([values[name] for name in reduced.names])
+    derivatives = differentiate_one_sided(reduced, z, np.array(list(model.values.values())))
+    k = reduced.nx + column
+    return bool(derivatives.rates[:, k].any() or derivatives.outputs[:, k].any())

@@ -1,0 +1,1 @@
+"""Minimisation of sums of squares and of sparse programs. The only package that calls IPOPT."""

@@ -1,0 +1,147 @@
+"""Damped Gauss-Newton steps: the method where the quadratic model predicts well, and where an interior-point search has lost its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from greybox.base.numerics import LOST_IN_ROUNDING, SUM_TO_ONE_WEIGHT, TINY
+from greybox.estimation.optim.minimisation import Minimisation, TerminationStatus
+from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy
+from greybox.estimation.optim.quadratic_model import QuadraticModel
+
+
+def run_gauss_newton(
+    search: Minimisation,
+    low: np.ndarray,
+    high: np.ndarray,
+    policy: GaussNewtonPolicy,
+    *,
+    steps: int,
+    project: Callable[[np.ndarray], np.ndarray] | None = None,
+    while_predicted: bool = False,
+) -> bool:
+    """Levenberg and Marquardt's steps from the best point, damped after Nielsen (1999) by the actual over the predicted decrease, until
+    the termination test of ``search`` ends it; whether it did.
+
+    An interior-point method that begins close to the optimum may follow its barrier away from it for many iterations, and one that
+    begins far away on a nearly singular curvature may find no step at all: both look like steps that are shortened for nothing.
+    Where the gradient is right, a damped step gains at once. False where none does, or several gain little: the cost has a kink there.
+
+    Parameters
+    ----------
+    search
+        The minimisation: its best point, and when it ends.
+    low, high
+        Bounds (n,).
+    policy
+        How the damping adapts, and when the steps give up.
+    steps
+        The most steps that gain; a search that takes them all ends at its iteration limit.
+    project
+        Maps a point (n,) to the nearest allowed one, where bounds do not say what is allowed.
+    while_predicted
+        Give up at the first step that gains little of what is predicted.
+    """
+    damping, growth, last = policy.initial_damping, policy.damping_growth, search.steps + steps
+    rejections = kink_steps = 0
+    while search.steps < last:
+        model, before = search.best_value, search.best_cost
+        assert model is not None  # a search keeps its start
+        if not model.is_finite:
+            return False  # sensitivities overflow: there is no direction to go
+        step = model.bounded_step(low - search.best, high - search.best, damping)
+        predicted = model.decrease_along(step)
+        if predicted <= LOST_IN_ROUNDING * abs(before):
+            search.status = TerminationStatus.CONVERGED
+            return True
+        search.shortenings = 0
+        trial = np.clip(search.best + step, low, high)
+        search.compare(trial if project is None else project(trial))
+        share = (before - search.best_cost) / predicted
+        if share > 0:
+            search.steps += 1
+            damping *= max(policy.largest_decrease, 1 - (2 * min(share, 1.0) - 1) ** 3)
+            rejections, growth = 0, policy.damping_growth
+            kink_steps = 0 if share > policy.kink_share else kink_steps + 1
+            if search.finish_iteration():
+                return search.status is not None or search.stop
+        else:
+            damping, growth = damping * growth, 2 * growth
+            rejections += 1
+        if rejections == policy.max_rejections or kink_steps == policy.max_kink_steps:
+            return False
+        if while_predicted and share < policy.poor_share:
+            return False
+    search.status = TerminationStatus.ITERATION_LIMIT
+    return True
+
+
+# Gradient sampling: a descent direction at a point where the gradient misleads, because the cost has a kink there.
+
+
+def run_gradient_sampling(
+    search: Minimisation, low: np.ndarray, high: np.ndarray, policy: GradientSamplingPolicy
+) -> TerminationStatus:
+    """Gradient sampling (Burke, Lewis, Overton 2005) from the best point, in the metric of its Gauss-Newton matrix.
+
+    The gradients on both sides of a kink cancel across it; their shortest convex combination points along it, downhill.
+    `TerminationStatus.KINK` where neither that direction nor any sampled point gains anything any more.
+    """
+    gained = True
+    for radius in policy.radii:
+        for _ in range(policy.max_rounds):
+            before = search.best_cost
+            axes = _sampling_axes(search.best_value, radius)  # type: ignore[arg-type]
+            direction = _find_descent_direction(search, axes, low, high)
+            _search_line(search, direction @ axes, low, high, policy)
+            if search.stop:
+                return TerminationStatus.INTERRUPTED
+            gained = search.best_cost < before * (1 - policy.least_gain)
+            if not gained:
+                break
+    return TerminationStatus.ACCEPTABLE if gained else TerminationStatus.KINK
+
+
+def _evaluate(search: Minimisation, z: np.ndarray, low: np.ndarray, high: np.ndarray) -> QuadraticModel:
+    search.shortenings = 0
+    return search(np.clip(z, low, high))
+
+
+def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one."""
+    from scipy.optimize import nnls  # slow to import, and a smooth cost does not need it
+
+    centre = search.best
+    gradients = [axes @ search.best_value.gradient]  # type: ignore[union-attr]
+    for step in (*axes, *-axes):
+        value = _evaluate(search, centre + step, low, high)
+        if np.isfinite(value.cost):
+            gradients.append(axes @ value.gradient)
+    sampled = np.array(gradients).T / max(np.abs(gradients).max(), TINY)
+    sum_to_one = np.full(sampled.shape[1], SUM_TO_ONE_WEIGHT)
+    weights, _ = nnls(np.vstack([sampled, sum_to_one]), np.append(np.zeros(len(axes)), SUM_TO_ONE_WEIGHT))
+    shortest = sampled @ weights
+    return -shortest / max(float(np.linalg.norm(shortest)), TINY)
+
+
+def _search_line(
+    search: Minimisation, step: np.ndarray, low: np.ndarray, high: np.ndarray, policy: GradientSamplingPolicy
+) -> None:
+    """Lengthen a step while that helps, or shorten it until it does."""
+    start, before = search.best, search.best_cost
+    for factor in (1.0, *policy.longer):
+        if not _evaluate(search, start + factor * step, low, high).cost <= search.best_cost:
+            break
+    if search.best_cost < before:
+        return
+    for factor in policy.shorter:
+        if _evaluate(search, start + factor * step, low, high).cost < before:
+            return
+
+
+def _sampling_axes(value: QuadraticModel, radius: float) -> np.ndarray:
+    """Steps (k, n), one in each row, along which the quadratic part of the cost is ``radius`` times the cost."""
+    axes, curvature = value.principal_axes()
+    return np.asarray((axes / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost))

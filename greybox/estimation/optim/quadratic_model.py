@@ -1,0 +1,214 @@
+"""A cost and its quadratic model at one point: the one bounded step, and the one predicted decrease, of all minimisations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_CUTOFF, TINY, WRONG_MULTIPLIER
+
+
+@dataclass(frozen=True)
+class QuadraticModel:
+    """``m(d) = cost + gradient' d + d' hessian d / 2`` along a step ``d`` from one point.
+
+    Steps are computed in units of ``1 / scale``, where the matrix has ones on its diagonal, so that neither cut-offs nor damping depend
+    on the units of the unknowns.
+    """
+
+    cost: float
+    """The cost; infinite where it cannot be computed."""
+
+    gradient: np.ndarray
+    """Its gradient (n,)."""
+
+    hessian: np.ndarray
+    """Its positive semidefinite curvature (n, n): Gauss and Newton's, or Fisher's."""
+
+    factor: tuple[np.ndarray, np.ndarray] | None = field(default=None, kw_only=True, repr=False)
+    """``R`` (m, n) and ``rho`` (m,) with ``R'R = hessian`` and ``R'rho = gradient``, where they are known better than the products are."""
+
+    @classmethod
+    def from_residuals(cls, jacobian: np.ndarray, residual: np.ndarray) -> QuadraticModel:
+        """The model of a sum of squares, with steps from a triangular factor: ``J'J`` would square the condition number.
+
+        Parameters
+        ----------
+        jacobian
+            Slopes of the residuals (N, n).
+        residual
+            The residuals (N,).
+
+        Returns
+        -------
+        QuadraticModel
+            Cost ``r'r``, gradient ``2 J'r``, curvature ``2 J'J``, and their factor.
+        """
+        n = jacobian.shape[1]
+        # A reflection leaves what it does not touch: the last column of the triangle is Q'r.
+        triangle = np.sqrt(2) * np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")[:n]
+        root, target = triangle[:, :n], triangle[:, n]
+        return cls(float(residual @ residual), root.T @ target, root.T @ root, factor=(root, target))
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """Root of the curvature along each unknown (n,); one where there is none."""
+        diagonal = self.hessian.diagonal()
+        return np.where(diagonal > TINY, np.sqrt(np.maximum(diagonal, TINY)), 1.0)
+
+    @cached_property
+    def is_finite(self) -> bool:
+        """Whether there is a step: sensitivities that overflow show no direction."""
+        return bool(np.isfinite(self._scaled).all() and np.isfinite(self.gradient).all())
+
+    def bounded_step(
+        self, low: np.ndarray | None = None, high: np.ndarray | None = None, damping: float = 0.0
+    ) -> np.ndarray:
+        """The step to the minimum of the model within bounds, by a primal active set (Nocedal and Wright 2006, section 16.5).
+
+        Parameters
+        ----------
+        low, high
+            Distances to the bounds (n,), ``low <= 0 <= high``; infinite, or None, where there are none.
+        damping
+            Is added to the diagonal of the scaled matrix (Levenberg and Marquardt).
+
+        Returns
+        -------
+        np.ndarray
+            The step (n,). Directions without curvature stay where they are; zero where the model is not finite.
+        """
+        if not self.is_finite:
+            return np.zeros(len(self.gradient))
+        free = self._free_step(damping) / self.scale
+        if low is None or high is None:
+            return free
+        low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+        if np.all((free >= low) & (free <= high)):
+            return free
+        root, target, cutoff = self._least_squares
+        if damping:
+            n = len(low)
+            root, target = np.vstack([root, np.sqrt(damping) * np.eye(n)]), np.append(target, np.zeros(n))
+        bounds = low * self.scale, high * self.scale
+        step = _solve_bounded_least_squares(root, target, *bounds, cutoff, free * self.scale) / self.scale
+        return np.clip(step, low, high)
+
+    def predicted_decrease(self, low: np.ndarray | None = None, high: np.ndarray | None = None) -> float:
+        """By how much the model falls along the undamped step within bounds.
+
+        Parameters
+        ----------
+        low, high
+            Distances to the bounds (n,); None: there are none.
+
+        Returns
+        -------
+        float
+            At least zero; infinite where the model is not finite, as anything may still be gained.
+        """
+        if not self.is_finite:
+            return np.inf
+        bounds = b"" if low is None or high is None else low.tobytes() + high.tobytes()
+        if bounds not in self._decreases:
+            self._decreases[bounds] = self.decrease_along(self.bounded_step(low, high))
+        return self._decreases[bounds]
+
+    def decrease_along(self, step: np.ndarray) -> float:
+        """By how much the model falls along ``step`` (n,)."""
+        if self.factor is None:
+            return -float(self.gradient @ step) - 0.5 * float(step @ self.hessian @ step)
+        root, target = self.factor
+        along = root @ step
+        return -float(target @ along) - 0.5 * float(along @ along)
+
+    def principal_axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Directions (n, k) of the scaled unknowns that have a curvature, and these curvatures (k,)."""
+        axes, curvature, _ = self._spectrum
+        return axes, curvature
+
+    @cached_property
+    def _scaled(self) -> np.ndarray:
+        """The matrix (n, n) with ones on its diagonal."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.asarray(self.hessian / self.scale / self.scale[:, None])
+
+    @cached_property
+    def _decreases(self) -> dict[bytes, float]:
+        """Predicted decreases by their bounds: the rule that ends a search and the one that changes the method both ask."""
+        return {}
+
+    @cached_property
+    def _spectrum(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Eigenvectors (n, k) of the scaled matrix, without those that are rounding; curvatures (k,) and slopes (k,) along them."""
+        if self.factor is None:
+            curvature, axes = np.linalg.eigh(self._scaled)
+            usable = curvature > RANK_CUTOFF * curvature.max(initial=0.0)
+            axes = axes[:, usable]
+            return axes, curvature[usable], axes.T @ (self.gradient / self.scale)
+        root, target = self.factor
+        left, size, right = np.linalg.svd(root / self.scale, full_matrices=False)
+        usable = size > NEGLIGIBLE_SINGULAR_VALUE * size.max(initial=0.0)
+        size = size[usable]
+        return right[usable].T, size**2, size * (left[:, usable].T @ target)
+
+    @cached_property
+    def _least_squares(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Root (m, n) and target (m,) of the scaled model as least squares, and the share of its singular values that is rounding."""
+        if self.factor is not None:
+            root, target = self.factor
+            return root / self.scale, target, NEGLIGIBLE_SINGULAR_VALUE
+        axes, curvature, slope = self._spectrum
+        size = np.sqrt(curvature)
+        return size[:, None] * axes.T, slope / size, np.sqrt(RANK_CUTOFF)
+
+    def _free_step(self, damping: float) -> np.ndarray:
+        """The step (n,) without bounds, in units of ``1 / scale``."""
+        axes, curvature, slope = self._spectrum
+        return -np.asarray(axes @ (slope / (curvature + damping)))
+
+
+def _solve_bounded_least_squares(
+    root: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray, cutoff: float, free_step: np.ndarray
+) -> np.ndarray:
+    """The step (n,) with the least ``|root @ step + target|`` within bounds ``low <= 0 <= high``, from zero on.
+
+    Steps go to the minimum over the free unknowns, or to the first bound, which is held then. At a minimum the bound that pushes
+    hardest against the slope is released. Of all minima over the free unknowns the step goes to the nearest. ``free_step`` is that
+    without bounds.
+    """
+    n = len(low)
+    step, slope = np.zeros(n), root.T @ target
+    rounding = WRONG_MULTIPLIER * np.abs(slope).max(initial=0.0)
+    is_fixed = low == high
+    is_free = ~(is_fixed | ((low == 0) & (slope > 0)) | ((high == 0) & (slope < 0)))
+    for _ in range(
+        n * n + 2
+    ):  # each minimum is lower than the last one, so it ends long before this unless rounding errors circle
+        end = step.copy()
+        if is_free.all() and not step.any():
+            end = free_step
+        elif is_free.any():
+            left, size, right = np.linalg.svd(root[:, is_free], full_matrices=False)
+            kept = int(np.count_nonzero(size > cutoff * size[0]))
+            remainder = left[:, :kept].T @ (target + root @ step)
+            end[is_free] -= right[:kept].T @ (remainder / size[:kept])
+        beyond = np.flatnonzero((end < low) | (end > high))
+        if len(beyond):
+            bound = np.where(end[beyond] < low[beyond], low[beyond], high[beyond])
+            reach = (bound - step[beyond]) / (end[beyond] - step[beyond])
+            first = int(np.argmin(reach))
+            step = step + max(reach[first], 0.0) * (end - step)
+            step[beyond[first]] = bound[first]
+            is_free[beyond[first]] = False
+            continue
+        step = end
+        slope = root.T @ (target + root @ step)
+        pull = np.where(is_free | is_fixed, 0.0, np.where(step <= low, -slope, slope))
+        worst = int(np.argmax(pull))
+        if pull[worst] <= rounding:
+            break
+        is_free[worst] = True
+    return step

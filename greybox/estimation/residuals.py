@@ -1,0 +1,553 @@
+"""The numbers by which a residual is tested."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc
+
+from greybox.base.errors import DataError
+from greybox.base.linear_algebra import RankTolerance, decompose_symmetric
+from greybox.base.numerics import REDUNDANT_VARIANCE
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
+from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
+from greybox.estimation.objective import SimulationErrorObjective
+from greybox.estimation.options import FitOptions
+from greybox.estimation.predictor import Predictor, predictor
+from greybox.estimation.restore import restore_residuals
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.estimation.sandwich import ColumnLayout, compute_toeplitz_form
+from greybox.model.model import Model
+
+
+@dataclass(frozen=True)
+class ResidualTestPolicy:
+    """Rules of the residual tests."""
+
+    alarm_level: float = 0.01
+    """p-value below which a test raises an alarm: one false alarm in a hundred good fits for each test."""
+    whiteness_lags: tuple[int, ...] = (5, 10, 20)
+    """Samples over which the residual must be uncorrelated: short, medium and long memory."""
+    samples_per_whiteness_lag: int = 5
+    """The test over some lags needs more samples than this many for each of them; with fewer its statistic is not chi-square."""
+    input_lags: int = 20
+    """Samples that an input may act before the residual."""
+    samples_per_input_lag: int = 10
+    """The independence test needs more samples than this many for each lag."""
+    blocks: int = 8
+    """Parts of all records over which variance and mean must be equal: enough for drift, few enough to be sure of each."""
+    min_block_values: int = 10
+    """Fewest values of a part; smaller parts are left out."""
+
+
+RESIDUAL_TEST_POLICY = ResidualTestPolicy()
+
+
+# The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
+
+LAGGED_SIGNALS = RankTolerance(REDUNDANT_VARIANCE, REDUNDANT_VARIANCE)
+
+
+def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
+    """``Q = n (n + 2) sum rho_k^2 / (n - k)`` over lags 1 ... ``lags``, chi-square for white noise (Ljung and Box 1978).
+
+    Over a gap a lag has fewer pairs; each correlation is weighted by its own number of pairs.
+    """
+    r = series - np.nanmean(series)
+    measured = np.isfinite(r)
+    r = np.where(measured, r, 0.0)
+    n, square = int(measured.sum()), float(r @ r)
+    if square == 0:
+        return 0.0, 1.0
+    statistic = 0.0
+    for k in range(1, lags + 1):
+        pairs = int((measured[k:] & measured[:-k]).sum())
+        if pairs:
+            statistic += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
+    return statistic, float(chdtrc(lags, statistic))
+
+
+def lagged_matrix(signal: np.ndarray, lags: int) -> np.ndarray:
+    """``signal`` (N,) less its mean, delayed by 0 ... ``lags`` samples (N, lags + 1), zero before it began."""
+    signal = signal - signal.mean()
+    return np.column_stack([np.concatenate([np.zeros(k), signal[: len(signal) - k]]) for k in range(lags + 1)])
+
+
+def input_independence_test(
+    residuals: Sequence[np.ndarray], regressors: Sequence[np.ndarray], colour: AutoRegression
+) -> tuple[float, float]:
+    """``c' P^+ c`` with ``c = sum U'r`` of the regressors U (N, m) and its covariance ``P = sum U' R U``, chi-square if unrelated.
+
+    R is the covariance of the residual as the autoregression ``colour`` has it: for coloured residuals the white-noise
+    formula takes chance for dependence (Ljung, System identification, 2nd ed., section 16.6).
+    """
+    size = regressors[0].shape[1]
+    c, p = np.zeros(size), np.zeros((size, size))
+    everything = np.concatenate(residuals)
+    variance = float(np.nanmean(everything**2))
+    if variance == 0 or not np.isfinite(variance):
+        return 0.0, 1.0
+    for r, u in zip(residuals, regressors, strict=True):
+        measured = np.isfinite(r)
+        u = np.where(measured[:, None], u, 0.0)
+        c += u.T @ np.where(measured, r, 0.0)
+        p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
+    spread = decompose_symmetric(p, LAGGED_SIGNALS)
+    if not spread.rank:
+        return 0.0, 1.0
+    statistic = float(c @ spread.solve(c))
+    return statistic, float(chdtrc(spread.rank, statistic))
+
+
+def normality_test(series: np.ndarray) -> tuple[float, float]:
+    """Jarque and Bera's statistic of skewness and kurtosis, chi-square with two degrees of freedom for a normal sample."""
+    usable = series[np.isfinite(series)]
+    if len(usable) < 8 or np.ptp(usable) == 0:
+        return 0.0, 1.0
+    z = (usable - usable.mean()) / usable.std()
+    skewness, kurtosis = float((z**3).mean()), float((z**4).mean())
+    statistic = len(z) / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4)
+    return statistic, float(chdtrc(2, statistic))
+
+
+def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+    """Levene's statistic of equal variance over blocks, about the medians (Brown and Forsythe 1974): robust to heavy tails."""
+    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+        return 0.0, 1.0
+    return _analyse_variance([np.abs(b - np.median(b)) for b in blocks])
+
+
+def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The F statistic of equal means over blocks."""
+    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+        return 0.0, 1.0
+    return _analyse_variance(blocks)
+
+
+def _analyse_variance(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+    """The F statistic of equal means, and its tail probability. `scipy.stats` has it too and takes half a second to import."""
+    values = np.concatenate(list(blocks))
+    between = sum(len(b) * (b.mean() - values.mean()) ** 2 for b in blocks) / (len(blocks) - 1)
+    within = sum(((b - b.mean()) ** 2).sum() for b in blocks) / (len(values) - len(blocks))
+    if within == 0:
+        return (0.0, 1.0) if between == 0 else (np.inf, 0.0)
+    return float(between / within), float(fdtrc(len(blocks) - 1, len(values) - len(blocks), between / within))
+
+
+def split_into_blocks(residuals: Sequence[np.ndarray], count: int, least: int) -> list[np.ndarray]:
+    """Usable values of consecutive parts, about ``count`` over all records in proportion to their rows, ``least`` values at least."""
+    total = sum(len(r) for r in residuals)
+    parts: list[np.ndarray] = []
+    for r in residuals:
+        pieces = np.array_split(r, max(1, round(count * len(r) / total)))
+        parts += [p[np.isfinite(p)] for p in pieces]
+    return [p for p in parts if len(p) >= least]
+
+
+# What the residual of a fit says: is it white, free of the inputs, normal, and the same throughout?
+
+Rows = Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+class ResidualTestKind(StrEnum):
+    """What a residual is tested for."""
+
+    WHITENESS = "whiteness"
+    INPUT_INDEPENDENCE = "input_independence"
+    NORMALITY = "normality"
+    EQUAL_VARIANCE = "equal_variance"
+    EQUAL_MEAN = "equal_mean"
+
+
+@dataclass(frozen=True)
+class ResidualTest(Printable):
+    """One test of one output.
+
+    Parameters
+    ----------
+    output
+        The output whose residual was tested.
+    kind
+        What it was tested for.
+    statistic, p_value
+        The figure of the test, and how often chance alone makes it as large.
+    alarm
+        Whether the p-value is below the level of the policy.
+    lags
+        Samples over which correlations were summed; 0 for tests without lags.
+    input
+        The input, for a test of independence.
+    colour
+        The autoregression of the residual.
+    """
+
+    output: str
+    kind: ResidualTestKind
+    statistic: float
+    p_value: float
+    alarm: bool
+    lags: int = 0
+    input: str = ""
+    colour: AutoRegression = field(default_factory=AutoRegression, repr=False, compare=False)
+
+
+@dataclass(frozen=True, eq=False)
+class ResidualSeries:
+    """The residual of one output that the tests looked at, over its noise.
+
+    Parameters
+    ----------
+    series
+        For each record an array (N,), NaN in gaps.
+    raw
+        The same with the outliers that a robust fit keeps out of ``series``.
+    inputs
+        By name, for each record an array (N,).
+    time
+        For each record an array (N,) in seconds.
+    colour
+        The autoregression of ``series``.
+    """
+
+    series: tuple[np.ndarray, ...]
+    raw: tuple[np.ndarray, ...]
+    inputs: Mapping[str, tuple[np.ndarray, ...]]
+    time: tuple[np.ndarray, ...]
+    colour: AutoRegression
+
+
+@dataclass(frozen=True)
+class ResidualTests(Printable):
+    """All tests of a fit.
+
+    Parameters
+    ----------
+    tests
+        Output by output.
+    whitened
+        Outputs whose residual was whitened with their known noise colour first.
+    residuals
+        What was tested, by output.
+    policy
+        The numbers that the tests were made under.
+    """
+
+    tests: tuple[ResidualTest, ...]
+    whitened: tuple[str, ...] = ()
+    residuals: Mapping[str, ResidualSeries] = field(default_factory=dict, repr=False, compare=False)
+    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY
+
+    @property
+    def alarms(self) -> tuple[ResidualTest, ...]:
+        """The tests that raise an alarm."""
+        return tuple(t for t in self.tests if t.alarm)
+
+    def of(
+        self, output: str, kind: ResidualTestKind | str, *, lags: int | None = None, input: str = ""
+    ) -> ResidualTest:
+        """The first test of an output of this kind; ``lags`` and ``input`` choose among several.
+
+        Raises KeyError where there is none.
+        """
+        for test in self.tests:
+            if (test.output, test.kind) == (output, kind) and lags in (None, test.lags) and input in ("", test.input):
+                return test
+        raise KeyError(f"no test {str(kind)!r} of output {output!r}")
+
+
+def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY) -> ResidualTests:
+    """Test the free-run residual of each output over all records of a fit, or its innovations where the model has process noise.
+
+    Whiteness over 5, 10 and 20 lags (Ljung and Box); independence of each input over 20 lags, with the covariance that the
+    residual's colour gives and the fitted constants allowed for; normality (Jarque and Bera); equal variance and equal mean over
+    blocks. Normality and the block tests look at the residual whitened by an autoregression, because they need independent samples.
+    After a robust fit all tests but normality look at the residual as its loss sees it, without the pull of outliers. Each test
+    alone raises a false alarm in one fit of a hundred.
+
+    Parameters
+    ----------
+    fit
+        A fit that succeeded.
+    policy
+        Alarm level, lags and blocks.
+
+    Returns
+    -------
+    ResidualTests
+        One `ResidualTest` for each output and question; ``alarms`` holds those that failed.
+
+    Raises
+    ------
+    FitError
+        For a fit that did not succeed, and for one whose run is not a free one (arcs, or the segments of an unstable plant): states
+        that are set anew along the record take up what the model lacks, and the tests would not see it.
+
+    Examples
+    --------
+    >>> tests = residual_tests(fit)  # doctest: +SKIP
+    >>> [(t.output, t.kind) for t in tests.alarms]  # doctest: +SKIP
+    [('x', 'whiteness')]
+    """
+    rows, raw, layout = _restore_rows(fit)
+    inputs = {i.name: [trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs}
+    noise_policy = FitOptions.from_data(fit.provenance.options).policy.noise
+    tests: list[ResidualTest] = []
+    tested: dict[str, ResidualSeries] = {}
+    for j, output in enumerate(fit.model.outputs):
+        if output.name not in fit.misfit:
+            continue
+        residuals, unbounded = [r[:, j] for r, _ in rows], [r[:, j] for r, _ in raw]
+        columns = [layout.columns(e) for e in range(len(rows))]
+        slopes = _spread_columns([jacobian[:, j] for _, jacobian in rows], columns, layout.size)
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded, policy, noise_policy)
+        tested[output.name] = ResidualSeries(
+            tuple(residuals),
+            tuple(unbounded),
+            {name: tuple(each) for name, each in inputs.items()},
+            tuple(trace.time for trace in fit.traces),
+            fit_autoregression(join_series(residuals), policy=noise_policy),
+        )
+    whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
+    return ResidualTests(tuple(tests), whitened, tested, policy)
+
+
+def run_residual_tests(
+    output: str,
+    residuals: Sequence[np.ndarray],
+    inputs: Mapping[str, list[np.ndarray]],
+    slopes: Sequence[np.ndarray] | None = None,
+    raw: Sequence[np.ndarray] | None = None,
+    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY,
+    noise_policy: NoisePolicy = NOISE_POLICY,
+) -> list[ResidualTest]:
+    """The tests of one output.
+
+    Parameters
+    ----------
+    output
+        Its name.
+    residuals
+        For each record an array (N,), NaN in gaps.
+    inputs
+        By name, for each record an array (N,).
+    slopes
+        For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
+    raw
+        The residuals with their outliers, if ``residuals`` are without.
+    policy
+        Alarm level, lags and blocks.
+    noise_policy
+        How the autoregression of the residual is chosen.
+    """
+    series = join_series(residuals)
+    colour = fit_autoregression(series, policy=noise_policy)
+    rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
+    white = [colour.whiten(r / rms) for r in residuals]
+    count = int(np.isfinite(series).sum())
+
+    def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
+        statistic, p_value = result
+        return ResidualTest(output, kind, statistic, p_value, bool(p_value < policy.alarm_level), lags, name, colour)
+
+    tests = [
+        make_test(ResidualTestKind.WHITENESS, ljung_box_test(series, lags), lags)
+        for lags in policy.whiteness_lags
+        if count > policy.samples_per_whiteness_lag * lags
+    ]
+    for name, records in inputs.items():
+        if any(np.ptp(u) > 0 for u in records) and count > policy.samples_per_input_lag * policy.input_lags:
+            regressors = [lagged_matrix(u, policy.input_lags) for u in records]
+            result = input_independence_test(residuals, _remove_fitted(slopes, regressors, residuals), colour)
+            tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, policy.input_lags, name))
+    whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
+    blocks = split_into_blocks(white, policy.blocks, policy.min_block_values)
+    return [
+        *tests,
+        make_test(ResidualTestKind.NORMALITY, normality_test(whitened)),
+        make_test(ResidualTestKind.EQUAL_VARIANCE, equal_variance_test(blocks)),
+        make_test(ResidualTestKind.EQUAL_MEAN, equal_mean_test(blocks)),
+    ]
+
+
+def _restore_rows(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
+    """Residual or innovations and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes
+    belong.
+    """
+    objective, residuals = restore_residuals(fit)
+    raw = residuals.rows
+    if isinstance(objective, SimulationErrorObjective) and objective.problem.loss is not None:
+        raw = SimulationErrorObjective(replace(objective.problem, loss=None)).linearise().rows
+    return residuals.rows, raw, objective.variables
+
+
+def _spread_columns(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
+    """Sensitivities of each record (N, L) laid out over all unknowns (N, size)."""
+    result = []
+    for slope, where in zip(slopes, columns, strict=True):
+        wide = np.zeros((len(slope), size))
+        wide[:, where] = slope
+        result.append(wide)
+    return result
+
+
+def _remove_fitted(
+    slopes: Sequence[np.ndarray] | None, regressors: list[np.ndarray], residuals: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """The regressors less what the fitted constants could make of them."""
+    measured = np.concatenate([np.isfinite(r) for r in residuals])
+    u = np.where(measured[:, None], np.concatenate(regressors), 0.0)
+    if slopes is not None and slopes[0].shape[1]:
+        j = np.where(measured[:, None], np.concatenate(slopes), 0.0)
+        u = u - j @ decompose_symmetric(j.T @ j).solve(j.T @ u)
+    return np.split(u, np.cumsum([len(r) for r in residuals])[:-1])
+
+
+# Free run and prediction side by side: the errors of a model without and with past measurements.
+
+
+@dataclass(frozen=True)
+class OutputScore:
+    """Root mean square errors of one output in ``unit``: ``free_run``, and ``prediction`` by the number of samples ahead.
+
+    ``movement`` is the standard deviation of the measurement itself; ``predictor`` says what corrects the model at each sample.
+    """
+
+    unit: str
+    free_run: float
+    prediction: Mapping[int, float]
+    movement: float
+    predictor: str
+
+
+@dataclass(frozen=True)
+class PredictionScores(Printable):
+    """Scores by output."""
+
+    outputs: Mapping[str, OutputScore]
+
+
+def score(
+    model: Fit | Model | Predictor,
+    experiments: Experiment | Sequence[Experiment] = (),
+    *,
+    steps: Sequence[int] = (1, 10),
+    skip: int = 0,
+    options: FitOptions | None = None,
+) -> PredictionScores:
+    """Root mean square errors of the free run and of predictions some samples ahead.
+
+    What corrects a fit from sample to sample comes from its own records and never from those being judged; of a model that was not
+    fitted it comes from ``experiments`` (`greybox.estimation.predictor`). The first states of other records than the fit's own are
+    estimated from their first rows.
+
+    Parameters
+    ----------
+    model
+        A fit, a model, a `Predictor`, or anything with ``simulate(experiment)`` and ``predict(experiment, steps)``, such as a
+        black-box model.
+    experiments
+        The records to judge by; of a fit its own where none are given.
+    steps
+        Numbers of samples ahead.
+    skip
+        First rows of each record that are left out of the errors. Of a prediction ``k`` samples ahead the first ``k`` are left out,
+        too: they have no measurement to go by.
+    options
+        Options of the predictor of a model that was not fitted.
+
+    Returns
+    -------
+    PredictionScores
+        One `OutputScore` for each measured output, in its unit.
+
+    Raises
+    ------
+    DataError
+        For steps below one or beyond every record, and where there is no record.
+
+    Examples
+    --------
+    >>> score(fit, validation, steps=(1, 10)).outputs["x"].free_run  # doctest: +SKIP
+    """
+    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
+    if not judged:
+        raise DataError("scores: no record; give experiments, or a fit, which has its own")
+    check_steps_ahead(steps, judged)
+    ready = (
+        predictor(model, () if isinstance(model, Fit) else group, options=options)
+        if isinstance(model, Fit | Model)
+        else model
+    )
+    traces = model.traces if isinstance(model, Fit) and not group else [None] * len(judged)
+    runs = [_run_record(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
+    correction = str(ready.correction) if isinstance(ready, Predictor) else "its own noise model"
+    units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
+    outputs = {}
+    for name in dict.fromkeys(n for free, _ in runs for n in free):
+        pairs = [
+            (e.outputs[name], *run) for e, run in zip(judged, runs, strict=True) if name in e.outputs and name in run[0]
+        ]
+        measured = np.concatenate([y[skip:] for y, _, _ in pairs] or [np.zeros(0)])
+        if np.isfinite(measured).any():
+            outputs[name] = OutputScore(
+                units.get(name, ""),
+                _compute_rms([(y, free[name]) for y, free, _ in pairs], skip),
+                {k: _compute_rms([(y, ahead[k][name]) for y, _, ahead in pairs], max(skip, k)) for k in steps},
+                float(np.nanstd(measured)),
+                correction,
+            )
+    return PredictionScores(outputs)
+
+
+def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> None:
+    """Refuse predictions of less than one sample, and of so many that not one of ``records`` has a sample to compare with."""
+    wanted, longest = list(steps), max((e.rows for e in records), default=0)
+    if any(k < 1 for k in wanted):
+        raise DataError(f"steps ahead: {', '.join(map(str, wanted))}; give whole numbers from 1")
+    if longest and any(k >= longest for k in wanted):
+        raise DataError(
+            f"steps ahead: {max(wanted)}, but the longest record has {longest} rows, and the first {max(wanted)} of a record have no"
+            " measurement to predict from; give fewer"
+        )
+
+
+def _run_record(
+    model: Predictor, experiment: Experiment, steps: Sequence[int], trace: Trace | None
+) -> tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]:
+    """Free run and predictions of one record by output; ``trace``: the free run of a record of the fit, whose first states are known."""
+    if trace is None:
+        return model.simulate(experiment), {k: model.predict(experiment, steps=k) for k in steps}
+    return trace.simulated, {k: model.predict(experiment, steps=k, initial=trace.initial_state) for k in steps}
+
+
+def _units(model: Predictor) -> dict[str, str]:
+    if isinstance(model, Predictor):
+        return {o.name: o.unit for o in model.correction.model.outputs}
+    return dict(getattr(model, "units", {}))
+
+
+def _compute_rms(pairs: Sequence[tuple[np.ndarray, np.ndarray]], skip: int) -> float:
+    """Root mean square difference of measured and computed values (N,) without the first ``skip`` rows of each record.
+
+    Gaps are left out; NaN where nothing was measured, infinite where what was computed overflows.
+    """
+    measured, computed = (np.concatenate([pair[k][skip:] for pair in pairs]) for k in (0, 1))
+    is_measured = np.isfinite(measured)
+    if not is_measured.any():
+        return float("nan")
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = (measured - computed)[is_measured]
+        if not np.isfinite(error).all():
+            return float("inf")
+        square = np.mean(error**2)
+    if np.isfinite(square):
+        return float(np.sqrt(square))
+    largest = float(np.abs(error).max())
+    return largest * float(np.sqrt(np.mean((error / largest) ** 2)))

@@ -1,0 +1,536 @@
+"""Multiple shooting: each record in segments that start from states of their own; they meet at the optimum, or need not (arcs).
+
+For an unstable or chaotic plant, and for long records, where a free run from one initial state forgets the constants (or
+overflows) before the optimiser can use them: an error grows over one segment only. Arcs of a chosen length are such segments without
+continuity: the initial state of each is eliminated by itself (`ProjectedShooting`), and what drifts along the record does not add up.
+
+With continuity the first states never reach the optimiser as variables either. In each step the segments are linearised,
+
+    r_k + R_k ds_k + P_k dz,      ds_{k+1} = A_k ds_k + B_k dz + d_k,      d_k = x(end of segment k) - s_{k+1},
+
+and the states eliminated from the constrained least-squares problem, which leaves a bounded one in the constants alone (Bock
+1987; lifted Newton, Albersmeyer and Diehl 2010). They are eliminated with all at once, not by carrying everything back
+to the first one: that product of ``A_k`` is what overflows on an unstable plant.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError
+from greybox.base.numerics import TINY
+from greybox.estimation.optim.methods import minimise
+from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.transcription.condensing import CondensedProblem, LinearisedSegment, condense
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.options import SolverOptions, Transcription
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.projected_initial_states import (
+    ProjectedShooting,
+    estimate_segment_states,
+    fit_without_continuity,
+    project_states,
+)
+from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, cut_by_growth, cut_in_seconds
+from greybox.estimation.transcription.select import TranscriptionChoice
+from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
+from greybox.estimation.transcription.single_shooting import (
+    Refinement,
+    refine_step,
+    solve_single_shooting,
+    solve_with_refined_steps,
+)
+from greybox.estimation.transcription.solution import (
+    FitProgressCallback,
+    ProgressMonitor,
+    Runs,
+    SegmentedRun,
+    Solution,
+    monitor_progress,
+)
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.record import Record
+
+
+def solve_multiple_shooting(
+    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise the cost of each record's segments, which end where the next one begins; arcs need not.
+
+    Raises DataError for arcs that are too short (`split_into_arcs`) or longer than every record, ModelError for too many of them where
+    their states cannot be eliminated.
+    """
+    continuity = choice.transcription is Transcription.MULTIPLE
+    cuts = cut_by_growth(choice.problem) if continuity else _cut_into_arcs(choice.problem, options)
+    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
+    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
+    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
+    values = {"segments": count} if continuity else {"arcs": count, "arc_length": options.arc_length, "whole": is_whole}
+    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
+    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
+
+
+def _cut_into_arcs(problem: EstimationProblem, options: SolverOptions) -> Cuts:
+    """Arcs of the length that ``options`` ask for."""
+    length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
+    if length > longest * (1 + options.policy.joining.length_tolerance):
+        raise DataError(
+            f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
+            " arc_length out (shell: --arc-length)"
+        )
+    return cut_in_seconds(problem, length)
+
+
+class _SegmentSearch:
+    """A search over segments at one integration step after the other, each from the optimum of the one before."""
+
+    def __init__(
+        self,
+        segmented: SegmentedProblem,
+        continuity: bool,
+        options: SolverOptions,
+        report: FitProgressCallback | None,
+    ) -> None:
+        self.segmented, self.continuity, self.options, self.report = segmented, continuity, options, report
+        self.result: MultipleShootingResult | None = None
+
+    def solve(self, problem: EstimationProblem) -> Solution:
+        """The optimum with the step of ``problem``."""
+        shooting = MultipleShooting(self.segmented.with_step_of(problem), continuity=self.continuity)
+        result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
+        self.result, self.segmented = result, result.segmented
+        return Solution(
+            result.segmented.whole,
+            result.variables,
+            result.evaluation,
+            result.status,
+            result.solver_status,
+            result.iterations,
+            result.evaluations,
+            result.seconds,
+            (1.0,),
+            np.zeros(len(problem.noise.std)),
+            solver=result.solver,
+        )
+
+    def refine(self, solution: Solution) -> Refinement:
+        """A smaller step if need be."""
+        return refine_step(solution, self.options, lambda problem: self.segmented.with_step_of(problem).simulate())
+
+    def join(self) -> SegmentedRun:
+        """The run of the segments at the optimum, and what half the step does to the constants."""
+        assert self.result is not None  # a solution was found
+        problem, shift = self.segmented.whole, np.zeros(len(self.result.variables.which))
+        if not problem.step.per_interval and len(shift):
+            both = self.segmented, self.segmented.with_step_of(problem.halve_step())
+            coarse, fine = (MultipleShooting(s, continuity=self.continuity).gauss_newton_step() for s in both)
+            shift = fine - coarse
+        size = self.result.variables.size if self.continuity else self.segmented.pieces.variables.size
+        return SegmentedRun(self.segmented.simulate(), self.result.rows, size, shift)
+
+
+@dataclass(frozen=True)
+class MultipleShootingResult:
+    """The optimum of a multiple-shooting fit."""
+
+    segmented: SegmentedProblem
+    """The segments with their present point at the optimum."""
+
+    evaluation: Evaluation
+    """Cost, gradient and Gauss-Newton matrix of the constants, every state eliminated: the rows of initial states are zero."""
+
+    rows: Runs
+    """Weighted residuals (N, ny) of each record and their Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated."""
+
+    gap: float
+    """The largest jump between segments, as a share of the state's range."""
+
+    status: TerminationStatus
+    """How the search ended."""
+
+    solver: str
+    solver_status: str
+    iterations: int
+    evaluations: int
+    seconds: float
+
+    @property
+    def variables(self) -> DecisionVector:
+        """The decision vector of the whole records with ``z = 0`` at the optimum."""
+        return self.segmented.whole.variables
+
+    @property
+    def states(self) -> np.ndarray:
+        """First states (segments, nx) of the segments of all records."""
+        return self.segmented.pieces.variables.initial.guess
+
+
+class MultipleShooting:
+    """Segments of records, each with a first state of its own.
+
+    Parameters
+    ----------
+    segmented
+        The segments.
+    continuity
+        Whether a segment ends where the next one begins.
+    """
+
+    def __init__(self, segmented: SegmentedProblem, *, continuity: bool = True) -> None:
+        self.continuity, self.evaluations = continuity, 0
+        self.policy = segmented.whole.policy.transcription
+        self._place(segmented)
+
+    def _place(self, segmented: SegmentedProblem) -> None:
+        """Let the present point be that of ``segmented``."""
+        self.segmented, pieces = segmented, segmented.pieces
+        self.variables, self.n = pieces.variables, len(pieces.variables.which)
+        self.ny, self.nx = len(pieces.noise.std), pieces.variables.initial.guess.shape[1]
+        self.joints = [not begins for begins in segmented.starts_record[1:]] + [False]
+        if self.continuity:
+            step, weight = add_state_outputs(pieces.step), np.concatenate([1 / pieces.noise.std, np.ones(self.nx)])
+            records = [r for e in range(len(segmented.cuts)) for r in self._slice_record(e)]
+            self.with_ends = SingleShooting(self.variables, step, make_kernel(step), records, weight)
+
+    def solve(
+        self,
+        options: SolverOptions | None = None,
+        *,
+        initialise: bool = True,
+        report: FitProgressCallback | None = None,
+    ) -> MultipleShootingResult:
+        """Minimise the cost from the present point.
+
+        Parameters
+        ----------
+        options
+            How far to go, and where without continuity a general method is used.
+        initialise
+            Whether the first states are estimated first and, with continuity, the segments fitted as if they need not meet.
+        report
+            Called after every iteration.
+        """
+        options = options or SolverOptions()
+        return (self._solve_joined if self.continuity else self._solve_apart)(options, initialise, report)
+
+    def gauss_newton_step(self) -> np.ndarray:
+        """The next step of the constants (nf,) in ``z`` from the present point; NaN where a segment overflows."""
+        if not self.continuity:
+            whole = self.segmented.whole.variables
+            evaluation = _evaluate_rows(_project_residuals(self.segmented.pieces), whole)
+            return compute_gauss_newton_step(whole, evaluation)[: self.n]
+        linearised = self._linearise(self.variables.here)
+        return np.full(self.n, np.nan) if linearised is None else self._compute_step(linearised)[: self.n]
+
+    def _solve_apart(
+        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+    ) -> MultipleShootingResult:
+        """Without continuity.
+
+        Where the cost is plain squares the initial states are eliminated segment by segment, else they are searched for with the
+        constants.
+        """
+        pieces = self.segmented.pieces
+        if not pieces.is_plain_squares:
+            _check_number(self.segmented, options)
+            solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
+            segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
+            return _make_apart(segmented, solution.evaluation, solution)
+        projected = ProjectedShooting(pieces.shooting(), self.policy.projection)
+        if initialise:
+            projected.carry_states(self.segmented.starts_record)
+        (low, high), zero = projected.bounds(), np.zeros(projected.size)
+        first = projected.evaluate(zero)
+        outcome = minimise(
+            projected.evaluate,
+            zero,
+            low,
+            high,
+            scale=max(first.cost, TINY),
+            value_at_start=first,
+            tolerance=options.tolerance,
+            iterations=options.iterations,
+            termination_test=Termination(options.policy.convergence, low, high, first.count).test,
+            thorough=options.thorough,
+            progress=ProgressMonitor(pieces, report),
+            policy=options.policy.minimisation,
+        )
+        segmented = self.segmented.at(self.variables.recentre(projected.full(outcome.z)))
+        return _make_apart(segmented, outcome.value or first, outcome)
+
+    def _solve_joined(
+        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+    ) -> MultipleShootingResult:
+        """With continuity: lifted Gauss-Newton."""
+        began = time.perf_counter()
+        with monitor_progress(self.segmented.pieces, report) as monitor:
+            if initialise:
+                self._place(self._initialise())
+            linearised = self._linearise(self.variables.here)
+            status, iteration = TerminationStatus.NO_START, 0
+            if linearised is not None:
+                count = max(int(linearised.counts.sum()), 1)
+                termination = Termination(self.policy.multiple_shooting.termination, count=count)
+                visited: list[tuple[float, float]] = []
+                while (ended := self._judge(linearised, termination, iteration, options, monitor)) is None:
+                    visited.append((linearised.violation, linearised.cost))
+                    following = self._search_step(linearised, visited)
+                    if following is None:  # at rounding errors, or truly stuck
+                        slack = self.policy.multiple_shooting.rounding_slack
+                        is_optimum = self._is_converged(linearised, termination, slack)
+                        ended = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
+                        break
+                    linearised = following
+                    iteration += 1
+                status = ended
+                if (
+                    status is TerminationStatus.CONVERGED
+                ):  # the last step is known already: it gives the constants their digits
+                    last = self._linearise(linearised.z + self._compute_step(linearised))
+                    if last and last.cost <= linearised.cost and self._is_converged(last, termination):
+                        linearised = last
+                if monitor.stop:  # also where the last iteration was the last anyway: the caller would go on
+                    status = TerminationStatus.INTERRUPTED
+        return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
+
+    def _initialise(self) -> SegmentedProblem:
+        """First states estimated from the samples of each segment, and constants fitted without continuity."""
+        segmented, v = self.segmented, self.segmented.whole.variables
+        arcs = estimate_segment_states(segmented)
+        point = self.variables.recentre(fit_without_continuity(arcs, self.policy.relaxation))
+        states, declared = point.initial.guess.copy(), ~v.initial.free
+        for e, k in enumerate(np.flatnonzero(segmented.starts_record)):
+            states[k, declared] = v.initial.guess[e, declared]
+        return segmented.at(replace(point, initial=replace(point.initial, guess=states)))
+
+    def _judge(
+        self,
+        linearised: _LinearisedPoint,
+        termination: Termination,
+        iteration: int,
+        options: SolverOptions,
+        monitor: ProgressMonitor,
+    ) -> TerminationStatus | None:
+        """How the search ends at a point; None where it goes on."""
+        if monitor(iteration, linearised.cost):
+            return TerminationStatus.INTERRUPTED
+        if self._is_converged(linearised, termination):
+            return TerminationStatus.CONVERGED
+        if termination.is_flat(linearised.cost) and linearised.gap < self.policy.multiple_shooting.continuity:
+            return TerminationStatus.ACCEPTABLE
+        return TerminationStatus.ITERATION_LIMIT if iteration == options.iterations else None
+
+    def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
+        """Whether a further step would neither lower the cost nor close a gap."""
+        change = abs(linearised.cost - linearised.cost_after(self._compute_step(linearised)))
+        is_joined = linearised.gap <= self.policy.multiple_shooting.continuity
+        return is_joined and termination.is_negligible(change, linearised.cost, slack)
+
+    def _search_step(
+        self, linearised: _LinearisedPoint, visited: Sequence[tuple[float, float]]
+    ) -> _LinearisedPoint | None:
+        """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
+        policy = self.policy.multiple_shooting
+        for damping in policy.dampings:
+            step = self._compute_step(linearised, damping)
+            for length in policy.step_lengths:
+                trial = self._linearise(linearised.z + length * step)
+                if trial is not None and trial.improves_on(visited, policy.filter_margin):
+                    return trial
+        return None
+
+    def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
+        """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
+        z, policy = linearised.z[: self.n], self.policy.relaxation
+        reach = np.where(self.variables.logarithmic, policy.max_log_change, np.inf)
+        low, high = (edge[: self.n] - z for edge in self.variables.bounds())
+        step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
+        return linearised.condensed.step(step)
+
+    def _linearise(self, z: np.ndarray) -> _LinearisedPoint | None:
+        """Residuals, end states and their slopes of every segment, the states eliminated; None where a segment overflows, or nearly."""
+        self.evaluations += 1
+        v, ny, scale = self.variables, self.ny, self.variables.initial.scale
+        states = v.initial.guess + scale * v.split(z).initial_states
+        segments, squares, counts = [], np.zeros(ny), np.zeros(ny, int)
+        for k, (r, j) in enumerate(self.with_ends.residuals(z)):
+            end, ends = -r[-1, ny:], -j[-1, ny:]
+            r, j = r[:, :ny], j[:, :ny]
+            is_measured = np.isfinite(self.with_ends.records[k].samples(self.with_ends.records[k].y)[:, :ny])
+            if not all(np.isfinite(values).all() for values in (end, ends, r[is_measured], j[is_measured])):
+                return None
+            squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
+            counts += is_measured.sum(axis=0)
+            defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
+            segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
+        self._tie_declared_states(segments, z, states)
+        edges = np.cumsum([0, *(len(places) - 1 for places in self.segmented.cuts)])
+        condensed = condense([segments[a:b] for a, b in pairwise(edges)], self.n)
+        if condensed is None:
+            return None
+        gaps = np.concatenate([np.abs(s.defect) for s in segments])
+        prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
+        return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
+
+    def _tie_declared_states(self, segments: list[LinearisedSegment], z: np.ndarray, states: np.ndarray) -> None:
+        """Hold the first states of records to what is declared."""
+        whole, scale = self.segmented.whole.variables, self.variables.initial.scale
+        declared = np.flatnonzero(~whole.initial.free)
+        if not len(declared):
+            return
+        point = whole.here
+        whole.split(point).parameters[:] = z[: self.n]
+        for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
+            x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
+            distance, slope = (x0 - states[k]) / scale, dx0[:, : self.n] / scale[:, None]
+            segments[k] = replace(segments[k], tie=(declared, distance[declared], slope[declared]))
+
+    def _slice_record(self, e: int) -> list[Record]:
+        """The segments of record ``e``; the last row of each is the first of the next and counts for its states alone."""
+        record, places = self.segmented.whole.shooting().records[e], self.segmented.cuts[e]
+        return [slice_segment(record, a, b, self.nx) for a, b in pairwise(places)]
+
+    def _make_joined(
+        self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
+    ) -> MultipleShootingResult:
+        size, ny, work = (
+            self.segmented.whole.variables.size,
+            self.ny,
+            ("lifted Gauss-Newton", "", iterations, self.evaluations, seconds),
+        )
+        gradient, hessian = np.zeros(size), np.zeros((size, size))
+        if linearised is None:
+            failed = Evaluation(np.inf, gradient, hessian, np.zeros(ny), np.zeros(ny, int), (0, 0))
+            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, *work)
+        model, n = linearised.model, self.n
+        gradient[:n], hessian[:n, :n] = model.gradient, model.hessian
+        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
+        rows = []
+        for (r, j), record, slope in zip(
+            self.with_ends.residuals(linearised.z),
+            self.segmented.pieces.records,
+            linearised.condensed.slope,
+            strict=True,
+        ):
+            count = len(record.samples(record.y))
+            r, j = r[:count, :ny], j[:count, :ny]
+            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
+        segmented = self.segmented.at(self.variables.recentre(linearised.z))
+        return MultipleShootingResult(segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, *work)
+
+
+@dataclass(frozen=True)
+class _LinearisedPoint:
+    """One point, and the problem there with its states eliminated; ``prior``: what priors add, its slope and curvature (nf,)."""
+
+    z: np.ndarray
+    squares: np.ndarray
+    counts: np.ndarray
+    condensed: CondensedProblem
+    prior: tuple[float, np.ndarray, np.ndarray]
+    gap: float
+    violation: float
+
+    @property
+    def cost(self) -> float:
+        """The cost of the segments as they are."""
+        return float(self.squares.sum()) + self.prior[0]
+
+    def improves_on(self, visited: Sequence[tuple[float, float]], margin: float) -> bool:
+        """Whether the point is better than each visited one in its gaps or in its cost."""
+        slack = margin * min(self.violation, 1.0)
+        return all(
+            self.violation < (1 - margin) * gaps or self.cost < cost - slack * abs(cost) for gaps, cost in visited
+        )
+
+    @cached_property
+    def model(self) -> QuadraticModel:
+        """The cost along the constants."""
+        _, slope, curvature = self.prior
+        condensed = self.condensed
+        return QuadraticModel(self.cost, condensed.gradient + slope, condensed.hessian + np.diag(curvature))
+
+    def cost_after(self, step: np.ndarray) -> float:
+        """The linearised cost after a step."""
+        cost, slope, curvature = self.prior
+        dz = step[: len(slope)]
+        return self.condensed.cost_after(step) + cost + float(np.sum(slope * dz + 0.5 * curvature * dz**2))
+
+
+def _make_apart(
+    segmented: SegmentedProblem, evaluation: Evaluation, outcome: Solution | MinimisationResult
+) -> MultipleShootingResult:
+    """The result of a search without continuity, its states eliminated to first order."""
+    work = outcome.solver, outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
+    v = segmented.whole.variables
+    if not np.isfinite(evaluation.cost):
+        empty = np.zeros(v.size), np.zeros((v.size, v.size))
+        failed = Evaluation(np.inf, *empty, evaluation.squares, evaluation.counts, evaluation.failed)
+        return MultipleShootingResult(segmented, failed, (), np.inf, outcome.status, *work)
+    rows = _project_residuals(segmented.pieces)
+    reached = replace(_evaluate_rows(rows, v), cost=evaluation.cost, squares=evaluation.squares)
+    return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
+
+
+def _check_number(segmented: SegmentedProblem, options: SolverOptions) -> None:
+    most, size = options.policy.joining.most_unknowns, segmented.pieces.variables.size
+    if size > most:
+        raise ModelError(
+            f"arcs of {options.arc_length:g} s: {len(segmented.starts_record)} of them have {size} unknowns together; with coloured"
+            f" noise, robust loss or priors at most {most} are possible: take longer arcs"
+        )
+
+
+def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Residuals (N, ny) of each segment and their Jacobian (N, ny, nf), its initial state at its best for the constants."""
+    n, result = len(pieces.variables.which), []
+    for r, jacobian in pieces.shooting().residuals(pieces.variables.here):
+        measured = jacobian[np.isfinite(r)]
+        slope = project_states(measured.T @ measured, n)
+        result.append((r, jacobian[:, :, :n] + jacobian[:, :, n:] @ slope))
+    return result
+
+
+def _evaluate_rows(rows: Runs, variables: DecisionVector) -> Evaluation:
+    """Cost, gradient and Gauss-Newton matrix of residuals along the constants, initial states eliminated (their rows are zero)."""
+    n = len(variables.which)
+    gradient, hessian = np.zeros(variables.size), np.zeros((variables.size, variables.size))
+    squares = np.sum([np.nansum(r**2, axis=0) for r, _ in rows], axis=0)
+    counts = np.sum([np.isfinite(r).sum(axis=0) for r, _ in rows], axis=0)
+    for r, jacobian in rows:
+        measured = np.isfinite(r)
+        slopes = jacobian[measured]
+        gradient[:n] += 2 * slopes.T @ r[measured]
+        hessian[:n, :n] += 2 * slopes.T @ slopes
+    return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
+
+
+def _join_rows(segmented: SegmentedProblem, rows: Runs) -> Runs:
+    """Rows of segments along the constants as those of whole records along `DecisionVector.columns`."""
+    states = len(segmented.whole.variables.free_states)
+    return segmented.join([(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows])
+
+
+def add_state_outputs(step: Step) -> Step:
+    """The step with its states as further outputs, so that the kernel gives the end of a segment with its slopes."""
+    f = step.outputs
+    x, u, p = (ca.SX.sym(name, f.size1_in(k)) for k, name in enumerate(("x", "u", "p")))
+    return replace(step, outputs=ca.Function("outputs", [x, u, p], [ca.vertcat(f(x, u, p), x)]))
+
+
+def slice_segment(record: Record, a: int, b: int, nx: int) -> Record:
+    """Rows ``a`` to ``b``; the last one is the first of the next segment and counts for its states alone."""
+    last = min(b + 1, len(record.u))
+    y = np.full((last - a, record.y.shape[1] + nx), np.nan)
+    y[: b - a, : record.y.shape[1]] = record.y[a:b]
+    y[-1, record.y.shape[1] :] = 0.0
+    return replace(record, u=record.u[a:last], y=y, h=record.h[a : last - 1], row=record.row[a : last - 1])

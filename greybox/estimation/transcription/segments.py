@@ -1,0 +1,265 @@
+"""Records cut in segments, each with an initial state of its own.
+
+Segments that must meet are those of multiple shooting. Segments of a chosen length that need not meet are called arcs. Short arcs
+forget: what drifts slowly (an offset, a wrong slow mode) has no time to add up, and the structure of the fast motion shows. Long
+arcs remember: drift and slow constants show. A model that is right fits both with the same constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
+from greybox.data.experiment import Experiment
+from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.estimation.transcription.policy import DEFAULT_POLICY, SegmentPolicy
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.select import estimate_error_growth
+from greybox.estimation.transcription.solution import Runs
+from greybox.simulation.kernel.record import Record
+
+Cuts = tuple[tuple[int, ...], ...]
+"""First rows of the segments of each record and, at the end, its number of rows."""
+
+
+def split_into_arcs(
+    experiments: Experiment | Iterable[Experiment], *, seconds: float | None = None, rows: int | None = None
+) -> tuple[Experiment, ...]:
+    """Each experiment cut in arcs of a chosen length, in the order of time.
+
+    No row is left out or used twice; a remainder shorter than half an arc joins the arc before it. An experiment that is
+    shorter than an arc stays whole. The arcs are ordinary experiments ``name[first:last]``: fit them with estimated initial
+    states (they begin anywhere, not at rest). A delayed or band-limited input is only known inside an arc; where that matters
+    cut the records instead, by ``FitOptions(arc_length=...)``: they keep what came before.
+
+    Parameters
+    ----------
+    experiments
+        One or several experiments.
+    seconds, rows
+        Length of an arc: give one of the two.
+
+    Returns
+    -------
+    tuple of Experiment
+        The arcs of all experiments.
+
+    Raises
+    ------
+    DataError
+        For a length that is not positive, or shorter than three rows.
+    """
+    originals = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    arcs: list[Experiment] = []
+    for experiment in originals:
+        cuts = place_cuts(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)
+        stays_whole = len(cuts) == 2
+        arcs += [experiment] if stays_whole else [experiment.window(a, b) for a, b in pairwise(cuts)]
+    return tuple(arcs)
+
+
+def cut_by_growth(problem: EstimationProblem) -> Cuts:
+    """Segments over which errors grow little at the start values."""
+    p, policy = problem.start_parameters, problem.policy.transcription
+    growths = [estimate_error_growth(problem.model.system, p, r, policy.choice) for r in problem.records]
+    pairs = zip(growths, problem.records, strict=True)
+    return cut_in_rows(problem, [choose_segment_rows(growth, r, policy.segments) for growth, r in pairs])
+
+
+def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
+    """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
+    longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
+    period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
+    if growth > 0:
+        longest = min(longest, int(np.log(policy.max_growth) / (growth * period)))
+    return max(policy.least_rows, longest)
+
+
+def cut_in_rows(problem: EstimationProblem, rows: int | Sequence[int]) -> Cuts:
+    """Segments of so many samples: one number, or one for each record."""
+    numbers = [rows] * len(problem.records) if isinstance(rows, int) else rows
+    policy = problem.policy.transcription.segments
+    return tuple(
+        place_cuts(
+            f"record {e + 1}",
+            np.arange(len(r.u), dtype=float),
+            rows=n,
+            rows_per_sample=r.rows_per_sample,
+            policy=policy,
+        )
+        for e, (r, n) in enumerate(zip(problem.records, numbers, strict=True))
+    )
+
+
+def cut_in_seconds(problem: EstimationProblem, seconds: float) -> Cuts:
+    """Segments of a length in seconds."""
+    return tuple(
+        place_cuts(
+            f"record {e + 1}",
+            np.concatenate([[0.0], np.cumsum(r.h)]),
+            seconds=seconds,
+            rows_per_sample=r.rows_per_sample,
+            policy=problem.policy.transcription.segments,
+        )
+        for e, r in enumerate(problem.records)
+    )
+
+
+def place_cuts(
+    name: str,
+    since: np.ndarray,
+    *,
+    seconds: float | None = None,
+    rows: int | None = None,
+    rows_per_sample: int = 1,
+    policy: SegmentPolicy = DEFAULT_POLICY.segments,
+) -> tuple[int, ...]:
+    """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
+
+    ``rows_per_sample``: how many rows make a sample; ``rows`` counts samples. Raises DataError as `split_into_arcs` does.
+    """
+    if (seconds is None) == (rows is None):
+        raise DataError("arcs: give their length either in seconds or in rows")
+    count = len(since)
+    least = policy.least_arc_rows
+    if rows is not None:
+        if rows < least:
+            raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {least}")
+        return _close_cuts(np.arange(0, count, rows * rows_per_sample), count)
+    length = float(seconds or 0.0)
+    if not (np.isfinite(length) and length > 0):
+        raise DataError(f"arcs of {name!r}: {seconds} s is not a length; give a positive number of seconds")
+    # The tolerance keeps a row that is due exactly at a cut out of the arc before.
+    arc_number = np.floor(since[::rows_per_sample] / length + TIME_ROUNDING)
+    starts = rows_per_sample * np.concatenate([[0], np.flatnonzero(np.diff(arc_number)) + 1])
+    cuts = _close_cuts(starts, count)
+    shortest = int(np.diff(cuts).min()) // rows_per_sample
+    if shortest < least and len(cuts) > 2:
+        longest = float(np.diff(since[::rows_per_sample]).max())
+        raise DataError(
+            f"arcs of {name!r}: one of {length:g} s has {shortest} rows; an arc needs at least {least}: give at least"
+            f" {least * longest:g} s"
+        )
+    return cuts
+
+
+def _close_cuts(starts: np.ndarray, rows: int) -> tuple[int, ...]:
+    """The starts and ``rows``, without a last arc that is shorter than half the one before it."""
+    cuts = [int(k) for k in starts]
+    if len(cuts) > 1 and 2 * (rows - cuts[-1]) < cuts[-1] - cuts[-2]:
+        cuts.pop()
+    return (*cuts, rows)
+
+
+@dataclass(frozen=True)
+class SegmentedProblem:
+    """A problem whose records are cut in segments."""
+
+    whole: EstimationProblem
+    """The problem of the whole records."""
+
+    cuts: Cuts
+    """Where each record was cut."""
+
+    pieces: EstimationProblem
+    """The problem of the segments, one after the other: all their initial states are estimated."""
+
+    @classmethod
+    def of(cls, whole: EstimationProblem, cuts: Cuts, states: np.ndarray | None = None) -> SegmentedProblem:
+        """``whole`` cut at ``cuts``, the present point that of ``whole``.
+
+        The segments begin at ``states`` (segments, nx) if given; else those states that are outputs begin at their first measured value,
+        the others as the record does.
+        """
+        v, records, pieces = whole.variables, whole.shooting().records, []
+        for record, places in zip(records, cuts, strict=True):
+            pieces += [slice_rows(record, a, b) for a, b in pairwise(places)]
+        owner = np.repeat(np.arange(len(records)), [len(places) - 1 for places in cuts])
+        if states is None:
+            given = zip(records, cuts, strict=True)
+            states = np.concatenate([_guess_states(v, e, r, places[:-1]) for e, (r, places) in enumerate(given)])
+            spread = np.ptp(states, axis=0)
+            scale = np.where(spread > 0, spread, v.initial.scale)
+        else:
+            scale = measure_state_ranges(states)
+        variables = replace(
+            v,
+            initial=InitialStates(states, np.ones(states.shape[1], bool), scale),
+            conditions=tuple(v.conditions[e] for e in owner) if v.conditions else (),
+            groups=tuple(v.groups[e] for e in owner),
+        )
+        return cls(whole, cuts, replace(whole, records=tuple(pieces), variables=variables))
+
+    @property
+    def starts_record(self) -> tuple[bool, ...]:
+        """Which segments begin a record."""
+        return tuple(k == 0 for places in self.cuts for k in range(len(places) - 1))
+
+    def at(self, variables: DecisionVector) -> SegmentedProblem:
+        """The same with the present point that of other ``variables`` of the pieces."""
+        whole = replace(self.whole, variables=self.to_whole(variables))
+        return SegmentedProblem.of(whole, self.cuts, variables.initial.guess)
+
+    def with_step_of(self, problem: EstimationProblem) -> SegmentedProblem:
+        """The same at the integration step of another problem."""
+        whole = replace(self.whole, step=problem.step, kernel=problem.kernel, method=problem.method)
+        return SegmentedProblem.of(whole, self.cuts, self.pieces.variables.initial.guess)
+
+    def to_whole(self, variables: DecisionVector) -> DecisionVector:
+        """The variables of the whole records with the constants of the pieces; each record begins as its first segment does."""
+        v, guess = self.whole.variables, variables.initial.guess[list(self.starts_record)]
+        return replace(
+            v,
+            base=variables.base,
+            scale=variables.scale,
+            fixed=variables.fixed,
+            initial=replace(v.initial, guess=guess),
+        )
+
+    def join(self, runs: Runs) -> Runs:
+        """The segments of each record one after the other."""
+        edges = np.cumsum([0, *(len(places) - 1 for places in self.cuts)])
+        joined = [[np.concatenate(parts) for parts in zip(*runs[a:b], strict=True)] for a, b in pairwise(edges)]
+        return tuple((first, second) for first, second in joined)
+
+    def simulate(self) -> Runs:
+        """For each record outputs (N, ny) and states (N, nx), each segment run from its own initial state."""
+        return self.join(self.pieces.shooting().simulate(self.pieces.variables.here))
+
+
+def _guess_states(variables: DecisionVector, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
+    """States (segments, nx) at the ``starts`` of record ``e``: measured where a state is an output, else as the record begins."""
+    guess = np.tile(variables.initial.guess[e], (len(starts), 1))
+    for k, column in find_measured_states(variables).items():
+        values = record.y[:, column]
+        measured = np.flatnonzero(np.isfinite(values))
+        if len(measured):
+            places = np.searchsorted(measured, starts)
+            guess[:, k] = values[measured[np.minimum(places, len(measured) - 1)]]
+    is_declared = ~variables.initial.free
+    guess[0, is_declared] = variables.initial.guess[e, is_declared]
+    return guess
+
+
+def find_measured_states(variables: DecisionVector) -> dict[int, int]:
+    """States that are themselves an output: position of the state -> position of the output."""
+    system = variables.model.system
+    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
+    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
+    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}
+
+
+def slice_rows(record: Record, a: int, b: int) -> Record:
+    """Rows ``a`` up to but without ``b``."""
+    return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
+
+
+def measure_state_ranges(states: np.ndarray) -> np.ndarray:
+    """Range of each state (k, nx), its size where it never moves; one where it is zero."""
+    spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
+    return np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))

@@ -1,0 +1,217 @@
+"""Which transcription suits a model and its record, and why."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.linalg import expm
+
+from greybox.base.findings import Finding, Severity
+from greybox.estimation.transcription.options import SolverOptions, Transcription
+from greybox.estimation.transcription.policy import DEFAULT_POLICY, TranscriptionChoicePolicy
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.solution import TranscriptionReason, make_strategy
+from greybox.model.system import System
+from greybox.simulation.integrators.policy import DEFAULT_POLICY as DISCRETISATION
+from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
+from greybox.simulation.kernel.record import Record
+
+
+@dataclass(frozen=True)
+class TranscriptionChoice:
+    """A transcription (`Transcription` without ``automatic``), why it was chosen (None where it was asked for), and the problem with the
+    steps that go with it.
+    """
+
+    transcription: Transcription
+    reason: Finding | None
+    problem: EstimationProblem
+
+    def to_strategy(self, **values: object) -> Finding:
+        """The strategy with what the search was made of."""
+        code = "" if self.reason is None else str(self.reason.code)
+        reason_values = {} if self.reason is None else dict(self.reason.values)
+        return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
+
+
+def select_transcription(problem: EstimationProblem, options: SolverOptions) -> TranscriptionChoice:
+    """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
+
+    A stiff model also gets implicit steps, unless the method or the substeps were given.
+    """
+    longest = max(problem.records, key=lambda r: r.duration)
+    policy, p = options.policy, problem.start_parameters
+    proposal = propose_transcription(
+        problem.model.system,
+        p,
+        longest,
+        policy=policy.transcription.choice,
+        discretisation=policy.discretisation,
+        free_run=options.transcription == Transcription.SINGLE,
+    )
+    if proposal.implicit and options.method == "automatic" and not options.substeps:
+        problem = replace(problem, method="radau").with_step(0, p)
+    if options.arc_length:
+        return TranscriptionChoice(Transcription.ARCS, None, problem)
+    if options.transcription != Transcription.AUTOMATIC:
+        return TranscriptionChoice(Transcription(options.transcription), None, problem)
+    return TranscriptionChoice(proposal.transcription, proposal.reason, problem)
+
+
+class TranscriptionProposal(NamedTuple):
+    """A transcription, why it was proposed (a finding with a code of `TranscriptionReason`), and whether it needs implicit steps."""
+
+    transcription: Transcription
+    reason: Finding
+    implicit: bool = False
+
+
+def propose_transcription(
+    system: System,
+    p: np.ndarray,
+    record: Record,
+    *,
+    policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
+    discretisation: DiscretisationPolicy = DISCRETISATION,
+    free_run: bool = False,
+) -> TranscriptionProposal:
+    """The transcription that suits a model and its record, and why.
+
+    Multiple shooting where errors grow along the record (an unstable or chaotic plant). Where the fastest mode asks for more explicit
+    steps than are sensible (stiff, nonlinear) single shooting with implicit steps, or collocation if there are too many states for
+    those (smooth, and not too long). Else single shooting on a growing part of the record, which also keeps the drift of an
+    integrator near the data.
+
+    Parameters
+    ----------
+    system, p
+        The equations, judged at the parameters ``p`` (np,) in several points of the record: measured states as measured, hidden ones as
+        declared.
+    record
+        The longest record.
+    policy
+        The limits.
+    discretisation
+        How many states the implicit methods take.
+    free_run
+        Whether a free run was asked for, however errors grow; only its steps are to be chosen.
+    """
+    jacobians = _linearise_along(system, p, record, policy.linearisation_points)
+    duration = record.duration
+    growth = 0.0 if free_run else _compute_growth(system, p, record, jacobians, policy)
+    if growth * duration > math.log(policy.max_error_growth):
+        values = {"rate": growth, "exponent": growth * duration, "duration": duration}
+        return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
+    stiff = _propose_for_stiff(system, jacobians, record, policy, discretisation)
+    if stiff:
+        return stiff
+    eigenvalues = np.linalg.eigvals(jacobians).ravel()
+    decays = -eigenvalues.real[-eigenvalues.real * duration > policy.forgotten_share]
+    slowest = 1 / decays.min() if len(decays) else 0.0
+    if not (np.abs(eigenvalues) * duration <= policy.forgotten_share).any():
+        return _propose(Transcription.SINGLE, TranscriptionReason.STABLE)
+    constants: dict[str, float | None] = {
+        "duration": duration,
+        "time_constants": float(duration / slowest) if slowest else None,
+    }
+    if duration <= policy.long_run * slowest:
+        return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, constants)
+    return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_GROWING, constants)
+
+
+def estimate_error_growth(
+    system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
+) -> float:
+    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
+    jacobians = _linearise_along(system, p, record, policy.linearisation_points)
+    return _compute_growth(system, p, record, jacobians, policy)
+
+
+def _propose(
+    transcription: Transcription,
+    reason: TranscriptionReason,
+    values: Mapping[str, float | None] = MappingProxyType({}),
+    implicit: bool = False,
+) -> TranscriptionProposal:
+    return TranscriptionProposal(transcription, Finding(reason, Severity.NOTE, "", dict(values)), implicit)
+
+
+def _compute_growth(
+    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionChoicePolicy
+) -> float:
+    """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
+    if not len(jacobians):
+        return 0.0
+    rates = np.linalg.eigvals(jacobians).real.max(axis=1)
+    duration = record.duration
+    if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
+        return float(rates.mean())
+    return _compute_lyapunov_exponent(_linearise_along(system, p, record, policy.growth_points), duration)
+
+
+def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
+    """Largest Lyapunov exponent (1/s) over the second half of the record, from the product of the transitions.
+
+    The first half turns the errors into the direction that grows most. What grows like a power of time (a chain of integrators)
+    gains a factor of two or four in the second half, which is not instability.
+    """
+    errors, logarithm = np.eye(jacobians.shape[1]), 0.0
+    for k, transition in enumerate(expm(jacobians * (duration / len(jacobians)))):
+        errors = transition @ errors
+        size = float(np.linalg.norm(errors))
+        if not 0 < size < math.inf:
+            return math.inf if size else -math.inf
+        errors /= size
+        logarithm += math.log(size) if k >= len(jacobians) // 2 else 0.0
+    return logarithm / (duration * (len(jacobians) - len(jacobians) // 2) / len(jacobians))
+
+
+def _propose_for_stiff(
+    system: System,
+    jacobians: np.ndarray,
+    record: Record,
+    policy: TranscriptionChoicePolicy,
+    discretisation: DiscretisationPolicy,
+) -> TranscriptionProposal | None:
+    """Implicit steps or collocation, where a fast mode rules explicit steps out."""
+    fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
+    substeps = fastest * record.period / policy.explicit_step
+    if system.linear or substeps <= policy.max_explicit_substeps:
+        return None
+    values = {"fastest": 1 / fastest, "substeps": substeps}
+    if system.x.numel() <= discretisation.max_implicit_states:
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
+    if system.dry or system.updates or system.delays:
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)
+    samples = len(record.samples(record.u))
+    if samples > policy.max_collocation_samples:
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_LONG, values | {"samples": samples})
+    return _propose(Transcription.COLLOCATION_RADAU, TranscriptionReason.STIFF_COLLOCATION, values)
+
+
+def _linearise_along(system: System, p: np.ndarray, record: Record, points: int) -> np.ndarray:
+    """Jacobians (k, nx, nx) of the equations in several points of the record, those that can be computed; a linear model has one."""
+    start = np.asarray(system.start_function(p)[0]).ravel()
+    if system.linear:
+        jacobian = system.jacobian(start, record.u[0, : system.u.numel()], p).full()
+        return jacobian[None][: int(np.isfinite(jacobian).all())]
+    columns = {system.outputs[j].name(): j for j in range(system.outputs.numel()) if system.outputs[j].is_symbolic()}
+    rows = np.unique(np.linspace(0, len(record.u) - 1, points).astype(int))
+    x = np.tile(start, (len(rows), 1))
+    for k, name in enumerate(system.state_names):
+        if name in columns:
+            values = record.y[:, columns[name]]
+            known = np.flatnonzero(np.isfinite(values))
+            if len(known):
+                x[:, k] = values[known[np.minimum(np.searchsorted(known, rows), len(known) - 1)]]
+    u = record.u[rows, : system.u.numel()]
+    side_by_side = system.jacobian.map(len(rows))(x.T, u.T, ca.repmat(ca.DM(p), 1, len(rows))).full()
+    jacobians = side_by_side.reshape(len(start), len(rows), len(start)).swapaxes(0, 1)
+    return jacobians[np.isfinite(jacobians).all(axis=(1, 2))]

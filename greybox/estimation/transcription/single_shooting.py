@@ -1,0 +1,370 @@
+"""Single shooting: a growing part of the record, then all of it, then a check of the integrator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.base.numerics import TINY
+from greybox.estimation.optim.methods import minimise
+from greybox.estimation.optim.minimisation import IterationCallback, MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.options import SolverOptions, Transcription
+from greybox.estimation.transcription.policy import ProgressiveHorizonPolicy, StepRefinementPolicy
+from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback, Runs, Solution, make_strategy
+from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps
+from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
+
+# How much of a record to fit at first, and how much more next.
+#
+# A start that is far off runs out of step with a long record and locks onto a wrong oscillation. Over the first few time
+# constants it cannot; what is found there is good enough to go on from, as long as it foretells the next part. It is also
+# cheap: most iterations see a tenth of the record.
+
+
+def choose_first_share(problem: EstimationProblem, policy: ProgressiveHorizonPolicy) -> float:
+    """Share of the record for the first stage: a few time constants with some movement in them."""
+    v = problem.variables
+    rows = max(len(r.u) for r in problem.records)
+    period = max(float(np.median(r.h[: policy.inspected_rows])) for r in problem.records)
+    jacobian = problem.model.system.jacobian(v.initial.guess[0], problem.records[0].u[0], v.fixed).full()
+    decays = -np.linalg.eigvals(jacobian).real if np.isfinite(jacobian).all() else np.empty(0)
+    slowest = 1 / decays[decays > 0].min() if np.any(decays > 0) else 0.0
+    first = max(policy.least_rows, policy.rows_per_unknown * v.size, policy.time_constants * slowest / period) / rows
+    first = max(first, min(_find_movement_share(r.y, policy) for r in problem.records))
+    return float(first) if first < policy.almost_whole else 1.0
+
+
+def choose_next_share(
+    problem: EstimationProblem,
+    share: float,
+    reached: Evaluation,
+    measure: Callable[[float], Evaluation],
+    policy: ProgressiveHorizonPolicy,
+) -> tuple[float, Evaluation]:
+    """The next share and the evaluation there: as much more of the record as the present part foretells."""
+    expected = policy.surprise * max(_compute_noise_ratio(reached), 1.0)
+    for factor in policy.growth:
+        wider = factor * share if factor * share < policy.almost_whole else 1.0
+        ahead = measure(wider)
+        if (
+            _compute_noise_ratio(ahead) <= expected
+            or compute_explained_share(problem, ahead, wider) >= policy.foretold_share
+        ):
+            break
+    return wider, ahead
+
+
+def compute_explained_share(problem: EstimationProblem, e: Evaluation, share: float) -> float:
+    """Share of the outputs' movement, in units of their noise, that the model follows over part of the record; 1 is all of it."""
+    movement = np.zeros(len(e.squares))
+    for record in problem.records:
+        for j, column in enumerate(record.y[: max(2, round(share * len(record.y)))].T):
+            values = column[np.isfinite(column)]
+            movement[j] += len(values) * np.var(values) if len(values) else 0.0
+    total = float(np.sum(movement / problem.noise.std**2))
+    return 1.0 - float(e.squares.sum()) / total if total > 0 else 1.0
+
+
+def shorten_share(problem: EstimationProblem, share: float, policy: ProgressiveHorizonPolicy) -> float:
+    """The next shorter beginning, or the same where it cannot be shorter."""
+    rows = max(len(r.u) for r in problem.records)
+    least = max(policy.least_rows, policy.rows_per_unknown * problem.variables.size) / rows
+    return max(share / policy.shrink, least) if share > policy.least_shrink * least else share
+
+
+def _compute_noise_ratio(e: Evaluation) -> float:
+    """Misfit over noise."""
+    return float(np.sqrt(e.cost / max(e.count, 1)))
+
+
+def _find_movement_share(y: np.ndarray, policy: ProgressiveHorizonPolicy) -> float:
+    """Share of the record after which an output has shown the policy's share of its range."""
+    shares = []
+    for column in y[:: max(1, len(y) // policy.inspected_rows)].T:
+        finite = np.flatnonzero(np.isfinite(column))
+        if len(finite) == 0:
+            continue
+        values = column[finite]
+        seen = np.maximum.accumulate(values) - np.minimum.accumulate(values)
+        if seen[-1] > 0:
+            shares.append(finite[np.argmax(seen >= policy.movement * seen[-1])] / len(column))
+    return min(shares, default=1.0)
+
+
+# Whether the integrator's step is small enough at the optimum; if not, the search goes on with a smaller one.
+
+NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
+"""Nothing to go on from."""
+
+Refinement = tuple[EstimationProblem | None, np.ndarray]
+"""A problem with a smaller step, None where the present one will do; and the integration error of each output over its noise (ny,)."""
+
+
+def solve_with_refined_steps(
+    problem: EstimationProblem,
+    solve: Callable[[EstimationProblem], Solution],
+    refine: Callable[[Solution], Refinement],
+    policy: StepRefinementPolicy,
+) -> Solution:
+    """``solve`` a problem, and go on with ever smaller steps from each solution that ``refine`` calls too coarse."""
+    solution = solve(problem)
+    for halving in range(policy.halvings + 1):
+        if solution.status in NO_RESULT:
+            break
+        finer, error = refine(solution)
+        solution = replace(solution, integration_error=error)
+        if finer is None or halving == policy.halvings:
+            break
+        again = solve(replace(finer, variables=solution.variables)).with_work_of(solution)
+        solution = replace(again, shares=solution.shares, integration_error=error)
+    return solution
+
+
+def refine_step(
+    solution: Solution, options: SolverOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
+) -> Refinement:
+    """What half the step changes in the outputs at a solution, and a smaller step if that matters.
+
+    ``simulate`` runs a problem at its present point, usually over the first quarter of each record.
+    """
+    problem, policy = solution.at_optimum, options.policy.step_refinement
+    if problem.step.per_interval:
+        return None, np.zeros(len(problem.noise.std))
+    if simulate is None:
+        parts = tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
+
+        def simulate(problem: EstimationProblem) -> Runs:
+            return replace(problem, records=parts).shooting().simulate(problem.variables.here)
+
+    runs, halved = simulate(problem), problem.halve_step()
+    error = compute_change_over_noise(problem, runs, simulate(halved))
+    used = problem.step.substeps
+    if options.substeps or used >= policy.max_substeps:
+        return None, error
+    needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
+    needed = min(needed, policy.max_substeps)
+    if is_too_coarse(error, problem, solution.evaluation, policy):
+        return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
+    return (problem.with_substeps(needed) if needed > used else None), error
+
+
+def compute_change_over_noise(problem: EstimationProblem, runs: Runs, finer: Runs) -> np.ndarray:
+    """Root-mean-square change of each output from ``runs`` to ``finer`` ones, over its noise (ny,)."""
+    change = np.concatenate([a - b for (a, _), (b, _) in zip(runs, finer, strict=True)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
+
+
+def is_too_coarse(
+    error: np.ndarray,
+    problem: EstimationProblem,
+    evaluation: Evaluation,
+    policy: StepRefinementPolicy,
+    substeps: int = 0,
+) -> bool:
+    """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit.
+
+    ``substeps`` of an interval (0: those of the problem's step) tell how much a smaller step would cost.
+    """
+    ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
+    steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
+    few = steps <= policy.few_steps
+    noise_share = policy.noise_share_of_few if few else policy.noise_share
+    misfit_share = policy.noise_share_of_few if few else policy.misfit_share
+    allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
+    allowed = np.maximum(allowed, policy.movement_share * _compute_output_movement(problem) / problem.noise.std)
+    measured = evaluation.counts > 0
+    return not np.isfinite(error).all() or bool(np.any((error > allowed)[measured]))
+
+
+def _compute_output_movement(problem: EstimationProblem) -> np.ndarray:
+    """Standard deviation of each output as measured (ny,), zero where it was not."""
+    y = np.concatenate([r.y for r in problem.records])
+    measured = np.isfinite(y)
+    count = np.maximum(measured.sum(axis=0), 1)
+    mean = np.where(measured, y, 0.0).sum(axis=0) / count
+    return np.sqrt(np.where(measured, (y - mean) ** 2, 0.0).sum(axis=0) / count)
+
+
+def _find_stable_substeps(problem: EstimationProblem, visited: np.ndarray) -> int:
+    """Substeps that an explicit method needs at the states ``visited`` (k, nx) to be stable and a little more."""
+    system, p = problem.model.system, problem.variables.fixed
+    if problem.method in IMPLICIT:
+        return 1
+    longest = max(float(r.lengths.max()) for r in problem.records)
+    fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
+    return choose_substeps(system, p, visited, longest, relaxing=fast, policy=problem.policy.discretisation)
+
+
+def solve_single_shooting(
+    problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None
+) -> Solution:
+    """Minimise the cost of the free run over each record."""
+    search = _Search(problem, options, report)
+    return solve_with_refined_steps(problem, search.solve, search.refine, options.policy.step_refinement)
+
+
+class _Search:
+    """A search in progress: where it is, and the work since the last solution.
+
+    ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
+    """
+
+    def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
+        self.options, self.report = options, report
+        self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
+        self.first_substeps = problem.step.substeps
+        self.progressive = options.progressive and problem.variables.size > 0
+        self.known: Evaluation | None = None
+        self.shares: list[float] = []
+
+    def solve(self, problem: EstimationProblem) -> Solution:
+        """The optimum over whole records, the first time by way of growing parts of them."""
+        self.problem, self.variables, self.known = problem, problem.variables, None
+        self.status, self.word, self.solver = TerminationStatus.CONVERGED, "", ""
+        self.iterations = self.passes = 0
+        self.seconds, self.shares = 0.0, []
+        if self.progressive:
+            self.progressive = False
+            self.grow()
+        self.fit(1.0)
+        return Solution(
+            problem,
+            self.variables,
+            self.known or self.measure(1.0),
+            self.status,
+            self.word,
+            self.iterations,
+            self.passes,
+            self.seconds,
+            tuple(self.shares),
+            np.zeros(len(problem.noise.std)),
+            make_strategy(Transcription.SINGLE, shares=list(self.shares)),
+            solver=self.solver,
+        )
+
+    def refine(self, solution: Solution) -> Refinement:
+        """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
+        finer, error = refine_step(solution, self.options)
+        too_stiff = self.convergence.stiff_growth * self.first_substeps
+        is_costly = finer is not None and not self.options.thorough and finer.step.substeps > too_stiff
+        return None if is_costly else finer, error
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing to go on from."""
+        return self.status in NO_RESULT
+
+    def measure(self, share: float) -> Evaluation:
+        """The present point over part of the record."""
+        self.passes += 1
+        return self.problem.shooting(self.variables, share).evaluate(self.variables.here)
+
+    def grow(self) -> None:
+        """Fit a growing part of the record, until a part foretells the whole."""
+        share, outcome = self.begin()
+        while outcome is not None and not self.over and share < 1:
+            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure, self.horizon)
+            if share < 1:
+                outcome = self.fit(share)
+
+    def begin(self) -> tuple[float, MinimisationResult | None]:
+        """Fit the first part: one so short that it can be followed from these start values, if there is one."""
+        share, start = choose_first_share(self.problem, self.horizon), self.variables
+        tried: list[tuple[float, float, DecisionVector, MinimisationResult]] = []
+        while share < 1:
+            self.variables, self.status = start, TerminationStatus.CONVERGED
+            outcome = self.fit(share)
+            if outcome is not None:
+                tried.append(
+                    (compute_explained_share(self.problem, outcome.value, share), share, self.variables, outcome)
+                )
+            less = shorten_share(self.problem, share, self.horizon)
+            if (
+                self.status is TerminationStatus.INTERRUPTED
+                or less == share
+                or (outcome is not None and tried[-1][0] >= self.horizon.followed_share)
+            ):
+                break
+            share = less
+        if not tried:
+            return 1.0, None
+        _, share, self.variables, outcome = max(tried, key=lambda one: one[0])
+        self.status = outcome.status
+        return share, outcome
+
+    def fit(self, share: float) -> MinimisationResult | None:
+        """One minimisation over part of the record; None where it cannot begin."""
+        if self.over:
+            self.known = None
+            return None
+        start = self.known or self.measure(share)
+        self.known = None
+        if not np.isfinite(start.cost):
+            self.status = TerminationStatus.NO_START
+            return None
+        self.shares.append(share)
+        variables, start = _rescale(self.variables, start)
+        evaluate = self.problem.shooting(variables, share).evaluate
+        is_whole, low_high = share == 1, variables.bounds()
+        prior = None if is_whole else _make_weak_prior(variables, start, self.convergence.weak_prior)
+        policy = self.convergence if is_whole else self.convergence.in_part
+        outcome = minimise(
+            evaluate if prior is None else lambda z: prior(z, evaluate(z)),
+            variables.here,
+            *low_high,
+            scale=max(start.cost, TINY),
+            value_at_start=start,
+            tolerance=self.options.tolerance,
+            iterations=self.options.iterations,
+            termination_test=Termination(policy, *low_high, start.count).test,
+            thorough=self.options.thorough and is_whole,
+            progress=self.progress(share),
+            policy=self.options.policy.minimisation,
+        )
+        self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
+        self.solver = outcome.solver or self.solver
+        self.iterations += outcome.iterations
+        self.passes += outcome.evaluations
+        self.seconds += outcome.seconds
+        self.known = outcome.value if share == 1 else None
+        return outcome
+
+    def progress(self, share: float) -> IterationCallback | None:
+        """What IPOPT calls after each iteration."""
+        if self.report is None:
+            return None
+        report, stage, stages = self.report, len(self.shares), len(self.shares) + (share < 1)
+        count = sum(int(np.isfinite(r.y[: round(share * len(r.u))]).sum()) for r in self.problem.records)
+
+        def progress(iteration: int, cost: float) -> None:
+            report(FitProgress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
+
+        return progress
+
+
+def _rescale(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
+    """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
+    scaled = variables.rescale(start.cost, np.diag(start.hessian) / 2)
+    ratio = scaled.units / variables.units
+    return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
+
+
+def _make_weak_prior(
+    v: DecisionVector, start: Evaluation, precision: float
+) -> Callable[[np.ndarray, Evaluation], Evaluation]:
+    """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
+    held = np.zeros(v.size)
+    v.split(held).parameters[v.logarithmic] = precision * max(1.0, start.cost / max(start.count, 1))
+
+    def add_prior(z: np.ndarray, e: Evaluation) -> Evaluation:
+        return replace(
+            e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
+        )
+
+    return add_prior

@@ -1,0 +1,272 @@
+"""Profile likelihood: how much worse the best fit becomes when one constant is held elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.json_file import ResultKind
+from greybox.base.linear_algebra import pseudo_inverse
+from greybox.base.values import Printable
+from greybox.estimation.covariance import compute_quantile, estimate_covariance
+from greybox.estimation.objective import Objective, SimulationErrorObjective
+from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
+from greybox.estimation.options import FitOptions
+from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.restore import restore_objective, restore_options
+from greybox.estimation.result import Fit
+from greybox.estimation.sandwich import estimate_residual_colour
+from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
+from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.uncertainty.bootstrap import IntervalFile, read_intervals, restore_interval, restore_policy
+from greybox.estimation.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
+
+
+@dataclass(frozen=True, eq=False)
+class Profile(Printable, IntervalFile):
+    """The profile of one constant.
+
+    ``values`` (k,), increasing, in ``unit``, and ``increase`` (k,): the rise of the minimal cost over its scale, which for a
+    well-determined constant is ``((value - best) / std)^2``. ``interval``: where it stays below ``threshold`` (the squared 95 % point);
+    an end is the constant's bound, or infinite, where the rise never reaches it: the data leave that side open.
+    ``policy``: how it was followed.
+    """
+
+    name: str
+    unit: str
+    best: float
+    values: np.ndarray
+    increase: np.ndarray
+    threshold: float
+    interval: tuple[float, float]
+    policy: ProfilePolicy = DEFAULT_PROFILE_POLICY
+
+    @property
+    def open_sides(self) -> tuple[bool, bool]:
+        """Whether the rise stays below the threshold downwards and upwards as far as it was followed."""
+        return bool(self.increase[0] < self.threshold), bool(self.increase[-1] < self.threshold)
+
+
+def load_profile(path: str | Path) -> Profile:
+    """Read a profile that `Profile.save` wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Returns
+    -------
+    Profile
+        The profile as it was saved.
+
+    Raises
+    ------
+    DataError
+        If the file is not a profile.
+    """
+    data = read_intervals(path, ResultKind.PROFILE)
+    if len(data["values"]) != len(data["increase"]):
+        raise DataError(f"{path}: it has {len(data['values'])} values and {len(data['increase'])} rises; save it again")
+    data["values"], data["increase"] = (
+        np.array(data["values"]),
+        np.array([np.inf if rise is None else rise for rise in data["increase"]]),
+    )
+    data["interval"] = restore_interval(data["interval"])
+    data["policy"] = restore_policy(ProfilePolicy, data["policy"])
+    return Profile(**data)
+
+
+def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLICY) -> Profile:
+    """Profile likelihood interval of a free parameter, by refits of everything else from the neighbouring point.
+
+    ``2 log(L max / L(value)) = (cost(value) - cost min) / s^2`` stays below the 95 % point of chi-square with one degree of freedom
+    (of F, where ``s^2`` was estimated). ``s^2`` is the one with which curvature and variance agree at the optimum: the variance of the
+    residual where that is white, and as much more as the stated variance is larger where it is coloured, the loss is robust, or
+    the parameter has a prior (Chandler and Bate, Biometrika 94, 2007). Of a fit with process noise it is the likelihood of its
+    predictions. Takes some 10 to 20 refits.
+
+    Parameters
+    ----------
+    fit
+        A fit that succeeded, with its inputs.
+    name
+        The parameter. One that each experiment has for itself is named with its experiment: ``"B (day 1)"``.
+    policy
+        How the profile is followed.
+
+    Returns
+    -------
+    Profile
+        Values, rise of the cost, and the 95 % interval.
+
+    Raises
+    ------
+    ModelError
+        For a parameter that was not fitted.
+    FitError
+        For a fit that did not succeed.
+
+    Examples
+    --------
+    >>> profile(fit, "K").interval  # doctest: +SKIP
+    (6988.2, 7011.9)
+    """
+    if fit.prediction.process_noise and name in fit.model.noise_parameters and fit.model.values[name] == 0:
+        raise ModelError(
+            f"profile of {name!r}: its estimate is zero, and its interval in the fit is already the limit of the profile likelihood"
+        )
+    objective = restore_objective(fit)
+    v = objective.variables
+    if name not in v.names:
+        raise ModelError(f"profile of {name!r}: not a fitted parameter; {nearest(name, v.names)}")
+    k, evaluation = v.names.index(name), objective.evaluate(v.here)
+    options = restore_options(fit)
+    if isinstance(objective, SimulationErrorObjective):
+        std, scale, threshold = _scale_simulation_error(objective, evaluation, k, options.policy)
+    else:
+        std, scale, threshold = _scale_likelihood(fit, v, k)
+    return _follow(_HeldObjective(objective, k, evaluation.cost, scale, options, policy), name, std, threshold, policy)
+
+
+def _scale_simulation_error(
+    objective: SimulationErrorObjective, evaluation: Evaluation, k: int, policy: EstimationPolicy
+) -> tuple[float | None, float, float]:
+    """Standard deviation of the free constant number ``k``, the cost that is one of them squared, and the threshold in that unit."""
+    problem, v = objective.problem, objective.variables
+    residuals = objective.linearise()
+    colour = estimate_residual_colour(
+        residuals.rows, v.size, problem.noise.known, problem.variance_floor, policy.intervals, policy.noise
+    )
+    covariance = estimate_covariance(v, evaluation, residuals, colour, problem, policy.intervals)
+    threshold, variance = compute_quantile(covariance.degrees) ** 2, covariance.covariance[k, k]
+    if not np.isfinite(variance) or covariance.information is None:
+        scale = evaluation.cost / max(evaluation.count - v.size, 1)
+        return None, max(scale, 1.0) if problem.noise.known else scale, threshold
+    inside = np.flatnonzero(~v.active)
+    whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(v.here)[2][inside] / 2)
+    place = int(np.searchsorted(inside, k))
+    scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
+    return float(np.sqrt(variance)), scale, threshold
+
+
+def _scale_likelihood(fit: Fit, v: DecisionVector, k: int) -> tuple[float | None, float, float]:
+    """The same of a fit with process noise: its standard deviation is widened by coloured innovations alone."""
+    name = v.quantities[k].name
+    owner = v.names[k][len(name) + 2 : -1]
+    stated = fit.constraints.per_experiment[name][owner] if owner else fit.parameters[name]
+    widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
+    return stated.std, widened**2 if np.isfinite(widened) else 1.0, compute_quantile(np.inf) ** 2
+
+
+@dataclass(frozen=True)
+class _HeldObjective:
+    """What was minimised with the free parameter number ``k`` of ``objective`` held elsewhere, everything else estimated anew.
+
+    ``least`` is the cost at the optimum, and ``scale`` the unit of its rise.
+    """
+
+    objective: Objective
+    k: int
+    least: float
+    scale: float
+    options: FitOptions
+    policy: ProfilePolicy
+
+    def rise(self, value: float, near: DecisionVector | None) -> tuple[float, DecisionVector]:
+        """Rise of the least cost over ``scale`` with the parameter at ``value``, from ``near`` on; infinite without a fit."""
+        v = self.objective.variables
+        name, owner, which = v.quantities[self.k].name, int(v.owner[self.k]), int(v.which[self.k])
+        mean, std = v.prior[self.k]
+        if owner == SHARED:
+            held = hold_parameters(self.objective if near is None else self.objective.at(near), {name: value})
+        else:  # of the other experiments it stays a parameter of their own
+            given = [dict(c) for c in v.conditions or [{}] * v.experiments]
+            given[owner][which] = value
+            others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
+            held = self.objective.at(replace(others, conditions=tuple(given)))
+        termination = self.options.policy.likelihood_search.termination
+        optimum = refine_minimum(
+            held, self.options, replace(termination, negligible_decrease=self.policy.cost_decrease)
+        )
+        if not optimum.status.success:
+            optimum = search_minimum(optimum.objective, self.options)
+        cost = optimum.evaluation.cost + ((value - mean) / std) ** 2
+        rise = max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf
+        return rise, optimum.objective.variables
+
+
+def _follow(held: _HeldObjective, name: str, std: float | None, threshold: float, policy: ProfilePolicy) -> Profile:
+    v, k = held.objective.variables, held.k
+    quantity, best = v.quantities[k], float(v.base[k])
+    side = _Side(held, best, std, quantity.positive, threshold, policy)
+    low, points_low = side.follow(quantity.bounds[0], -1)
+    high, points_high = side.follow(quantity.bounds[1], +1)
+    points = sorted([*points_low, (best, 0.0), *points_high])
+    values, increase = np.array(points).T
+    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high), policy)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """What both sides of a profile share: refits, the best value, its standard deviation, and the threshold of the rise."""
+
+    held: _HeldObjective
+    best: float
+    std: float | None
+    positive: bool
+    threshold: float
+    policy: ProfilePolicy
+
+    def follow(self, bound: float, sign: int) -> tuple[float, list[tuple[float, float]]]:
+        """Where the rise crosses the threshold on one side, and the points visited."""
+        best, policy = self.best, self.policy
+
+        def place(step: float) -> float:
+            value = best + sign * step
+            if self.positive:
+                value = best * float(np.exp(np.clip(sign * step / abs(best), -300, 300)))
+            return max(value, bound) if sign < 0 else min(value, bound)
+
+        points: list[tuple[float, float]] = []
+        if best == bound:
+            return bound, points
+        std = self.std if self.std is not None and self.std > 0 else policy.blind_step * (abs(best) or 1.0)
+        step = policy.first_step * std
+        inner, near = (0.0, 0.0), None
+        for _ in range(policy.steps):
+            value = place(step)
+            rise, near = self.held.rise(value, near)
+            points.append((value, rise))
+            if rise > self.threshold:
+                return self._cross(place, inner, (step, rise), near, points), points
+            if value == bound:
+                return bound, points
+            inner, step = (step, rise), policy.growth * step
+        return (bound if np.isfinite(bound) else sign * np.inf), points
+
+    def _cross(
+        self,
+        place: Callable[[float], float],
+        inner: tuple[float, float],
+        outer: tuple[float, float],
+        near: DecisionVector,
+        points: list[tuple[float, float]],
+    ) -> float:
+        """The value between two steps where the rise meets the threshold: regula falsi on its square root, which is nearly straight."""
+        threshold, refits = self.threshold, self.policy.refits
+        for k in range(refits):
+            (a, fa), (b, fb) = inner, outer
+            ra, rb = np.sqrt(fa), np.sqrt(fb) if np.isfinite(fb) else np.inf
+            straight = np.isfinite(rb) and k < refits - 2
+            step = a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if straight else (a + b) / 2
+            rise, near = self.held.rise(place(step), near)
+            points.append((place(step), rise))
+            if abs(rise - threshold) <= self.policy.tolerance * threshold:
+                return place(step)
+            inner, outer = ((step, rise), outer) if rise < threshold else (inner, (step, rise))
+        return place(outer[0])

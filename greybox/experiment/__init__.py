@@ -1,7 +1,0 @@
-"""Measured data: one frozen `Experiment` per record, and the readers that make it from a file."""
-
-from greybox.experiment.experiment import Experiment, collect_record_findings
-from greybox.experiment.policy import RecordPolicy
-from greybox.experiment.read import read_csv, read_experiments
-
-__all__ = ["Experiment", "RecordPolicy", "collect_record_findings", "read_csv", "read_experiments"]

@@ -1,0 +1,258 @@
+"""`greybox app`."""
+
+from __future__ import annotations
+
+import asyncio
+import json as json_format
+import os
+import tempfile
+import webbrowser
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from greybox.base.errors import GreyboxError, ModelError
+from greybox.shell.inputs import (
+    build_model,
+    check_skip,
+    check_substeps,
+    constrain,
+    fit_options,
+    layout_of,
+    print_record_notes,
+    read_quiet_records,
+    read_records,
+    refuse_repeated_records,
+)
+from greybox.shell.options import Workers, check_writable, takes_study
+from greybox.shell.study import FIT, Study
+from greybox.shell.study_file import study_script, study_text
+
+if TYPE_CHECKING:
+    from greybox.data.columns import ColumnChoice
+    from greybox.data.experiment import Experiment
+    from greybox.extensions.app.session import Session
+    from greybox.model.model import Model
+
+APP = "app"
+MODEL_FILE = "model.py"
+"""The model itself, in the folder of an export."""
+
+
+@takes_study(FIT, records=False)
+def app(
+    study: Study,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="DIR", help="Folder for what is exported. [default: results/MODEL-app]"),
+    ] = None,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port to listen on. [default: any free one]")
+    ] = 0,
+    no_browser: Annotated[
+        bool, typer.Option("--no-browser", help="Print the address, and do not open a browser.")
+    ] = False,
+    workers: Workers = 0,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the address as JSON instead of text, and open no browser.")
+    ] = False,
+) -> None:
+    """Open MODEL in the browser: records beside the simulation, with a slider for each constant.
+
+    Effects are put in and taken out with a click; the residual and where it lives are shown; fit and discover run with their
+    progress, and can be stopped. More records are loaded in the page. Export writes to DIR what repeats it: a study file, a Python
+    program, the model, the fit and the discovery.
+
+    The page is served on this machine alone, at an address with a token that nobody else knows. Ctrl-C ends it.
+
+    greybox app study.toml opens a study.
+
+    Exit code 0: ended. 2: bad input, nothing was opened.
+    """
+    from greybox.data.noise.noise_sources import check_given_noise
+    from greybox.extensions.app.session import LoadedRecord, Session
+    from greybox.extensions.app.workbench import Workbench
+    from greybox.shell.own_effects import find_own_effects
+
+    _refuse_idle_options(study)
+    try:
+        from greybox.extensions.app.server import serve
+    except ModuleNotFoundError as error:
+        raise GreyboxError(
+            f"greybox app needs the package {error.name}; install it with: pip install 'greybox-sysid[app]'"
+        ) from None
+    model = constrain(build_model(study), study)
+    check_substeps(study, model)
+    check_given_noise(model, dict(study.noise))
+    folder = check_writable(output or Path("results") / f"{model.name}-app")
+    book = StudyOnFile(study, model)
+    records = [
+        LoadedRecord(record, file, validates)
+        for files, validates in ((study.estimation, False), (study.validation, True))
+        for file in files
+        for record in book.read([file], study.columns, validates=validates)
+    ]
+    refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
+    judges = [r.experiment for r in records if r.validates]
+    check_skip(replace(study, skip=0, beginning=0) if not judges else study, judges)
+    print_record_notes([r.experiment for r in records])
+    session = Session(
+        model,
+        tuple(records),
+        dict(study.noise),
+        read_quiet_records(study, model),
+        fit_options(study),
+        study.skip,
+        study.beginning,
+        study.columns,
+    )
+
+    def announce(address: str) -> None:
+        if json:
+            typer.echo(json_format.dumps({"address": address, "folder": str(folder)}, indent=2))
+            return
+        typer.echo(f"{address}\n")
+        if not no_browser:
+            webbrowser.open(address)
+
+    with tempfile.TemporaryDirectory(prefix="greybox-") as uploads:
+        bench = Workbench(
+            session, book, folder, beside=find_own_effects(), uploads=Path(uploads).resolve(), workers=workers
+        )
+        with suppress(KeyboardInterrupt):  # that is how it ends
+            asyncio.run(serve(bench, port, announce))
+        last = bench.save_last()
+    if last is not None and not json:
+        from greybox.show.sentences.shell import study_line
+
+        typer.echo(study_line(last, APP))
+
+
+def _refuse_idle_options(study: Study) -> None:
+    """Options of a fit that the page has no place for. Raises GreyboxError."""
+    idle = ("profiles", "bootstrap", "predict", "time_limit", "seed")
+    given = [study.label(name) for name in idle if getattr(study, name)] + [study.label("starts")] * (study.starts > 1)
+    if given:
+        raise GreyboxError(
+            f"{', '.join(given)}: no effect in the app; leave {'it' if len(given) == 1 else 'them'} out, and give"
+            f" {'it' if len(given) == 1 else 'them'} to greybox fit with the study that the app exports"
+        )
+    per_record = [name for name, values in study.conditions.items() if values is not None]
+    if per_record:
+        raise GreyboxError(
+            f"{study.label('conditions')} {', '.join(per_record)}: records are loaded one by one in the app, so each must bring its"
+            f" own value; write it into the files, and give {study.label('conditions')} {per_record[0]} without a value"
+        )
+
+
+class StudyOnFile:
+    """A study that was opened: how further records are read, and how a session is written as a study.
+
+    Parameters
+    ----------
+    study
+        As it was opened.
+    model
+        The model that it gave.
+    """
+
+    def __init__(self, study: Study, model: Model) -> None:
+        self.study, self.model = study, model
+
+    def read(
+        self, files: Sequence[Path], columns: Mapping[str, str], *, validates: bool = False
+    ) -> tuple[Experiment, ...]:
+        """The records in ``files``, as the study reads its own but for the ``columns``. Raises GreyboxError."""
+        estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
+        study = replace(self.study, estimation=estimation, validation=validation, columns=columns)
+        return tuple(record for group in read_records(study, self.model) for record in group)
+
+    def propose_columns(
+        self, file: Path, columns: Mapping[str, str]
+    ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
+        """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
+        from greybox.data.columns import propose_columns
+        from greybox.data.formats import open_record_file
+        from greybox.data.policy import READING_POLICY
+
+        if self.study.headers:
+            return None
+        table = open_record_file(file, policy=layout_of(self.study).get("reading", READING_POLICY)).table
+        return propose_columns(table, self.model, columns, has_clock=self.study.sampling_time > 0)
+
+    def write_study(self, session: Session, path: Path) -> str:
+        """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
+        return study_text(self.to_study(session, path.parent), path, FIT)
+
+    def write_script(self, session: Session, path: Path) -> str:
+        """The text of the Python program ``path`` that computes the same."""
+        study = self.to_study(session, path.parent)
+        if session.discovery is None or session.searched is None or not study.validation:
+            return study_script(study, path)
+        return study_script(study, path, searched=self.to_study(replace(session, model=session.searched), path.parent))
+
+    def to_study(self, session: Session, folder: Path) -> Study:
+        """The study that a session is by now; its model a file in ``folder`` where it has no name."""
+        effects = self._named_effects(session)
+        estimation, validation = (
+            tuple(dict.fromkeys(_beside(r.file, folder) for r in session.records if r.validates is validates))
+            for validates in (False, True)
+        )
+        study = replace(
+            self.study,
+            estimation=estimation,
+            validation=validation,
+            columns=session.columns,
+            file=None,
+            from_file=frozenset(),
+            unused=(),
+        )
+        bare = replace(study, start={}, fixed={}, free=())
+        if effects is None:
+            return replace(
+                bare,
+                model=str(_beside(folder / MODEL_FILE, folder)),
+                effects=(),
+                schedules={},
+                process_noise={},
+                ties={},
+            )
+        bare = replace(bare, effects=effects)
+        declared = {q.name: q for q in build_model(bare).all_parameters}
+        present = [q for q in session.model.all_parameters if q.name in declared]
+        return replace(
+            bare,
+            start={q.name: q.value for q in present if not q.fixed and q.value != declared[q.name].value},
+            fixed={
+                q.name: q.value if q.value != declared[q.name].value else None
+                for q in present
+                if q.fixed and (not declared[q.name].fixed or q.value != declared[q.name].value)
+            },
+            free=tuple(q.name for q in present if not q.fixed and declared[q.name].fixed),
+        )
+
+    def _named_effects(self, session: Session) -> tuple[str, ...] | None:
+        """Names of the effects that were put in, if names are enough to put them in again."""
+        from greybox.shell.own_effects import find_effect
+        from greybox.shell.project import find_model
+
+        brought = [e.name for e in find_model(self.study.model).effects]
+        names = [e.name for e in session.model.effects]
+        if names[: len(brought)] != brought:
+            return None
+        try:
+            for name in names[len(brought) :]:
+                find_effect(name)
+        except ModelError:
+            return None
+        return tuple(names[len(brought) :])
+
+
+def _beside(file: Path, folder: Path) -> Path:
+    """A file in ``folder`` as seen from the working folder, so that the study names it relative to itself; any other as it is."""
+    inside = folder.absolute() in file.absolute().parents
+    return Path(os.path.relpath(file)) if inside else file

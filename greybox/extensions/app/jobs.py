@@ -1,0 +1,243 @@
+"""A fit or a discovery in a process of its own: it tells how far it is, and can be stopped without losing what it has.
+
+The process ends with the one that started it, however that ends.
+"""
+
+from __future__ import annotations
+
+import _thread
+import math
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from multiprocessing.connection import Connection
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any
+
+from greybox.base.errors import GreyboxError
+from greybox.base.parallel.local_pool import pack, quiet_children, unpack
+from greybox.estimation.options import FitOptions
+from greybox.extensions.app.session import APP_POLICY, AppPolicy, Session
+from greybox.shell.own_effects import find_own_effects
+
+
+class JobKind(StrEnum):
+    """What is computed."""
+
+    FIT = "fit"
+    DISCOVER = "discover"
+
+
+class JobNews(StrEnum):
+    """What a process has to say."""
+
+    PROGRESS = "progress"
+    MESSAGE = "message"
+    REFIT = "refit"
+    DONE = "done"
+    STOPPED = "stopped"
+    FAILED = "failed"
+
+
+LAST_NEWS = (JobNews.DONE, JobNews.STOPPED, JobNews.FAILED)
+"""After which nothing comes."""
+
+
+@dataclass(frozen=True, eq=False)
+class JobEvent:
+    """One piece of news, with what it says: figures of the progress, a text, a result."""
+
+    news: JobNews
+    content: Any = None
+
+
+JobListener = Callable[[JobEvent], None]
+
+
+class Job:
+    """A running fit or discovery.
+
+    Parameters
+    ----------
+    kind
+        Which of them.
+    session
+        Model, records and options.
+    journal
+        Where a discovery keeps its finished refits.
+    workers
+        Processes that a discovery may use; 0 for one a core.
+    listener
+        Called with every event, in a thread of the job; the last one is done, stopped or failed.
+    """
+
+    def __init__(
+        self,
+        kind: JobKind,
+        session: Session,
+        *,
+        journal: Path,
+        workers: int = 0,
+        listener: JobListener,
+        policy: AppPolicy = APP_POLICY,
+    ) -> None:
+        self.kind, self.session, self.policy = kind, session, policy
+        self._listener = listener
+        self._stops = 0
+        context = multiprocessing.get_context("spawn")
+        self._connection, far_end = context.Pipe()
+        payload = pack(_arguments(kind, session, journal, workers))
+        self._process = context.Process(target=_run, args=(far_end, kind, payload))
+        with quiet_children():
+            self._process.start()
+        far_end.close()
+        self._reader = threading.Thread(target=self._listen, daemon=True)
+        self._reader.start()
+
+    def stop(self) -> None:
+        """Ask it to end: a fit keeps its best point, a discovery its finished refits. Asked again, it ends at once."""
+        self._stops += 1
+        if self._stops > 1:
+            self.end()
+            return
+        try:
+            self._connection.send("stop")
+        except OSError:  # it has ended meanwhile
+            return
+
+    def end(self) -> None:
+        """End the process now."""
+        if self._process.is_alive():
+            self._process.terminate()
+            self._process.join(self.policy.grace_seconds)
+        if self._process.is_alive():
+            self._process.kill()
+        self._process.join()
+
+    def join(self, seconds: float) -> None:
+        """Wait until its last news has been told."""
+        self._reader.join(seconds)
+
+    def _listen(self) -> None:
+        last: JobEvent | None = None
+        while last is None:
+            try:
+                news, content = self._connection.recv()
+            except (EOFError, OSError, ValueError, UnpicklingError):  # gone, or cut short while it was telling
+                self.end()
+                news, content = (JobNews.STOPPED, None) if self._stops else (JobNews.FAILED, "")
+            event = JobEvent(JobNews(news), unpack(content) if news == JobNews.DONE else content)
+            if event.news in LAST_NEWS:
+                last = event
+            else:
+                self._listener(event)
+        self._process.join(self.policy.grace_seconds)
+        self._listener(last)
+
+
+def _arguments(kind: JobKind, session: Session, journal: Path, workers: int) -> dict[str, Any]:
+    """What `greybox.fit` or `greybox.discover` is called with."""
+    both: dict[str, Any] = {
+        "model": session.model_to_fit,
+        "records": session.estimation,
+        "validation": session.validation,
+        "noise": dict(session.noise),
+        "quiet": session.quiet,
+        "skip": session.skip,
+        "beginning": session.beginning,
+        "options": session.options,
+    }
+    if kind is JobKind.FIT:
+        return both
+    # As greybox discover calls it.
+    options = FitOptions(at_rest=session.options.at_rest)
+    return {
+        **both,
+        "model": session.model,
+        "options": options,
+        "journal": journal,
+        "workers": workers,
+        "beside": find_own_effects(),
+    }
+
+
+def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
+    """The process: compute, tell, end."""
+    stop = threading.Event()
+    threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
+    news: JobNews
+    content: bytes | str | None
+    try:
+        arguments = unpack(payload)
+        compute = _fit if kind is JobKind.FIT else _discover
+        news, content = JobNews.DONE, pack(compute(connection, stop, **arguments))
+    except KeyboardInterrupt:
+        news, content = JobNews.STOPPED, None
+    except GreyboxError as error:
+        news, content = JobNews.FAILED, str(error)
+    except Exception as error:  # the page must hear of whatever went wrong
+        news, content = JobNews.FAILED, f"{type(error).__name__}: {error}"
+    connection.send((str(news), content))
+
+
+def _hear(connection: Connection, stop: threading.Event, interrupts: bool) -> None:
+    """Wait for a request to stop; end where the process that asked for the work is gone."""
+    try:
+        connection.recv()
+    except (EOFError, OSError):
+        os._exit(1)
+    stop.set()
+    if interrupts:
+        _thread.interrupt_main()
+    try:
+        connection.recv()
+    except (EOFError, OSError):
+        os._exit(1)
+
+
+def _fit(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:
+    from greybox.estimation.fit import fit
+    from greybox.estimation.transcription.solution import FitProgress
+
+    passed_on = False
+
+    def report(progress: FitProgress) -> None:
+        nonlocal passed_on
+        connection.send((str(JobNews.PROGRESS), _figures(progress)))
+        if stop.is_set() and not passed_on:
+            passed_on = True
+            signal.raise_signal(signal.SIGINT)  # heard by the search itself, which ends with its best point
+
+    return fit(model, records, report=report, **options)
+
+
+def _figures(progress: Any) -> Mapping[str, float | None]:
+    ratio = progress.noise_ratio
+    return {
+        "stage": progress.stage,
+        "stages": progress.stages,
+        "iteration": max(progress.iteration, 0),
+        "noise_ratio": ratio if math.isfinite(ratio) else None,
+    }
+
+
+def _discover(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:
+    from greybox.discovery.pipeline import discover
+
+    def tell(news: JobNews, content: Any) -> None:
+        connection.send((str(news), content))
+        if stop.is_set():  # an interrupt that arrives inside a callback of a library is lost
+            raise KeyboardInterrupt
+
+    return discover(
+        model,
+        records,
+        on_message=lambda text: tell(JobNews.MESSAGE, text.strip()),
+        on_refit=lambda count: tell(JobNews.REFIT, count),
+        **options,
+    )

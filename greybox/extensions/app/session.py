@@ -1,0 +1,286 @@
+"""What a person has on the screen: a model with effects and constants, records, the last fit. Frozen: every step makes a new one.
+
+Nothing in it knows of a page or a server.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError
+from greybox.data.columns import ColumnChoice
+from greybox.data.experiment import Experiment
+from greybox.discovery.candidates import estimate_scales, generate_starting_points
+from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.policy import LocalisationPolicy, SelectionPolicy
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.result import Discovery
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Validation
+from greybox.estimation.validate import validate
+from greybox.model.effect import Effect
+from greybox.model.effects.scales import bound_delays
+from greybox.model.model import Model
+from greybox.model.signals import Parameter
+
+# Limits and sizes of the app in the browser.
+
+
+@dataclass(frozen=True)
+class AppPolicy:
+    """What the page may ask for, and how finely it draws."""
+
+    stretches: int = 700
+    """Stretches by which a long curve is drawn, each by its smallest and largest value: a redraw while a slider moves must be quick."""
+    largest_request: int = 1_000_000
+    """Bytes of a request that is no record: values of all constants take a few thousand."""
+    token_bytes: int = 24
+    """Random bytes of the token in the address: nobody guesses 192 bits."""
+    heartbeat_seconds: float = 15.0
+    """Seconds between signs of life on the stream of progress, so that a page that is gone is noticed."""
+    grace_seconds: float = 3.0
+    """Seconds in which a fit or a discovery that is told to end at once may do so by itself, before its process is killed."""
+    most_undone: int = 100
+    """Steps that can be taken back; each is a few values, but a fit among them holds its runs."""
+    slider_ratio: float = 10.0
+    """A slider of a positive constant reaches from its value over this to its value times this."""
+    slider_reach: float = 3.0
+    """A slider of any other constant reaches so many times its size to both sides."""
+
+
+APP_POLICY = AppPolicy()
+
+
+@dataclass(frozen=True)
+class ValueRange:
+    """Between which values a slider moves; ``logarithmic`` for constants that can only be positive."""
+
+    low: float
+    high: float
+    logarithmic: bool
+
+    @classmethod
+    def around(cls, parameter: Parameter, policy: AppPolicy = APP_POLICY) -> ValueRange:
+        """A range about the present value of a parameter, within its bounds."""
+        value, (low, high) = parameter.value, parameter.bounds
+        if parameter.positive:
+            return cls(max(low, value / policy.slider_ratio), min(high, value * policy.slider_ratio), True)
+        if value == 0 and math.isfinite(low) and math.isfinite(high):
+            return cls(low, high, False)
+        reach = policy.slider_reach * abs(value) or 1.0
+        return cls(max(low, value - reach), min(high, value + reach), False)
+
+    def holds(self, value: float) -> bool:
+        """Whether the slider can stand there."""
+        return self.low <= value <= self.high
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedRecord:
+    """A record and the file it is from; one that ``validates`` is not fitted, but judges."""
+
+    experiment: Experiment
+    file: Path
+    validates: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """A model beside its records.
+
+    Parameters
+    ----------
+    model
+        With its effects and the constants as they stand; a constant that is fixed stays in a fit.
+    records
+        What it is held against.
+    noise, quiet, options, skip, beginning
+        As `greybox.fit` takes them.
+    columns
+        Which column is which signal, where a record's headers do not say it; the same for all records.
+    ranges
+        Range of each constant's slider.
+    fit
+        The last fit; ``is_fitted`` tells whether the constants are still its own.
+    discovery, searched
+        The last discovery, and the model that it began with.
+    """
+
+    model: Model
+    records: tuple[LoadedRecord, ...] = ()
+    noise: Mapping[str, float] = field(default_factory=dict)
+    quiet: tuple[Experiment, ...] = ()
+    options: FitOptions = field(default_factory=FitOptions)
+    skip: int = 0
+    beginning: int = 0
+    columns: Mapping[str, str] = field(default_factory=dict)
+    ranges: Mapping[str, ValueRange] = field(default_factory=dict)
+    fit: Fit | None = None
+    discovery: Discovery | None = None
+    searched: Model | None = None
+
+    def __post_init__(self) -> None:
+        kept = {
+            q.name: r
+            for q in self.model.all_parameters
+            if (r := self.ranges.get(q.name)) is not None and r.holds(q.value)
+        }
+        fresh = {q.name: ValueRange.around(q) for q in self.model.all_parameters if q.name not in kept}
+        object.__setattr__(self, "ranges", kept | fresh)
+
+    @property
+    def estimation(self) -> tuple[Experiment, ...]:
+        """The records that are fitted."""
+        return tuple(r.experiment for r in self.records if not r.validates)
+
+    @property
+    def validation(self) -> tuple[Experiment, ...]:
+        """The records that judge."""
+        return tuple(r.experiment for r in self.records if r.validates)
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether model and constants are those of the last fit."""
+        fit = self.fit
+        return fit is not None and fit.model.title == self.model.title and fit.model.values == self.model.values
+
+    @property
+    def model_to_fit(self) -> Model:
+        """The model, its delays bounded as the records can show them."""
+        periods = [float(np.median(record.intervals)) for record in self.estimation]
+        return bound_delays(self.model, max(periods)) if periods else self.model
+
+    def with_values(self, values: Mapping[str, float]) -> Session:
+        """With other values of constants. Raises ModelError for unknown names and values outside their bounds."""
+        return replace(self, model=self.model.start(**values))
+
+    def with_fixed(self, name: str, fixed: bool) -> Session:
+        """With a constant that a fit leaves as it is, or may change. Raises ModelError for an unknown name."""
+        return replace(self, model=self.model.fix(name) if fixed else self.model.free(name))
+
+    def with_effect(self, effect: Effect) -> Session:
+        """With one effect more, so large that it is seen where a record says how large that is. Raises ModelError.
+
+        Its other constants are as declared, so that a study with these start values repeats a fit.
+        """
+        if effect.name in {e.name for e in self.model.effects}:
+            raise ModelError(f"effect {effect.name}: the model contains it already; take it out first")
+        model = self.model + effect
+        if self.estimation:
+            model = model.start(**self._visible_values(model, effect))
+        return replace(self, model=model)
+
+    def _visible_values(self, model: Model, effect: Effect) -> dict[str, float]:
+        """Values of the constants of a new effect where it is visible and small; none where the present model cannot tell."""
+        candidate = self._to_candidate(self.estimation[0])
+        if not _runs_through(candidate):  # a run that overflows has no size: the effect starts as the catalogue has it
+            return {}
+        points = generate_starting_points(
+            model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
+        )
+        point = next(points)
+        return {
+            name: _round(model.parameter(name), value) for name, value in point.items() if name not in self.model.values
+        }
+
+    def without_effect(self, name: str) -> Session:
+        """Without one of its effects. Raises ModelError where it has none of this name."""
+        return replace(self, model=self.model.without(name))
+
+    def with_records(self, records: Sequence[LoadedRecord]) -> Session:
+        """With further records."""
+        return replace(self, records=(*self.records, *records))
+
+    def without_record(self, index: int) -> Session:
+        """Without one of the records. Raises DataError where there is none."""
+        self.record(index)
+        return replace(self, records=(*self.records[:index], *self.records[index + 1 :]))
+
+    def with_role(self, index: int, validates: bool) -> Session:
+        """With one of the records fitted, or judging. Raises DataError where there is none."""
+        changed = replace(self.record(index), validates=validates)
+        return replace(self, records=(*self.records[:index], changed, *self.records[index + 1 :]))
+
+    def with_fit(self, fit: Fit) -> Session:
+        """With the model and the constants of a fit."""
+        return replace(self, model=fit.model, fit=fit, ranges={})
+
+    def with_discovery(self, discovery: Discovery, searched: Model) -> Session:
+        """With the model that a discovery goes on with, which began with the model ``searched``."""
+        return replace(self.with_fit(discovery.extended), discovery=discovery, searched=searched)
+
+    def record(self, index: int) -> LoadedRecord:
+        """One of the records. Raises DataError where there is none."""
+        if not 0 <= index < len(self.records):
+            raise DataError(f"record {index + 1}: there are {len(self.records)}; load one first")
+        return self.records[index]
+
+    def simulate(self, index: int) -> Validation:
+        """The model's free run over one of the records, as `greybox.validate` makes it, and its misfit."""
+        return self._run(self.record(index).experiment)
+
+    def localise(self, index: int) -> ResidualLocalisation:
+        """Where, when and as a function of what the model falls short on one of the records, at its present constants."""
+        candidate = self._to_candidate(self.record(index).experiment)
+        if not _runs_through(candidate):
+            return ResidualLocalisation.without_sites(candidate, LocalisationPolicy(), SelectionPolicy())
+        return localise_residual(candidate)
+
+    def _run(self, record: Experiment) -> Validation:
+        return validate(self.model, record, noise=dict(self.noise), options=self.options)
+
+    def _to_candidate(self, record: Experiment) -> CandidateFit:
+        """The model at its present constants as if they had been fitted to ``record``."""
+        run = self._run(record).traces[0]
+        problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
+        states = self.model.system.state_names
+        guess = np.array([[run.initial_state[name] for name in states]])
+        variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
+        evaluation = problem.shooting(variables).evaluate(variables.here)
+        return CandidateFit(
+            self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
+        )
+
+
+def _round(parameter: Parameter, value: float) -> float:
+    """A start value in three digits, as a person would write it, where the bounds allow it."""
+    low, high = parameter.bounds
+    rounded = float(f"{value:.3g}")
+    return rounded if low <= rounded <= high else value
+
+
+def _runs_through(candidate: CandidateFit) -> bool:
+    """Whether the run and its derivatives are finite to the end."""
+    return bool(math.isfinite(candidate.cost) and candidate.evaluation.is_finite)
+
+
+# What the app asks of whoever knows how studies are written: the command line.
+
+
+class StudyBook(Protocol):
+    """Reads records as a study says, and writes a session as the study and the program that repeat it."""
+
+    def read(self, files: Sequence[Path], columns: Mapping[str, str]) -> tuple[Experiment, ...]:
+        """The records in ``files``, where ``columns`` are as in `Session`. Raises GreyboxError."""
+        ...
+
+    def propose_columns(
+        self, file: Path, columns: Mapping[str, str]
+    ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
+        """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
+        ...
+
+    def write_study(self, session: Session, path: Path) -> str:
+        """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
+        ...
+
+    def write_script(self, session: Session, path: Path) -> str:
+        """The text of the Python program ``path`` that computes the same."""
+        ...

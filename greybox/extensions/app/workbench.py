@@ -1,0 +1,294 @@
+"""The app without its page: the present session, what can be done to it, and what runs beside it.
+
+Every step is kept and can be taken back; nothing that fails changes the session.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
+from greybox.base.files import write_file
+from greybox.data.experiment import Experiment
+from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
+from greybox.extensions.app.session import APP_POLICY, AppPolicy, LoadedRecord, Session, StudyBook
+from greybox.extensions.app.view import EffectPlace, list_effects, show_choice, show_location, show_run, show_session
+from greybox.extensions.export.python_model import to_python
+from greybox.model.effect import Effect
+from greybox.model.system import Statement
+from greybox.show.pages.report import report
+
+STUDY_FILE, SCRIPT_FILE, MODEL_FILE, RECORDS_FOLDER = "study.toml", "repeat.py", "model.py", "records"
+LAST_FILE = "last.toml"
+"""What an export is called, in its folder."""
+JOURNAL = "journal.jsonl"
+
+
+class UnmatchedRecordError(DataError):
+    """A record whose headers do not say which column is which signal; ``choice`` is what a person can choose from."""
+
+    def __init__(self, text: str, choice: Mapping[str, Any]) -> None:
+        super().__init__(text)
+        self.choice = choice
+
+
+class Workbench:
+    """A session that changes.
+
+    Parameters
+    ----------
+    session
+        What it begins with.
+    study
+        Reads records and writes studies.
+    folder
+        Where exports go, and the journal of a discovery.
+    beside
+        Effects of the project, offered beside the catalogue.
+    uploads
+        Where the page puts files that a person loads there; they are gone when the app ends, so an export copies them.
+    workers
+        Processes that a discovery may use; 0 for one a core.
+    listener
+        Called with what the page is to hear, as plain values, in any thread.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        study: StudyBook,
+        folder: Path,
+        *,
+        beside: Sequence[Effect] = (),
+        uploads: Path | None = None,
+        workers: int = 0,
+        listener: Callable[[Mapping[str, Any]], None] | None = None,
+        policy: AppPolicy = APP_POLICY,
+    ) -> None:
+        self.session, self.study, self.folder = session, study, folder
+        self.beside, self.uploads, self.workers, self.policy = tuple(beside), uploads, workers, policy
+        self.listener = listener or (lambda _: None)
+        self.undone: list[Session] = []
+        self.job: Job | None = None
+        self._lock = threading.RLock()
+        self._exported_session = session
+        self._shown = 0
+        self._places: tuple[Statement, tuple[EffectPlace, ...]] | None = None
+
+    def show(self) -> dict[str, Any]:
+        """The state of everything, as the page shows it; of two, the one with the higher ``number`` is the later."""
+        with self._lock:
+            self._shown += 1
+            texts = {"study": "", "script": ""}
+            if self.session.records:
+                session = self._with_exported_records(self.session)
+                texts["study"] = self.study.write_study(session, self.folder / STUDY_FILE)
+                texts["script"] = self.study.write_script(session, self.folder / SCRIPT_FILE)
+            return {
+                **show_session(self.session, self._list_effects()),
+                **texts,
+                "number": self._shown,
+                "folder": str(self.folder),
+                "undo": len(self.undone),
+                "job": None if self.job is None else str(self.job.kind),
+            }
+
+    @np.errstate(over="ignore", invalid="ignore")  # a constant may be moved to where the run overflows: that is shown
+    def show_run(self, index: int, values: Mapping[str, float] | None = None, *, inputs: bool = False) -> dict:
+        """One record beside the simulation, at other ``values`` for a look that changes nothing."""
+        session = self.session.with_values(values) if values else self.session
+        return show_run(session, index, inputs=inputs)
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def show_location(self, index: int) -> dict[str, Any]:
+        """Where the model falls short on one record."""
+        return show_location(self.session.localise(index), index)
+
+    def set_values(self, values: Mapping[str, float]) -> None:
+        """Set constants. Raises ModelError."""
+        self._take(self.session.with_values(values))
+
+    def set_fixed(self, name: str, fixed: bool) -> None:
+        """Fix a constant, or free it. Raises ModelError."""
+        self._take(self.session.with_fixed(name, fixed))
+
+    @np.errstate(over="ignore", invalid="ignore")
+    def add_effect(self, name: str) -> None:
+        """Put an effect in. Raises ModelError for a name that has no place in the model."""
+        places = {effect.name: effect for effect, _ in self._list_effects()}
+        if name in {e.name for e in self.session.model.effects}:
+            raise ModelError(f"effect {name}: the model contains it already; take it out first")
+        if name not in places:
+            raise ModelError(f"effect {name!r} has no place in this model; {nearest(name, list(places))}")
+        self._take(self.session.with_effect(places[name]))
+
+    def remove_effect(self, name: str) -> None:
+        """Take an effect out. Raises ModelError."""
+        self._take(self.session.without_effect(name))
+
+    def load(self, file: Path, *, validates: bool = False, columns: Mapping[str, str] | None = None) -> None:
+        """Read a record. Raises GreyboxError, and then nothing has changed.
+
+        ``columns`` says which column is which signal, as ``--column`` does: for all records, so those that are there are read anew.
+        """
+        session = self.session
+        if columns:
+            merged = {**session.columns, **columns}
+            session = replace(session, columns=merged, records=self._read_again(merged))
+        try:
+            records = self.study.read([file], session.columns)
+        except DataError as error:
+            proposal = self.study.propose_columns(file, session.columns)
+            if proposal is None:
+                raise
+            raise UnmatchedRecordError(str(error), show_choice(*proposal)) from error
+        self._take(session.with_records([LoadedRecord(record, file, validates) for record in records]))
+
+    def _read_again(self, columns: Mapping[str, str]) -> tuple[LoadedRecord, ...]:
+        """The records of the session with other columns. Raises GreyboxError."""
+        present = self.session.records
+        fresh: dict[tuple[str, str], Experiment] = {}
+        for file in dict.fromkeys(r.file for r in present):
+            try:
+                fresh |= {(str(file), r.name): r for r in self.study.read([file], columns)}
+            except DataError as error:
+                raise DataError(
+                    f"{error}. One choice of columns holds for all records: remove {file.name} first, or give both files the same headers"
+                ) from error
+        return tuple(replace(r, experiment=fresh[str(r.file), r.experiment.name]) for r in present)
+
+    def forget(self, index: int) -> None:
+        """Put a record away. Raises DataError."""
+        self._take(self.session.without_record(index))
+
+    def set_role(self, index: int, validates: bool) -> None:
+        """Let a record judge, or be fitted. Raises DataError."""
+        self._take(self.session.with_role(index, validates))
+
+    def undo(self) -> None:
+        """Take the last step back. Raises GreyboxError where there is none."""
+        with self._lock:
+            if not self.undone:
+                raise GreyboxError("nothing to take back: this is where the session began")
+            self.session = self.undone.pop()
+
+    def start(self, kind: JobKind) -> None:
+        """Begin a fit or a discovery. Raises GreyboxError while another runs, and DataError without the records it needs."""
+        with self._lock:
+            if self.job is not None:
+                raise GreyboxError(f"a {self.job.kind} is running; stop it first, or wait for its answer")
+            if not self.session.estimation:
+                raise DataError(f"{kind}: no record to fit; load one, or let one of them be fitted")
+            if kind is JobKind.DISCOVER and not self.session.validation:
+                raise DataError(
+                    "discover: no validation record; load another record for validation, which is not fitted"
+                )
+            self.job = Job(
+                kind,
+                self.session,
+                journal=self.folder / JOURNAL,
+                workers=self.workers,
+                listener=self._hear,
+                policy=self.policy,
+            )
+
+    def stop(self) -> None:
+        """Ask what runs to end: a fit keeps its best point, a discovery its finished refits; asked again, it ends at once."""
+        job = self.job
+        if job is not None:
+            job.stop()
+
+    def export(self) -> list[Path]:
+        """Write the study, the program, the model, uploaded records, and the fit and the discovery as far as there are any."""
+        session = self.session
+        if not session.records:
+            raise DataError("export: no record yet, so there is no study to write; load one first")
+        self._exported_session = self.session
+        copies = self._copy_records()
+        session = self._with_exported_records(session)
+        study, script = self.folder / STUDY_FILE, self.folder / SCRIPT_FILE
+        files = [
+            to_python(session.model, self.folder / MODEL_FILE),
+            write_file(study, self.study.write_study(session, study)),
+            write_file(script, self.study.write_script(session, script)),
+            *copies,
+        ]
+        if session.fit is not None and session.is_fitted:
+            files.append(session.fit.save(self.folder / "fit.json"))
+            files.append(report(session.fit, self.folder / "report.html"))
+        if session.discovery is not None:
+            files.append(session.discovery.save(self.folder / "discovery.json"))
+            files.append(report(session.discovery, self.folder / "discovery.html"))
+        return files
+
+    def save_last(self) -> Path | None:
+        """Write the study of a session that has changed since its last export; None where there is nothing to lose."""
+        if not self.session.records or self.session is self._exported_session:
+            return None
+        self._copy_records()
+        session, target = self._with_exported_records(self.session), self.folder / LAST_FILE
+        to_python(session.model, self.folder / MODEL_FILE)
+        return write_file(target, self.study.write_study(session, target))
+
+    def close(self) -> None:
+        """End what runs."""
+        job = self.job
+        if job is not None:
+            job.end()
+
+    def _with_exported_records(self, session: Session) -> Session:
+        """The session with uploaded records where an export copies them, so that the study finds them on another day."""
+        moved = tuple(replace(r, file=self._exported(r.file)) for r in session.records)
+        return replace(session, records=moved)
+
+    def _exported(self, file: Path) -> Path:
+        is_uploaded = self.uploads is not None and self.uploads in file.parents
+        return self.folder / RECORDS_FOLDER / file.name if is_uploaded else file
+
+    def _copy_records(self) -> list[Path]:
+        """Copy uploaded records into the folder of the export."""
+        copies = []
+        for source in dict.fromkeys(r.file for r in self.session.records):
+            target = self._exported(source)
+            if target != source:
+                with source.open("rb") as uploaded:
+                    copies.append(write_file(target, partial(shutil.copyfileobj, uploaded)))
+        return copies
+
+    def _list_effects(self) -> tuple[EffectPlace, ...]:
+        """The effects that can be put in; looked for anew where the equations have changed."""
+        statement = self.session.model.statement
+        if self._places is None or self._places[0] != statement:
+            self._places = statement, list_effects(self.session.model, self.beside)
+        return self._places[1]
+
+    def _take(self, session: Session) -> None:
+        with self._lock:
+            self.undone = [*self.undone, self.session][-self.policy.most_undone :]
+            self.session = session
+
+    def _hear(self, event: JobEvent) -> None:
+        """What the job tells: its answer becomes the session's."""
+        if event.news is JobNews.DONE:
+            with self._lock:
+                job, self.job = self.job, None
+                if job is None:
+                    return
+                if job.kind is JobKind.DISCOVER:
+                    self._take(self.session.with_discovery(event.content, job.session.model))
+                else:
+                    self._take(self.session.with_fit(event.content))
+            self.listener({"news": str(event.news), "kind": str(job.kind)})
+            return
+        if event.news in LAST_NEWS:
+            with self._lock:
+                self.job = None
+        self.listener({"news": str(event.news), "content": event.content})

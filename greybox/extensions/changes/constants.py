@@ -1,0 +1,416 @@
+"""What a fit says of its constants, on the scale on which their estimates are nearest to normal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
+
+from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
+from greybox.base.numerics import NEARLY_NORMAL
+from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.restore import restore_noise
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import IntervalKind, Trace
+from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
+from greybox.extensions.changes.policy import ChangeTestPolicy, ScatterPolicy
+
+
+@dataclass(frozen=True, eq=False)
+class FittedConstants:
+    """Estimated constants of one fit: the logarithm of a positive one, the value of any other.
+
+    Parameters
+    ----------
+    names, units
+        Of each constant (k,).
+    values : array (k,)
+        Estimates in their units.
+    covariance : array (k, k)
+        On the scale of the comparison; infinite on the diagonal where the records leave a constant open, NaN at a bound.
+    positive : array (k,)
+        Which of them are compared by their logarithm.
+    at_bound
+        Names of those that were stopped by a bound.
+    degrees
+        Degrees of freedom of the variance behind the covariance.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray
+    positive: np.ndarray
+    at_bound: tuple[str, ...]
+    degrees: float
+
+    def index(self, names: Sequence[str]) -> list[int]:
+        """Positions of these constants."""
+        return [self.names.index(name) for name in names]
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """The estimates (k,) on the scale of the comparison."""
+        return np.where(self.positive, np.log(np.where(self.positive, self.values, 1.0)), self.values)
+
+    @property
+    def variances(self) -> np.ndarray:
+        """Variances (k,) on that scale."""
+        return np.diag(self.covariance)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedResidual:
+    """The residual of a fit over its noise.
+
+    Parameters
+    ----------
+    outputs
+        Names of the measured outputs (ny,).
+    series
+        For each output its residual over the noise, whitened where the noise's colour is known, one array for each record.
+    colour
+        Autoregression and variance of each.
+    degrees : array (ny,)
+        Independent samples behind each variance, less the share of the unknowns.
+    kurtosis : array (ny,)
+        Of each; 3 for normal noise.
+    adequate
+        Whether nothing but noise is left of it.
+    """
+
+    outputs: tuple[str, ...]
+    series: tuple[tuple[np.ndarray, ...], ...]
+    colour: ResidualColour
+    degrees: np.ndarray
+    kurtosis: np.ndarray
+    adequate: bool
+
+
+def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
+    """The constants of ``fit`` that can be compared: estimated for all its records together, and no intensities of noise."""
+    excluded = {*fit.model.noise_parameters, *fit.constraints.per_experiment}
+    quantities = {q.name: q for q in fit.model.all_parameters}
+    names = tuple(name for name in fit.uncertainty.free if name not in excluded and name in fit.parameters)
+    places = [fit.uncertainty.free.index(name) for name in names]
+    values = np.array([fit.parameters[name].value for name in names])
+    positive = np.array([quantities[name].positive and fit.parameters[name].value > 0 for name in names], bool)
+    slopes = np.where(positive, 1 / np.where(positive, values, 1.0), 1.0)
+    # A colour that a short record shows by chance may make an interval narrower than a white residual would: not here.
+    slopes /= np.array([min(_positive_or_one(fit.uncertainty.inflation.get(name, 1.0)), 1.0) for name in names])
+    covariance = fit.uncertainty.covariance[np.ix_(places, places)] * np.outer(slopes, slopes)
+    units = tuple(fit.parameters[name].unit for name in names)
+    at_bound = tuple(name for name in names if fit.parameters[name].at_bound)
+    open_ones = [k for k, name in enumerate(names) if fit.parameters[name].std is None and name not in at_bound]
+    covariance[open_ones, open_ones] = np.inf
+    return FittedConstants(names, units, values, covariance, positive, at_bound, _degrees(fit, residual))
+
+
+def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
+    """The residual of ``fit``; of a fit with process noise there is none to compare, as its runs follow the measurement."""
+    noise, policy = restore_noise(fit), FitOptions.from_data(fit.provenance.options).policy
+    names = [o.name for o in fit.model.outputs]
+    measured = tuple(name for name in names if name in fit.misfit and name in fit.noise.std)
+    series = tuple(
+        tuple(
+            _whitened_residual(trace, name, fit.noise.std[name], noise.colour[names.index(name)])
+            for trace in fit.traces
+        )
+        for name in measured
+    )
+    rows = [(np.column_stack(each), np.empty((len(each[0]), 0, 0))) for each in zip(*series, strict=True)]
+    unknowns = len(fit.uncertainty.free) + len(fit.traces) * len(fit.model.system.state_names)
+    colour = estimate_residual_colour(rows, unknowns, False, None, policy.intervals, policy.noise)
+    total = max(sum(colour.counts), 1)
+    degrees, kurtosis = [], []
+    for j, (count, (_, squares)) in enumerate(zip(colour.counts, colour.times, strict=True)):
+        degrees.append(max((count - unknowns * count / total) / squares, 1.0))
+        everything = np.concatenate(series[j])
+        centred = everything - np.nanmean(everything)
+        variance = float(np.nanmean(centred**2))
+        kurtosis.append(float(np.nanmean(centred**4)) / variance**2 if variance > 0 else 3.0)
+    ratios = [fit.misfit[name].noise_ratio for name in measured]
+    adequate = not colour.coloured or max(ratios, default=0.0) <= adequate_ratio
+    return FittedResidual(measured, series, colour, np.array(degrees), np.array(kurtosis), adequate)
+
+
+def _positive_or_one(factor: float) -> float:
+    return factor if factor > 0 else 1.0
+
+
+def _whitened_residual(trace: Trace, output: str, std: float, colour: AutoRegression) -> np.ndarray:
+    """The residual over the noise (N,), NaN where the record lacks the output."""
+    if output not in trace.measured or output not in trace.simulated:
+        return np.full(len(trace.time), np.nan)
+    return colour.whiten(trace.residual(output) / std)
+
+
+def _degrees(fit: Fit, residual: FittedResidual) -> float:
+    """Degrees of freedom behind the intervals of ``fit``, by the rule that the estimation made them with."""
+    if fit.prediction.process_noise:
+        return float(np.inf)
+    count = sum(residual.colour.counts)
+    if fit.uncertainty.kind is IntervalKind.SANDWICH:
+        return max(float(residual.degrees.sum()), 1.0)
+    squares = sum(float(np.nansum(s**2)) for series in residual.series for s in series)
+    left = max(count - residual.colour.unknowns, 1)
+    return float(np.inf) if restore_noise(fit).known and squares <= left else float(left)
+
+
+# How much further constants scatter from piece to piece of the records than their intervals say, where the model lacks something.
+#
+# A model that lacks something has constants that depend on what the input does. The spread of their estimates over pieces of the
+# fit's own records, beside the spread that their covariances promise, is the factor by which these are too small (batch means; Carlstein,
+# Annals of Statistics 14, 1986).
+
+
+@dataclass(frozen=True, eq=False)
+class EstimateScatter:
+    """For each constant the factor (k,) by which its standard deviation is too small, at least one, with so many ``degrees`` of freedom."""
+
+    factors: np.ndarray
+    degrees: int
+
+    def widen(self, constants: FittedConstants) -> FittedConstants:
+        """The same estimates, each as uncertain as it scatters, known from few pieces."""
+        covariance = constants.covariance * np.outer(self.factors, self.factors)
+        return replace(constants, covariance=covariance, degrees=min(constants.degrees, float(self.degrees)))
+
+
+def measure_scatter(fits: Sequence[Fit], constants: FittedConstants, policy: ScatterPolicy) -> EstimateScatter | None:
+    """The scatter of the ``constants`` over pieces of the records of each fit, about its own mean; None where too few determine them."""
+    deviations, covariances, means = list[np.ndarray](), list[np.ndarray](), 0
+    for whole in fits:
+        options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
+        values = []
+        for piece in cut_records([trace.experiment for trace in whole.traces], policy):
+            result = fit(whole.model, piece, noise=restore_noise(whole), options=options)
+            if not result.success:
+                continue
+            of_piece = read_constants(result, read_residual(result, 1.0))
+            if of_piece.names == constants.names and (of_piece.positive == constants.positive).all():
+                values.append(of_piece.scaled)
+                covariances.append(of_piece.covariance)
+        if values:
+            deviations += list(np.array(values) - np.mean(values, axis=0))
+            means += 1
+    degrees = len(deviations) - means
+    if degrees < policy.least_pieces - 1:
+        return None
+    return EstimateScatter(_compare_spreads(np.array(deviations), np.array(covariances), means, policy), degrees)
+
+
+def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int, policy: ScatterPolicy) -> np.ndarray:
+    """Spread over what was promised, of each constant and of all together; of deviations (m, k) from so many ``means``,
+    with covariances (m, k, k).
+
+    All together count as well: a combination that is determined well may scatter further than any constant by itself.
+    """
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    known, factors = np.isfinite(variances), np.ones(deviations.shape[1])
+    for k in np.flatnonzero(known.sum(axis=0) >= policy.least_pieces + means - 1):
+        rows = known[:, k]
+        promised = float(variances[rows, k].mean())
+        spread = float((deviations[rows, k] ** 2).sum() / (rows.sum() - means))
+        factors[k] = np.sqrt(max(spread / promised, 1.0)) if promised > 0 else 1.0
+    whole = np.flatnonzero(known.all(axis=0))
+    if not len(whole):
+        return factors
+    block = np.ix_(whole, whole)
+    forms = [d[whole] @ pseudo_inverse(c[block]) @ d[whole] for d, c in zip(deviations, covariances, strict=True)]
+    return np.maximum(factors, np.sqrt(sum(forms) / ((len(forms) - means) * len(whole))))
+
+
+def cut_records(records: Sequence[Experiment], policy: ScatterPolicy) -> list[Experiment]:
+    """The records, each cut into equal pieces so that there are as many as the policy asks for."""
+    each = -(-policy.pieces // len(records))
+    pieces = []
+    for record in records:
+        rows = record.rows // each
+        if rows >= policy.least_rows:
+            pieces += [record.window(k * rows, (k + 1) * rows) for k in range(each)]
+        else:
+            pieces.append(record)
+    return pieces
+
+
+# Have constants moved between two fits? A joint test, and a look at each that allows for the number of looks.
+#
+# The difference of two independent estimates is normal with the sum of their covariances, or Student's where the noise was estimated. Two
+# statistics are computed: the largest standardised difference, which finds a change of one constant, and Wald's quadratic form, which
+# finds a change of a combination that the records determine better than any constant by itself. The p-value of the smaller of their two
+# p-values comes from its distribution under no change, drawn with the correlation of the estimates at hand (Westfall and Young,
+# Resampling-based multiple testing, 1993; Hothorn, Bretz and Westfall, Biometrical Journal 50, 2008), so that the rate of false alarms is
+# neither shared out nor exceeded. Each constant's own p-value is that of the largest of as many standardised differences, stepping down
+# from the largest (Holm's order).
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceTest:
+    """The test of the differences of some constants.
+
+    Parameters
+    ----------
+    names
+        What was compared (k,).
+    difference, std : array (k,)
+        After less before, and its standard deviation, on the scale of the comparison.
+    p : array (k,)
+        Of each constant, corrected for looking at all of them.
+    p_value
+        Of all together.
+    half_widths : array (k,)
+        Of the intervals of the differences, which hold together.
+    visible : array (k,)
+        Difference of each that would be seen with the power of the policy.
+    direction : array (k,)
+        The combination that stands out most, each constant in its standard deviations, the largest entry one.
+    """
+
+    names: tuple[str, ...]
+    difference: np.ndarray
+    std: np.ndarray
+    p: np.ndarray
+    p_value: float
+    half_widths: np.ndarray
+    visible: np.ndarray
+    direction: np.ndarray
+
+
+def list_comparable(before: FittedConstants, after: FittedConstants) -> list[str]:
+    """Constants that both fits have determined, off their bounds."""
+    known = [set(np.array(c.names)[np.isfinite(c.variances)].tolist()) for c in (before, after)]
+    return [name for name in before.names if name in known[0] & known[1] and name in after.names]
+
+
+def compare_constants(
+    before: FittedConstants,
+    after: FittedConstants,
+    names: Sequence[str],
+    level: float,
+    power: float,
+    policy: ChangeTestPolicy,
+) -> DifferenceTest:
+    """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms."""
+    i, j = before.index(names), after.index(names)
+    common = before.positive[i] & after.positive[j]
+    one, other = _rescale(before, i, common), _rescale(after, j, common)
+    difference = other[0] - one[0]
+    covariance = one[1] + other[1]
+    std = np.sqrt(np.diag(covariance))
+    degrees = combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees)
+    correlation = covariance / np.outer(std, std)
+    z = difference / std
+    null = _NullDistribution.draw(correlation, degrees, policy)
+    p, critical = null.step_down(np.abs(z)), null.quantile(1 - level)
+    wide = null.quantile(policy.interval_level)
+    direction = null.inverse @ z
+    largest = np.abs(direction).max(initial=0.0)
+    return DifferenceTest(
+        tuple(names),
+        difference,
+        std,
+        p,
+        null.joint_p_value(z),
+        wide * std,
+        (critical + stdtrit(degrees, power)) * std,
+        direction / largest if largest else direction,
+    )
+
+
+def combine_degrees(one: np.ndarray, other: np.ndarray, degrees_one: float, degrees_other: float) -> float:
+    """Degrees of freedom of a sum of two estimated variances (Welch 1938, Satterthwaite 1946): the fewest of all constants."""
+    inverse = (one**2 / degrees_one + other**2 / degrees_other) / (one + other) ** 2
+    worst = float(inverse.max(initial=0.0))
+    return 1 / worst if worst > 0 else float(np.inf)
+
+
+def _rescale(constants: FittedConstants, places: list[int], common: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimates and covariance, logarithmic only where both fits allow it."""
+    values = constants.values[places]
+    scaled = np.where(common, np.log(np.where(common, values, 1.0)), values)
+    back = np.where(constants.positive[places] & ~common, values, 1.0)
+    return scaled, constants.covariance[np.ix_(places, places)] * np.outer(back, back)
+
+
+@dataclass(frozen=True, eq=False)
+class _NullDistribution:
+    """Standardised differences (draws, k) of constants that have not changed, with the inverse of their correlation."""
+
+    z: np.ndarray
+    inverse: np.ndarray
+    rank: int
+    degrees: float
+    policy: ChangeTestPolicy
+
+    @classmethod
+    def draw(cls, correlation: np.ndarray, degrees: float, policy: ChangeTestPolicy) -> _NullDistribution:
+        decomposition = decompose_symmetric(correlation)
+        inverse = decomposition.pseudo_inverse
+        values, vectors = np.linalg.eigh(correlation)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        generator = np.random.default_rng(policy.seed)
+        z = generator.standard_normal((policy.draws, len(correlation))) @ root.T
+        if np.isfinite(degrees):
+            z /= np.sqrt(generator.chisquare(degrees, (policy.draws, 1)) / degrees)
+        rank = max(round(float(np.trace(inverse @ correlation))), 1)
+        return cls(z, inverse, rank, degrees, policy)
+
+    @cached_property
+    def largest(self) -> np.ndarray:
+        """The largest of the standardised differences of each draw (draws,)."""
+        return np.abs(self.z).max(axis=1)
+
+    @cached_property
+    def ordered(self) -> np.ndarray:
+        """Draws (draws,) by their ``largest``, ascending."""
+        return np.argsort(self.largest)
+
+    def quantile(self, level: float) -> float:
+        """What the largest of the standardised differences stays below with this probability."""
+        return float(self.largest[self.ordered[min(int(level * len(self.largest)), len(self.largest) - 1)]])
+
+    def step_down(self, z: np.ndarray) -> np.ndarray:
+        """p-values (k,) of each, corrected for the looks that are left when it has its turn."""
+        p, left, worst = np.ones(len(z)), np.ones(len(z), bool), 0.0
+        for k in np.argsort(-z):
+            largest = self.largest if left.all() else np.abs(self.z[:, left]).max(axis=1)
+            exceeding = int((largest >= z[k]).sum())
+            worst = max(worst, self._share(exceeding, float(left.sum()) * self._tail(z[k])))
+            p[k], left[k] = worst, False
+        return p
+
+    def joint_p_value(self, z: np.ndarray) -> float:
+        """Probability that one of the two statistics is as unlikely as the less likely one at hand."""
+        count = len(self.largest)
+        of_largest = np.empty(count)
+        of_largest[self.ordered] = 1 - np.arange(count) / count
+        seen = float(np.abs(z).max(initial=0.0))
+        of_form = float(self._form_tail(self._form(z[None]))[0])
+        p_largest = self._share(int((self.largest >= seen).sum()), len(z) * self._tail(seen))
+        smallest = min(p_largest, of_form)
+        exceeding = int((np.minimum(of_largest, self._form_tail(self._form(self.z))) <= smallest).sum())
+        return self._share(exceeding, 2 * smallest)
+
+    def _form(self, z: np.ndarray) -> np.ndarray:
+        return ((z @ self.inverse) * z).sum(axis=1)
+
+    def _form_tail(self, form: np.ndarray) -> np.ndarray:
+        if self.degrees >= NEARLY_NORMAL:
+            return chdtrc(self.rank, form)
+        return fdtrc(self.rank, self.degrees, form / self.rank)
+
+    def _tail(self, z: float) -> float:
+        return 2 * float(stdtr(min(self.degrees, NEARLY_NORMAL), -z))
+
+    def _share(self, exceeding: int, bound: float) -> float:
+        """A share of the draws, or where hardly any exceeds, a bound on the probability."""
+        if exceeding >= self.policy.counted_draws:
+            return exceeding / self.policy.draws
+        return min(bound, max(exceeding, self.policy.counted_draws) / self.policy.draws)

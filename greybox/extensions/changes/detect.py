@@ -1,0 +1,487 @@
+"""`detect_changes`: a fit and the records of today in; unchanged, changed (what, by how much) or cannot tell out."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from scipy.special import fdtrc
+
+from greybox.base.errors import DataError, FitError
+from greybox.base.findings import Check, Finding, Severity
+from greybox.data.experiment import Experiment, number_unnamed_records
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
+from greybox.discovery.pipeline import discover
+from greybox.discovery.result import Discovery
+from greybox.estimation.covariance import estimate_covariance
+from greybox.estimation.fit import fit
+from greybox.estimation.objective import ResidualRows, SimulationErrorObjective
+from greybox.estimation.options import FitOptions
+from greybox.estimation.residuals import ljung_box_test
+from greybox.estimation.restore import restore_noise, restore_residuals
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.estimation.sandwich import estimate_residual_colour
+from greybox.extensions.changes.constants import (
+    DifferenceTest,
+    FittedConstants,
+    FittedResidual,
+    compare_constants,
+    list_comparable,
+    measure_scatter,
+    read_constants,
+    read_residual,
+)
+from greybox.extensions.changes.findings import ChangeCode, ChangeRule
+from greybox.extensions.changes.policy import ChangePolicy, ChangeTestPolicy, ScatterPolicy
+from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, list_appeared_effects
+from greybox.model.effect import Effect
+
+# Is today's residual like that of the fit: as large, and as white? Where it is not, more than constants have changed.
+
+
+def check_residual(
+    before: FittedResidual, after: FittedResidual, level: float, policy: ChangeTestPolicy
+) -> tuple[Check, ...]:
+    """p-values of each output's residual against their limit, which shares ``level`` out; none without a yardstick.
+
+    The size by the ratio of variances, with fewer degrees of freedom where the residual is coloured (Bartlett 1935) or has heavier tails
+    than normal noise (Box 1953); the colour by Ljung and Box where it was white before.
+    """
+    if not before.adequate:
+        return ()
+    shared = [name for name in before.outputs if name in after.outputs]
+    tests: list[tuple[ChangeRule, str, float]] = []
+    for name in shared:
+        i, j = before.outputs.index(name), after.outputs.index(name)
+        tests.append((ChangeRule.RESIDUAL_AS_LARGE, name, _compare_variances(before, i, after, j)))
+        if not before.colour.models[i].order:
+            series = join_series(after.series[j])
+            lags = min(policy.lags, int(np.isfinite(series).sum()) // policy.rows_per_lag)
+            if lags:
+                tests.append((ChangeRule.RESIDUAL_AS_WHITE, name, ljung_box_test(series, lags)[1]))
+    limit = level / max(len(tests), 1)
+    return tuple(Check.at_least(rule, p, limit, name) for rule, name, p in tests)
+
+
+def _compare_variances(before: FittedResidual, i: int, after: FittedResidual, j: int) -> float:
+    one, other = before.colour.variance[i], after.colour.variance[j]
+    if not one > 0:
+        return 1.0
+    kurtosis = max(
+        before.kurtosis[i], 3.0
+    )  # of the fit's residual: an effect that has appeared gives today's heavy tails
+    tails = 2 / (kurtosis - 1)
+    return float(fdtrc(after.degrees[j] * tails, before.degrees[i] * tails, other / one))
+
+
+# Two records under the same input: what the model lacks acts alike in both, and leaves their difference.
+#
+# The residuals of both fits then have a part in common. The difference of the constants rests on the difference of the residuals alone: its
+# covariance is the sandwich with that in the middle, far narrower than the sum of two covariances that each take the common part for noise.
+
+
+def match_repeats(reference: Fit, records: Sequence[Experiment], policy: ScatterPolicy) -> tuple[int, ...]:
+    """For each record the record of the fit whose input it repeats, each once; none where one repeats none."""
+    places: list[int] = []
+    for record in records:
+        alike = (
+            k
+            for k, trace in enumerate(reference.traces)
+            if k not in places and _is_alike(trace.experiment, record, policy)
+        )
+        place = next(alike, None)
+        if place is None:
+            return ()
+        places.append(place)
+    return tuple(places) if len(places) == len(reference.traces) else ()
+
+
+def _is_alike(one: Experiment, other: Experiment, policy: ScatterPolicy) -> bool:
+    """Whether an input repeats another one row by row."""
+    if one.rows != other.rows or not np.allclose(np.median(one.intervals), np.median(other.intervals)):
+        return False
+    for name, values in one.inputs.items():
+        difference = np.sqrt(np.nanmean((values - other.inputs[name]) ** 2)) if name in other.inputs else np.inf
+        if not difference <= policy.repeated_input * np.sqrt(np.nanmean(values**2)):
+            return False
+    return True
+
+
+def rest_on_difference(
+    reference: Fit, today: Fit, places: Sequence[int], before: FittedConstants, after: FittedConstants
+) -> tuple[FittedConstants, FittedConstants]:
+    """Both estimates with the covariance of their difference on the second, and none on the first.
+
+    As they were where today's run is no free one, or where a record lacks rows of the other.
+    """
+    try:
+        objective, residuals = restore_residuals(today)
+    except FitError:
+        return before, after
+    if not isinstance(objective, SimulationErrorObjective):
+        return before, after
+    rows = []
+    for (r, jacobian), trace, place in zip(residuals.rows, today.traces, places, strict=True):
+        difference = _weigh(trace, today) - _weigh(reference.traces[place], today)
+        if difference.shape != r.shape:
+            return before, after
+        rows.append((difference, jacobian))
+    policy, variables = FitOptions.from_data(today.provenance.options).policy, objective.variables
+    colour = estimate_residual_colour(rows, variables.size, False, None, policy.intervals, policy.noise)
+    evaluation, problem = objective.evaluate(variables.here), objective.problem
+    whole = estimate_covariance(variables, evaluation, ResidualRows(tuple(rows)), colour, problem, policy.intervals)
+    names = list(variables.names)
+    if not set(after.names) <= set(names):
+        return before, after
+    order = [names.index(name) for name in after.names]
+    slopes = np.where(after.positive, 1 / np.where(after.positive, after.values, 1.0), 1.0)
+    covariance = whole.covariance[np.ix_(order, order)] * np.outer(slopes, slopes)
+    nothing = np.where(np.isfinite(before.covariance), 0.0, before.covariance)
+    return (
+        replace(before, covariance=nothing, degrees=float(np.inf)),
+        replace(after, covariance=covariance, degrees=colour.degrees),
+    )
+
+
+def _weigh(trace: Trace, fit: Fit) -> np.ndarray:
+    """The residual (N, ny) of a run over the noise of ``fit``, whitened as it weighs; NaN where an output is not measured."""
+    noise = restore_noise(fit)
+    columns = []
+    for output, std, colour in zip(noise.outputs, noise.std, noise.colour, strict=True):
+        known = output in trace.measured and output in trace.simulated
+        residual = trace.residual(output) if known else np.full(len(trace.time), np.nan)
+        columns.append(colour.whiten(residual / std))
+    return np.column_stack(columns)
+
+
+Records = Experiment | Sequence[Experiment]
+
+
+def detect_changes(
+    reference: Fit,
+    records: Records,
+    *,
+    validation: Records = (),
+    skip: int = 0,
+    search_effects: bool = True,
+    effects: Sequence[Effect] | None = None,
+    without: Collection[str] = (),
+    policy: ChangePolicy | None = None,
+    on_message: Callable[[str], None] | None = None,
+    on_refit: Callable[[int], None] | None = None,
+    executor: Executor | None = None,
+    workers: int = 0,
+    time_limit: float = math.inf,
+    journal: str | Path | None = None,
+) -> ChangeDetection:
+    """Find what has changed in a machine since it was fitted.
+
+    Fits the same model to the new records and compares the constants of both fits, each with its covariance; the rate of false alarms is
+    that of the policy over everything that is looked at. Where the new residual is larger or less white than that of the fit, constants
+    alone do not explain the records: then `greybox.discover` looks for the effect that has appeared.
+
+    Parameters
+    ----------
+    reference
+        The fit of the machine as it was.
+    records
+        What it does today.
+    validation
+        Further records of today that an effect must explain as well. Without them the last of several records is taken, or the second half
+        of a single one.
+    skip
+        Rows at the start of each validation record that the errors leave out.
+    search_effects
+        Whether to look for an effect where the residual asks for one.
+    effects, without
+        The only candidates, instead of the catalogue, and names of effects that are not tried.
+    policy
+        The decision numbers.
+    on_message, on_refit
+        Called with a line about each step, and with the number of finished refits of the search.
+    executor, workers, time_limit, journal
+        As `greybox.discover` takes them.
+
+    Returns
+    -------
+    ChangeDetection
+        The verdict, the change of each constant, and the effects that have appeared.
+
+    Raises
+    ------
+    DataError
+        Without a record, for records that do not go with the model, and for a fit that did not succeed.
+
+    Examples
+    --------
+    >>> changes = gb.detect_changes(fit, today)  # doctest: +SKIP
+    >>> changes.verdict, changes.moved  # doctest: +SKIP
+    ('changed', ('K',))
+    """
+    began, policy = time.perf_counter(), policy or ChangePolicy()
+    listed, judges = as_records(records), as_records(validation)
+    check_reference(reference)
+    if not listed:
+        raise DataError("no record of today: give at least one")
+    findings = _find_known_records(reference, (*listed, *judges))
+    today = refit(reference, listed)
+    if not today.success:
+        values = {"status": today.solver.status_message}
+        failed = (Finding(ChangeCode.FIT_FAILED, Severity.WARNING, values=values),)
+        seconds = time.perf_counter() - began
+        return ChangeDetection(
+            ChangeVerdict.CANNOT_TELL, reference, today, {}, failed, findings, policy=policy, seconds=seconds
+        )
+    residuals = read_residual(reference, policy.test.adequate_ratio), read_residual(today, policy.test.adequate_ratio)
+    if not residuals[0].adequate:
+        findings = (*findings, Finding(ChangeCode.MODEL_LACKS_SOMETHING, Severity.WARNING))
+    level = policy.test.false_alarm_rate
+    of_residual = check_residual(*residuals, policy.test.residual_share * level, policy.test)
+    level_of_constants = (1 - policy.test.residual_share) * level if of_residual else level
+    discovery = None
+    if search_effects and not all(of_residual):
+        learnt, judged_by = _choose_validation(listed, judges)
+        options = FitOptions.from_data(reference.provenance.options)
+        if len(listed) == 1 and not judges:
+            options = replace(options, at_rest=False)  # the second half begins in motion
+            findings = (*findings, Finding(ChangeCode.SPLIT_FOR_VALIDATION, subject=listed[0].name))
+        discovery = discover(
+            reference.model,
+            learnt,
+            validation=judged_by,
+            skip=skip,
+            noise=_expected_noise(reference, residuals[0]),
+            effects=effects,
+            without=without,
+            options=options,
+            on_message=on_message,
+            on_refit=on_refit,
+            executor=executor,
+            workers=workers,
+            time_limit=time_limit,
+            journal=journal,
+        )
+        if list_appeared_effects(discovery):
+            today = discovery.best
+    before, after = (
+        read_constants(reference, residuals[0]),
+        read_constants(today, read_residual(today, policy.test.adequate_ratio)),
+    )
+    comparable = True
+    if not residuals[0].adequate and (repeats := match_repeats(reference, listed, policy.scatter)):
+        before, after = rest_on_difference(reference, today, repeats, before, after)
+    elif not residuals[0].adequate:
+        comparable = False
+        scatter = measure_scatter((reference, today), before, policy.scatter)
+        if scatter is not None and after.names == before.names:
+            before, after = scatter.widen(before), scatter.widen(after)
+            largest = int(np.argmax(scatter.factors))
+            allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
+            findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
+    constants, test = compare_fits(before, after, level_of_constants, policy)
+    checks = of_residual
+    if test:
+        checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
+    verdict = decide_change(constants, checks, policy)
+    conclusion = _conclude(verdict, constants, test, checks, discovery, residuals, policy)
+    if verdict is ChangeVerdict.CHANGED and not comparable:
+        moved = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
+        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=moved),)
+        constants = {name: replace(c, moved=False) for name, c in constants.items()}
+        verdict = ChangeVerdict.CANNOT_TELL
+    return ChangeDetection(
+        verdict,
+        reference,
+        today,
+        constants,
+        conclusion,
+        (*findings, *_find_unseen(constants, after, verdict, policy)),
+        checks,
+        discovery,
+        p_value=test.p_value if test else None,
+        policy=policy,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def as_records(records: Records) -> tuple[Experiment, ...]:
+    """One or several records as a tuple, each with a name."""
+    return number_unnamed_records((records,) if isinstance(records, Experiment) else records)
+
+
+def check_reference(reference: Fit) -> None:
+    """Refuse a fit that says nothing of its constants. Raises DataError."""
+    title = f"the fit of {reference.model.title}"
+    if not reference.success:
+        raise DataError(f"{title} did not succeed ({reference.solver.status_message}); fit again before comparing")
+    if not reference.uncertainty.free:
+        raise DataError(f"{title} has no constant that was estimated; there is nothing to compare")
+
+
+def refit(reference: Fit, records: Sequence[Experiment]) -> Fit:
+    """The model of ``reference`` fitted to other records: same options, priors and noise, begun at its constants."""
+    options = FitOptions.from_data(reference.provenance.options)
+    return fit(reference.model, records, noise=_noise_for(reference, records), options=options)
+
+
+def compare_fits(
+    before: FittedConstants, after: FittedConstants, level: float, policy: ChangePolicy
+) -> tuple[dict[str, ConstantChange], DifferenceTest | None]:
+    """The change of every constant of ``before``, and the test behind it; None where no constant can be compared."""
+    names = list_comparable(before, after)
+    test = compare_constants(before, after, names, level, policy.sensitivity.power, policy.test) if names else None
+    changes = {}
+    for name in before.names:
+        i = before.names.index(name)
+        value, unit = float(before.values[i]), before.units[i]
+        today = float(after.values[after.names.index(name)]) if name in after.names else value
+        if test is None or name not in names:
+            changes[name] = ConstantChange(value, today, unit, None, None, False, None)
+            continue
+        k = names.index(name)
+        reach, seen, difference = float(test.half_widths[k]), float(test.visible[k]), float(test.difference[k])
+        if before.positive[i] and today > 0:
+            interval = tuple(value * math.expm1(min(difference + sign * reach, 700.0)) for sign in (-1, 1))
+            smallest = value * math.expm1(min(seen, 700.0))
+        else:
+            interval, smallest = (difference - reach, difference + reach), seen
+        p = float(test.p[k])
+        moved = p < level
+        changes[name] = ConstantChange(value, today, unit, (interval[0], interval[1]), p, moved, smallest)
+    return changes, test
+
+
+def decide_change(
+    constants: Mapping[str, ConstantChange], checks: Sequence[Check], policy: ChangePolicy
+) -> ChangeVerdict:
+    """The verdict: changed where a test says so, unchanged where a change of any constant would have been seen."""
+    if not all(checks):
+        return ChangeVerdict.CHANGED
+    hidden = [name for name, change in constants.items() if not is_seen(change, policy)]
+    return ChangeVerdict.CANNOT_TELL if hidden or not constants else ChangeVerdict.UNCHANGED
+
+
+def is_seen(change: ConstantChange, policy: ChangePolicy) -> bool:
+    """Whether a change of this constant by the share of the policy would have been seen."""
+    largest = policy.sensitivity.largest_hidden_change * abs(change.before)
+    return change.smallest is not None and (change.smallest <= largest or change.before == 0)
+
+
+def _choose_validation(
+    records: tuple[Experiment, ...], validation: tuple[Experiment, ...]
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """Records to learn an effect from, and records that it must explain as well; those given, the last one, or the second half."""
+    if validation:
+        return records, validation
+    if len(records) > 1:
+        return records[:-1], records[-1:]
+    (record,) = records
+    half = record.rows // 2
+    return (record.window(0, half),), (record.window(half, record.rows),)
+
+
+def _find_known_records(reference: Fit, records: Sequence[Experiment]) -> tuple[Finding, ...]:
+    """Records of today that the fit was made of: they cannot have changed."""
+    known = {trace.fingerprint for trace in reference.traces}
+    return tuple(
+        Finding(ChangeCode.SAME_RECORD, Severity.WARNING, record.source or record.name)
+        for record in records
+        if record.fingerprint in known
+    )
+
+
+def _noise_for(reference: Fit, records: Sequence[Experiment]) -> NoiseModel:
+    """The noise that the fit was weighed with; its colour only for records of the same sampling time."""
+    noise = restore_noise(reference)
+    periods = [float(np.median(np.diff(trace.time))) for trace in reference.traces if len(trace.time) > 1]
+    same = all(np.allclose(np.median(record.intervals), period) for record in records for period in periods)
+    return noise if same else replace(noise, colour=tuple(AutoRegression() for _ in noise.colour))
+
+
+def _expected_noise(reference: Fit, residual: FittedResidual) -> dict[str, float]:
+    """What the fit left as the noise of today, where that is noise."""
+    if not residual.adequate:
+        return {}
+    return {name: reference.misfit[name].rmse for name in residual.outputs if reference.misfit[name].rmse > 0}
+
+
+def _find_unseen(
+    constants: Mapping[str, ConstantChange], after: FittedConstants, verdict: ChangeVerdict, policy: ChangePolicy
+) -> list[Finding]:
+    """Constants of which today's records say too little."""
+    findings = []
+    severity = Severity.WARNING if verdict is ChangeVerdict.CANNOT_TELL else Severity.NOTE
+    for name, change in constants.items():
+        if name in after.at_bound:
+            findings.append(Finding(ChangeCode.CONSTANT_AT_BOUND, Severity.WARNING, name, {"value": change.after}))
+        elif not change.moved and not is_seen(change, policy):
+            share = None if change.smallest is None or not change.before else change.smallest / abs(change.before)
+            values = {"share": share, "limit": policy.sensitivity.largest_hidden_change}
+            findings.append(Finding(ChangeCode.CONSTANT_NOT_SEEN, severity, name, values))
+    return findings
+
+
+def _conclude(
+    verdict: ChangeVerdict,
+    constants: Mapping[str, ConstantChange],
+    test: DifferenceTest | None,
+    checks: Sequence[Check],
+    discovery: Discovery | None,
+    residuals: tuple[FittedResidual, FittedResidual],
+    policy: ChangePolicy,
+) -> tuple[Finding, ...]:
+    """The answer in findings, the plain fact first."""
+    failed = {check.rule for check in checks if not check}
+    conclusion = []
+    appeared = list_appeared_effects(discovery)
+    for effect in appeared:
+        values = {"site": effect["site"], "grade": str(effect["grade"]), "parameters": effect["parameters"]}
+        conclusion.append(Finding(ChangeCode.EFFECT_APPEARED, Severity.WARNING, effect["name"], values))
+    for name, change in constants.items():
+        if change.moved and change.interval:
+            values = {
+                "before": change.before,
+                "after": change.after,
+                "unit": change.unit,
+                "low": change.interval[0],
+                "high": change.interval[1],
+            }
+            conclusion.append(Finding(ChangeCode.CONSTANT_MOVED, Severity.WARNING, name, values))
+    if ChangeRule.CONSTANTS_AS_BEFORE in failed and test and not any(c.moved for c in constants.values()):
+        combination = {
+            name: float(w)
+            for name, w in zip(test.names, test.direction, strict=True)
+            if abs(w) > policy.test.named_weight
+        }
+        values = {"combination": combination, "p": test.p_value}
+        conclusion.append(Finding(ChangeCode.COMBINATION_MOVED, Severity.WARNING, values=values))
+    if failed - {ChangeRule.CONSTANTS_AS_BEFORE} and not appeared:
+        conclusion += _describe_residual(checks, residuals)
+    if conclusion:
+        return tuple(conclusion)
+    hidden = [name for name, change in constants.items() if not is_seen(change, policy)]
+    if verdict is ChangeVerdict.CANNOT_TELL:
+        return (Finding(ChangeCode.CANNOT_TELL, Severity.WARNING, values={"constants": hidden}),)
+    widest = max(constants, key=lambda name: (constants[name].smallest or 0.0) / abs(constants[name].before or 1.0))
+    values = {"constants": list(constants), "widest": widest, "rate": policy.test.false_alarm_rate}
+    change = constants[widest]
+    values |= {"smallest": change.smallest, "before": change.before, "unit": change.unit}
+    return (Finding(ChangeCode.NOTHING_CHANGED, values=values),)
+
+
+def _describe_residual(checks: Sequence[Check], residuals: tuple[FittedResidual, FittedResidual]) -> list[Finding]:
+    """What the residual of each output became, where no effect explains it: as white as before, the sensor's noise has grown."""
+    findings = []
+    for name in dict.fromkeys(c.subject for c in checks if not c and c.subject):
+        rules = {c.rule for c in checks if not c and c.subject == name}
+        before, after = (r.colour.variance[r.outputs.index(name)] for r in residuals)
+        ratio = math.sqrt(after / before) if before > 0 else math.inf
+        code = ChangeCode.UNEXPLAINED if ChangeRule.RESIDUAL_AS_WHITE in rules else ChangeCode.NOISE_GREW
+        findings.append(Finding(code, Severity.WARNING, name, {"ratio": ratio}))
+    return findings

@@ -1,0 +1,255 @@
+"""`survey_population`: machines of one kind, what they have in common, and which of them fall out.
+
+Each machine's constants are estimated from its own records; the estimates scatter by what the records leave open, and by what differs
+from one machine to the next. The spread of the latter is that of a random-effects model (Paule and Mandel, J. Res. NBS 87, 1982). A
+machine is judged by its distance from the others, with their mean and spread found without it; several that fall out are looked for as
+Rosner's generalised extreme deviate does (Technometrics 25, 1983): removed one by one, the farthest first, and the last clear step
+decides, so that two cannot hide each other.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtr, stdtr, stdtrit
+
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import BISECTIONS, NEARLY_NORMAL, TINY
+from greybox.data.experiment import Experiment
+from greybox.estimation.result import Fit
+from greybox.extensions.changes.constants import FittedConstants, read_constants, read_residual
+from greybox.extensions.changes.detect import check_reference, refit
+from greybox.extensions.changes.findings import ChangeCode
+from greybox.extensions.changes.policy import ChangePolicy
+from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, MachineReport, PopulationConstant
+
+
+def survey_population(
+    reference: Fit, machines: Mapping[str, Sequence[Experiment]], *, policy: ChangePolicy | None = None
+) -> ChangeDetection:
+    """Compare machines of one kind with one another.
+
+    Parameters
+    ----------
+    reference
+        A fit of one of them: it says which model, options and noise, and where the search begins. It is not judged itself.
+    machines
+        Name of each machine -> its records.
+    policy
+        The decision numbers.
+
+    Returns
+    -------
+    ChangeDetection
+        ``changed`` where a machine falls out, with ``population`` and ``machines``.
+
+    Raises
+    ------
+    DataError
+        For fewer machines than a spread needs.
+
+    Examples
+    --------
+    >>> gb.change_detection.survey_population(fit, {"A": [a], "B": [b], "C": [c], "D": [d]}).machines  # doctest: +SKIP
+    """
+    began, policy = time.perf_counter(), policy or ChangePolicy()
+    check_reference(reference)
+    least = policy.population.least_machines
+    noun = "machine" if len(machines) == 1 else "machines"
+    if len(machines) < least:
+        raise DataError(
+            f"{len(machines)} {noun}: a population needs {least} at least; give more, or leave out --population"
+        )
+    fits = {name: refit(reference, records) for name, records in machines.items()}
+    estimates = {
+        name: read_constants(fit, read_residual(fit, policy.test.adequate_ratio))
+        for name, fit in fits.items()
+        if fit.success
+    }
+    findings = [
+        Finding(ChangeCode.MACHINE_NOT_FITTED, Severity.WARNING, name, {"status": fit.solver.status_message})
+        for name, fit in fits.items()
+        if not fit.success
+    ]
+    names = read_constants(reference, read_residual(reference, policy.test.adequate_ratio)).names
+    surveys = {
+        name: survey
+        for name in names
+        if (survey := _survey_constant(name, estimates, policy, comparisons=len(names))) is not None
+    }
+    findings += [
+        Finding(
+            ChangeCode.CONSTANT_NOT_SEEN,
+            Severity.NOTE,
+            n,
+            {"share": None, "limit": policy.sensitivity.largest_hidden_change},
+        )
+        for n in names
+        if n not in surveys
+    ]
+    reports = [_report(machine, surveys, estimates) for machine in machines]
+    outside = [report for report in reports if report.outlying]
+    verdict = ChangeVerdict.CHANGED if outside else ChangeVerdict.UNCHANGED if surveys else ChangeVerdict.CANNOT_TELL
+    population = {name: survey.common for name, survey in surveys.items()}
+    return ChangeDetection(
+        verdict,
+        reference,
+        conclusion=tuple(_conclude(outside, reports, population)),
+        findings=tuple(findings),
+        machines=reports,
+        population=population,
+        policy=policy,
+        seconds=time.perf_counter() - began,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RandomEffects:
+    """A mean with its variance, and the variance ``spread`` from one machine to the next, of estimates with known variances."""
+
+    mean: float
+    variance: float
+    spread: float
+
+    @classmethod
+    def of(cls, values: np.ndarray, variances: np.ndarray) -> RandomEffects:
+        """By Paule and Mandel: the spread at which the weighted squares about the mean are as many as their degrees of freedom."""
+
+        def weigh(spread: float) -> tuple[float, float, float]:
+            weights = 1 / (variances + spread)
+            mean = float(weights @ values / weights.sum())
+            return mean, float(weights @ (values - mean) ** 2), float(1 / weights.sum())
+
+        low, high = 0.0, max(float(np.var(values, ddof=1)) * len(values), TINY) if len(values) > 1 else 0.0
+        if len(values) > 1 and weigh(0.0)[1] > len(values) - 1:
+            for _ in range(BISECTIONS):
+                middle = (low + high) / 2
+                low, high = (middle, high) if weigh(middle)[1] > len(values) - 1 else (low, middle)
+        else:
+            high = 0.0
+        mean, _, variance = weigh(high)
+        return cls(mean, variance, high)
+
+
+@dataclass(frozen=True, eq=False)
+class _ConstantSurvey:
+    """One constant over the machines: what is common, the p-value of each machine, and which fall out."""
+
+    common: PopulationConstant
+    p: Mapping[str, float]
+    outlying: tuple[str, ...]
+
+
+def _survey_constant(
+    name: str, estimates: Mapping[str, FittedConstants], policy: ChangePolicy, comparisons: int
+) -> _ConstantSurvey | None:
+    known = {
+        machine: c
+        for machine, c in estimates.items()
+        if name in c.names and math.isfinite(c.variances[c.names.index(name)])
+    }
+    if len(known) < policy.population.least_machines:
+        return None
+    machines = list(known)
+    places = [c.names.index(name) for c in known.values()]
+    positive = all(c.positive[k] for c, k in zip(known.values(), places, strict=True))
+    raw = np.array([c.values[k] for c, k in zip(known.values(), places, strict=True)])
+    stds = np.sqrt([c.variances[k] for c, k in zip(known.values(), places, strict=True)])
+    stds = (
+        stds
+        if positive
+        else stds * np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known.values(), places, raw, strict=True)])
+    )
+    values, variances = (np.log(raw) if positive else raw), stds**2
+    level = policy.test.false_alarm_rate / comparisons
+    outside = find_outliers(values, variances, level, policy.population.largest_outlying_share)
+    inside = np.setdiff1d(np.arange(len(values)), outside)
+    common = RandomEffects.of(values[inside], variances[inside])
+    p = {}
+    for k, machine in enumerate(machines):
+        others = inside[inside != k]
+        looks = len(values) * comparisons
+        p[machine] = min(1.0, looks * deleted_p_value(values[k], variances[k], values[others], variances[others]))
+    reach = float(stdtrit(max(len(inside) - 1, 1), 0.975)) * math.sqrt(common.variance)
+    back = math.exp if positive else float
+    unit = next(iter(known.values())).units[places[0]]
+    constant = PopulationConstant(
+        back(common.mean),
+        (back(common.mean - reach), back(common.mean + reach)),
+        unit,
+        math.sqrt(common.spread),
+        positive,
+    )
+    return _ConstantSurvey(constant, p, tuple(machines[k] for k in outside))
+
+
+def deleted_p_value(value: float, variance: float, others: np.ndarray, of_others: np.ndarray) -> float:
+    """How often a machine of the kind of the ``others`` lies as far from their mean as ``value``, which is not among them."""
+    common = RandomEffects.of(others, of_others)
+    total = variance + common.spread + common.variance
+    distance = abs(value - common.mean) / math.sqrt(total)
+    # Student's where the spread rules, which so many machines have told; normal where it is the records' own uncertainty.
+    share = common.spread / total
+    degrees = (len(others) - 1) / share**2 if share > 0 else math.inf
+    return 2 * float(stdtr(degrees, -distance) if degrees < NEARLY_NORMAL else ndtr(-distance))
+
+
+def find_outliers(values: np.ndarray, variances: np.ndarray, level: float, largest_share: float) -> np.ndarray:
+    """Places of the machines that fall out, at a rate ``level`` of false alarms over all of them."""
+    left, removed, clear = list(range(len(values))), list[int](), 0
+    for _ in range(int(largest_share * len(values))):
+        p = []
+        for k in left:
+            others = [i for i in left if i != k]
+            p.append(deleted_p_value(values[k], variances[k], values[others], variances[others]))
+        farthest = int(np.argmin(p))
+        significant = p[farthest] * len(left) < level
+        removed.append(left.pop(farthest))
+        clear = len(removed) if significant else clear
+    return np.array(sorted(removed[:clear]), int)
+
+
+def _report(
+    machine: str, surveys: Mapping[str, _ConstantSurvey], estimates: Mapping[str, FittedConstants]
+) -> MachineReport:
+    constants: dict[str, dict[str, Any]] = {}
+    fitted = estimates.get(machine)
+    for name, survey in surveys.items():
+        if fitted is None or machine not in survey.p:
+            constants[name] = {"value": None, "std": None, "unit": survey.common.unit, "p": None}
+            continue
+        k = fitted.names.index(name)
+        value = float(fitted.values[k])
+        std = math.sqrt(fitted.variances[k]) * (value if fitted.positive[k] else 1.0)
+        constants[name] = {"value": value, "std": std, "unit": survey.common.unit, "p": survey.p[machine]}
+    return MachineReport(machine, constants, tuple(n for n, s in surveys.items() if machine in s.outlying))
+
+
+def _conclude(
+    outside: Sequence[MachineReport], reports: Sequence[MachineReport], population: Mapping[str, PopulationConstant]
+) -> list[Finding]:
+    if not population:
+        return [Finding(ChangeCode.CANNOT_TELL, Severity.WARNING, values={"constants": []})]
+    findings = []
+    for report in outside:
+        for name in report.outlying:
+            common, constant = population[name], report.constants[name]
+            values = {
+                "constant": name,
+                "value": constant["value"],
+                "unit": common.unit,
+                "mean": common.mean,
+                "spread": common.spread,
+                "relative": common.relative,
+                "p": constant["p"],
+            }
+            findings.append(Finding(ChangeCode.MACHINE_FALLS_OUT, Severity.WARNING, report.name, values))
+    spreads = {name: [c.spread, c.unit, c.relative] for name, c in population.items()}
+    values = {"machines": len(reports) - len(outside), "outside": len(outside), "spreads": spreads}
+    return [*findings, Finding(ChangeCode.MACHINES_ALIKE, values=values)]

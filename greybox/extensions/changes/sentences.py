@@ -1,0 +1,338 @@
+"""What is said of a change: the answer first, then each constant before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from greybox.base.findings import Finding, Severity
+from greybox.extensions.changes.findings import ChangeCode, ChangeRule
+from greybox.show.sentences.registry import register, renders, sentence
+from greybox.show.sentences.wording import (
+    TEXT_LIMITS,
+    count_noun,
+    format_table,
+    format_with_std,
+    join_names,
+    make_formatter,
+    record_text,
+)
+
+if TYPE_CHECKING:
+    from greybox.base.findings import Check
+    from greybox.extensions.changes.result import ChangeDetection, ConstantChange, MachineReport, PopulationConstant
+
+
+def _with_unit(value: float, unit: str, digits: int = 4) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _share_of(change: float, before: float, unit: str, beside: float = math.inf) -> str:
+    """``12 %`` of the value before; in its unit where that is zero. Shares that differ by ``beside`` can be told apart."""
+    if not before:
+        return _with_unit(abs(change), unit, 2)
+    percent, apart = 100 * abs(change / before), 100 * abs(beside / before)
+    fine = make_formatter(percent, apart)(percent) if 0 < apart < percent else f"{percent:.2g}"
+    return f"{fine} %"
+
+
+def _nothing_changed(finding: Finding) -> str:
+    v = finding.values
+    seen = _share_of(v["smallest"], v["before"], v["unit"])
+    each = "each constant is" if len(v["constants"]) > 1 else f"{v['constants'][0]} is"
+    return (
+        f"nothing has changed: {each} what it was, within what the records can tell; a change of {seen} in {v['widest']}, the least"
+        f" certain, would have been seen. One healthy machine in {1 / v['rate']:.0f} is called changed"
+    )
+
+
+def _constant_moved(finding: Finding) -> str:
+    v = finding.values
+    way = "risen" if v["after"] > v["before"] else "fallen"
+    between = sorted((v["low"], v["high"]), key=abs)
+    width = v["high"] - v["low"]
+    by = _share_of(v["after"] - v["before"], v["before"], v["unit"], width)
+    ends = " to ".join(_share_of(e, v["before"], v["unit"], width) for e in between)
+    return (
+        f"{finding.subject} has {way} by {by}, from {_with_unit(v['before'], '')} to {_with_unit(v['after'], v['unit'])}"
+        f" (95 % interval of the change: {ends})"
+    )
+
+
+def _combination_moved(finding: Finding) -> str:
+    names = list(finding.values["combination"])
+    return (
+        f"the constants have changed, and the records do not tell which: {join_names(names)} together, none of them clearly by itself"
+        f" ({p_statement(finding.values['p'])}); a record that moves the machine more, or differently, will tell"
+    )
+
+
+def _effect_appeared(finding: Finding) -> str:
+    parameters = ", ".join(
+        f"{name} = {_with_unit(p['value'], p['unit'], 3)}" for name, p in finding.values["parameters"].items()
+    )
+    described = f" ({parameters})" if parameters else ""
+    return (
+        f"an effect has appeared: {finding.subject} in {finding.values['site']}{described}, {finding.values['grade']}; what is said of"
+        " the constants holds with it"
+    )
+
+
+def _unexplained(finding: Finding) -> str:
+    return (
+        f"the model no longer describes output {finding.subject}: its residual is {finding.values['ratio']:.2f} times what the fit left,"
+        " or no longer random, and no change of constants explains it. No effect of the catalogue is established; greybox discover with"
+        " more records of today goes on from here"
+    )
+
+
+def _noise_grew(finding: Finding) -> str:
+    return (
+        f"the noise of output {finding.subject} has grown to {finding.values['ratio']:.2f} times what it was, and is as random as"
+        " before: look at the sensor and its wiring"
+    )
+
+
+def _not_seen(finding: Finding) -> str:
+    share, limit = finding.values["share"], 100 * finding.values["limit"]
+    if "names" in finding.values:
+        return (
+            f"the records do not determine {finding.subject} (limit {limit:.0f} %); take a record that excites them, greybox design says"
+            " which"
+        )
+    how = (
+        "the records do not determine it"
+        if _says_nothing(share)
+        else f"only a change of {100 * share:.0f} % or more would show"
+    )
+    return f"{finding.subject}: {how} (limit {limit:.0f} %); take a record that excites it, greybox design says which"
+
+
+def _says_nothing(share: float | None) -> bool:
+    return share is None or not share < TEXT_LIMITS.change_reach
+
+
+def merge_not_seen(findings: Sequence[Finding]) -> list[Finding]:
+    """The ``findings``, all constants that the records do not determine in one of them, at the place of the first."""
+    merged: list[Finding] = []
+    alike: dict[Severity, list[Finding]] = {}
+    for finding in findings:
+        if finding.code != ChangeCode.CONSTANT_NOT_SEEN or not _says_nothing(finding.values["share"]):
+            merged.append(finding)
+            continue
+        group = alike.setdefault(finding.severity, [])
+        if not group:
+            merged.append(finding)
+        group.append(finding)
+    for group in alike.values():
+        if len(group) > 1:
+            names = [f.subject for f in group]
+            one = replace(group[0], subject=join_names(names), values={**group[0].values, "names": names})
+            merged[merged.index(group[0])] = one
+    return merged
+
+
+def is_determined(change: ConstantChange) -> bool:
+    """Whether the interval of a change is one whose figures say something."""
+    if change.interval is None:
+        return False
+    reach = max(map(abs, change.interval))
+    return math.isfinite(reach) and (not change.before or reach <= TEXT_LIMITS.change_reach * abs(change.before))
+
+
+def _cannot_tell(finding: Finding) -> str:
+    names = finding.values["constants"]
+    return f"the records cannot tell: {join_names(names) or 'the constants'} could have changed by half unnoticed. Nothing else has changed"
+
+
+def _different_input(finding: Finding) -> str:
+    names = join_names(finding.values["constants"]) or "the constants"
+    return (
+        f"the records cannot tell: {names} would differ ({p_statement(finding.values['p'])}), but the model lacks something already in the"
+        " fit, and today's input is another one. Repeat the input of the fit, or find what the model lacks with greybox discover"
+    )
+
+
+def _machine_falls_out(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"{finding.subject} falls out: {v['constant']} is {_with_unit(v['value'], v['unit'])}, and {_with_unit(v['mean'], v['unit'])}"
+        f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; {p_statement(v['p'])})"
+    )
+
+
+def _machines_alike(finding: Finding) -> str:
+    v = finding.values
+    seen = [f"{name} by {spread_text(*spread)}" for name, spread in v["spreads"].items() if spread[0] > 0]
+    differ = f"they differ in {join_names(seen)} (standard deviation)" if seen else "they do not differ visibly"
+    which = "all" if not v["outside"] else "the other"
+    return f"{which} {v['machines']} machines belong together; from one to the next {differ}"
+
+
+def _change_point(finding: Finding) -> str:
+    v = finding.values
+    way = "rises" if v["after"] > v["before"] else "falls"
+    numbered = v["record"].startswith("record ")
+    record = v["record"] if numbered else f"record {v['number']} ({v['record']})"
+    return (
+        f"{finding.subject} {way} with {record} by"
+        f" {_share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {_with_unit(v['before'], '')} to"
+        f" {_with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
+    )
+
+
+def _check_text(meaning: str) -> Callable[[Check], str]:
+    def write(check: Check) -> str:
+        outcome = "passed" if check.passed else "failed"
+        return (
+            f"{meaning.format(subject=check.subject)}: {p_statement(check.value)}, limit {check.limit:.2g}, {outcome}"
+        )
+
+    return write
+
+
+register(
+    {
+        ChangeCode.NOTHING_CHANGED: _nothing_changed,
+        ChangeCode.CONSTANT_MOVED: _constant_moved,
+        ChangeCode.COMBINATION_MOVED: _combination_moved,
+        ChangeCode.EFFECT_APPEARED: _effect_appeared,
+        ChangeCode.NOISE_GREW: _noise_grew,
+        ChangeCode.UNEXPLAINED: _unexplained,
+        ChangeCode.DIFFERENT_INPUT: _different_input,
+        ChangeCode.CANNOT_TELL: _cannot_tell,
+        ChangeCode.FIT_FAILED: (
+            "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
+        ),
+        ChangeCode.CONSTANT_NOT_SEEN: _not_seen,
+        ChangeCode.CONSTANT_AT_BOUND: (
+            "{subject} was stopped by its bound at {value:.4g}: it is not compared; widen its bounds in the model and fit again"
+        ),
+        ChangeCode.MODEL_LACKS_SOMETHING: (
+            "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared;"
+            " greybox discover looks for what the model lacks"
+        ),
+        ChangeCode.SCATTER_ALLOWED: (
+            "the constants scatter from piece to piece of the records by up to {factor:.2g} times what their intervals say"
+            " ({subject}, {degrees} degrees of freedom); the comparison allows for that"
+        ),
+        ChangeCode.SPLIT_FOR_VALIDATION: (
+            "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"
+            " with --validate, is the better judge"
+        ),
+        ChangeCode.SAME_RECORD: "{subject} is one of the records of the fit itself: it is no record of today",
+        ChangeCode.MACHINE_FALLS_OUT: _machine_falls_out,
+        ChangeCode.MACHINE_NOT_FITTED: "{subject} is left out: the model could not be fitted to its records ({status})",
+        ChangeCode.RECORD_NOT_FITTED: lambda f: (
+            f"{record_text(f.subject)} is left out: the model could not be fitted to it ({f.values['status']})"
+        ),
+        ChangeCode.MACHINES_ALIKE: _machines_alike,
+        ChangeCode.CHANGE_POINT: _change_point,
+        ChangeCode.NO_CHANGE_POINT: lambda f: (
+            f"no change point in {count_noun(f.values['records'], 'record')}: what differs between them is chance"
+        ),
+        ChangeRule.CONSTANTS_AS_BEFORE: _check_text("the constants are as before"),
+        ChangeRule.RESIDUAL_AS_LARGE: _check_text("the residual of {subject} is as large as before"),
+        ChangeRule.RESIDUAL_AS_WHITE: _check_text("the residual of {subject} is as white as before"),
+    }
+)
+
+
+@renders("ChangeDetection")
+def write_change_detection(change: ChangeDetection) -> str:
+    """The verdict, the answer, each constant, what a reader should know."""
+    lines = [f"{change.reference.model.title}: {change.verdict}", ""]
+    lines += [f"  {sentence(f)}" for f in change.conclusion]
+    if change.constants:
+        lines += ["", *format_table(CONSTANT_HEAD, [constant_row(n, c) for n, c in change.constants.items()])]
+    if change.population:
+        lines += ["", *format_table(POPULATION_HEAD, population_rows(change))]
+    if change.machines:
+        names = list(change.population)
+        lines += ["", *format_table(machine_head(change), [machine_row(m, names) for m in change.machines])]
+    if change.findings:
+        lines += ["", *(f"{f.severity}: {sentence(f)}" for f in merge_not_seen(change.findings))]
+    return "\n".join(lines)
+
+
+CONSTANT_HEAD = ["parameter", "before", "today", "change", "95 % interval", "p", ""]
+POPULATION_HEAD = ["parameter", "mean", "95 % interval", "from machine to machine"]
+
+
+def constant_row(name: str, change: ConstantChange) -> list[str]:
+    """One constant as cells below `CONSTANT_HEAD`."""
+    difference = change.after - change.before
+    unit = change.unit
+    if change.interval is None:
+        return [name, _with_unit(change.before, unit), "not determined", "", "", "", ""]
+    if not is_determined(change):
+        values = (_with_unit(value, unit) for value in (change.before, change.after))
+        return [name, *values, "not determined", "", p_text(change.p), "changed" if change.moved else ""]
+    width = change.interval[1] - change.interval[0]
+    write = make_formatter(change.before, width / 4)
+    return [
+        name,
+        *(f"{write(value)} {unit}".rstrip() for value in (change.before, change.after)),
+        _signed(difference, change.before, change.unit, width),
+        " to ".join(_signed(e, change.before, change.unit, width) for e in change.interval),
+        p_text(change.p),
+        "changed" if change.moved else "",
+    ]
+
+
+def p_text(p: float | None) -> str:
+    """A p-value with two digits; what lies below 1e-4 is only that."""
+    return "" if p is None else f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
+
+
+def p_statement(p: float | None) -> str:
+    """``p = 0.031``, ``p < 0.0001``."""
+    text = p_text(p)
+    return f"p {text}" if text.startswith("<") else f"p = {text}"
+
+
+def population_rows(change: ChangeDetection) -> list[list[str]]:
+    """Mean, interval and spread of each constant."""
+    return [[name, *_mean_cells(c), spread_text(c.spread, c.unit, c.relative)] for name, c in change.population.items()]
+
+
+def _mean_cells(constant: PopulationConstant) -> tuple[str, str]:
+    """The mean with its unit, and its interval, to as many digits as the interval tells."""
+    write = make_formatter(constant.mean, (constant.interval[1] - constant.interval[0]) / 4)
+    return f"{write(constant.mean)} {constant.unit}".rstrip(), " to ".join(map(write, constant.interval))
+
+
+def spread_text(spread: float, unit: str, relative: bool) -> str:
+    """``2.1 %``, or in the unit; a spread of zero is one that the records do not show."""
+    if not spread:
+        return "not visible"
+    return f"{100 * spread:.2g} %" if relative else _with_unit(spread, unit, 2)
+
+
+def machine_head(change: ChangeDetection) -> list[str]:
+    """What stands above `machine_row`: each constant with its unit."""
+    units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
+    return ["machine", *units, "falls out in"]
+
+
+def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
+    """One machine: each constant with its standard deviation, and where it falls out."""
+    return [
+        machine.name,
+        *(_machine_cell(machine.constants.get(name)) for name in names),
+        ", ".join(machine.outlying) or "",
+    ]
+
+
+def _machine_cell(constant: Mapping[str, Any] | None) -> str:
+    if constant is None or constant["std"] is None:
+        return "open"
+    return format_with_std(constant["value"], constant["std"])
+
+
+def _signed(change: float, before: float, unit: str, width: float) -> str:
+    if not before:
+        return f"{change:+.3g} {unit}".rstrip()
+    return ("+" if change > 0 else "-") + _share_of(change, before, unit, width)

@@ -1,0 +1,282 @@
+"""The gradient of a criterion along every sample of the inputs: states and sensitivities forward, their adjoint backward.
+
+The compiled kernel runs inputs; here the same discrete step, with its sensitivities, is differentiated once more. With
+``X = (x, S)``, ``S = dx/dz``, a sample is ``X' = F(X, u)`` and its outputs ``(y, dy/dz) = O(X, u)``. For a criterion with slopes
+``c`` along them the adjoint ``l = F_X' l' + O_X' c`` gives the slopes ``F_u' l' + O_u' c`` along the inputs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from collections.abc import Mapping
+from functools import cached_property, lru_cache
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from greybox.extensions.design.plant import PlantScenario
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.c_compiler import CompilerError, load_library
+
+# The four loops of an adjoint over all samples of a record, as compiled C, or by CasADi where there is no compiler.
+
+# One row after the other; what CasADi generates is called by its own interface.
+LOOPS = """
+typedef long long whole;
+void run_forward(whole n, whole nX, whole nu, const double* u, const double* c, double* X, whole* iw, double* w) {
+  for (whole k = 0; k < n; ++k) {
+    const double* arg[64] = {X + k * nX, u + k * nu, c};
+    double* res[64] = {X + (k + 1) * nX};
+    forward(arg, res, iw, w, 0);
+  }
+}
+void run_backward(whole n, whole nX, whole nu, const double* X, const double* u, const double* c, const double* added,
+                  double* costate, double* along, whole* iw, double* w) {
+  for (whole k = n - 1; k >= 0; --k) {
+    const double* arg[64] = {costate + (k + 1) * nX, X + k * nX, u + k * nu, c, added + k * nX};
+    double* res[64] = {costate + k * nX, along + k * nu};
+    backward(arg, res, iw, w, 0);
+  }
+}
+void run_outputs(whole n, whole nX, whole nu, whole ny, const double* X, const double* u, const double* d, double* y,
+                 whole* iw, double* w) {
+  for (whole k = 0; k < n; ++k) {
+    const double* arg[64] = {X + k * nX, u + k * nu, d};
+    double* res[64] = {y + k * ny};
+    outputs(arg, res, iw, w, 0);
+  }
+}
+void run_outputs_back(whole n, whole nX, whole nu, whole ny, const double* X, const double* u, const double* d,
+                      const double* b, double* at_x, double* at_u, whole* iw, double* w) {
+  for (whole k = 0; k < n; ++k) {
+    const double* arg[64] = {X + k * nX, u + k * nu, d, b + k * ny};
+    double* res[64] = {at_x + k * nX, at_u + k * nu};
+    outputs_back(arg, res, iw, w, 0);
+  }
+}
+"""
+
+
+class StepDerivatives:
+    """A substep with sensitivities and its adjoint, outputs with sensitivities and theirs, as CasADi functions.
+
+    Parameters
+    ----------
+    step
+        The discrete step.
+    directions
+        Number of sensitivities.
+    """
+
+    def __init__(self, step: Step, directions: int) -> None:
+        nx, nu = step.advance.size1_in(0), step.advance.size1_in(1)
+        nq, np_ = step.advance.size1_in(3), step.outputs.size1_in(2)
+        X = ca.SX.sym("X", nx * (1 + directions))
+        x, S = X[:nx], ca.reshape(X[nx:], nx, directions)
+        u = ca.SX.sym("u", nu)
+        c = ca.SX.sym("c", nq * (1 + directions) + 1)
+        q, dq, h = c[:nq], ca.reshape(c[nq:-1], nq, directions), c[-1]
+        moved = step.advance(x, u, u, q, h)
+        tangent = ca.jtimes(moved, ca.vertcat(x, q), ca.vertcat(S, dq)) if directions else ca.SX(nx, 0)
+        after = ca.vertcat(moved, ca.vec(tangent))
+        self.forward = ca.Function("forward", [X, u, c], [after])
+        costate, added = ca.SX.sym("l", X.numel()), ca.SX.sym("a", X.numel())
+        back = ca.jtimes(after, ca.vertcat(X, u), costate, True)
+        size = X.numel()
+        self.backward = ca.Function("backward", [costate, X, u, c, added], [back[:size] + added, back[size:]])
+        d = ca.SX.sym("d", np_ * (1 + directions))
+        p, dp = d[:np_], ca.reshape(d[np_:], np_, directions)
+        y = step.outputs(x, u, p)
+        slopes = ca.jtimes(y, ca.vertcat(x, p), ca.vertcat(S, dp)) if directions else ca.SX(y.numel(), 0)
+        shown = ca.vertcat(y, ca.vec(slopes))
+        self.outputs = ca.Function("outputs", [X, u, d], [shown])
+        cotangent = ca.SX.sym("b", shown.numel())
+        along = ca.jtimes(shown, ca.vertcat(X, u), cotangent, True)
+        self.outputs_back = ca.Function("outputs_back", [X, u, d, cotangent], [along[:size], along[size:]])
+        self.states, self.inputs, self.shown = size, nu, shown.numel()
+
+    @property
+    def all(self) -> tuple[ca.Function, ...]:
+        """The four functions."""
+        return self.forward, self.backward, self.outputs, self.outputs_back
+
+
+class AdjointLoops(Protocol):
+    """Rows are samples (or substeps); n substeps, N samples; arrays of float64, one row after the other in memory."""
+
+    def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """States with sensitivities (n + 1, nX) from ``start`` (nX,) under inputs (n, nu) with constants ``c``."""
+
+    def backward(self, X: np.ndarray, u: np.ndarray, c: np.ndarray, added: np.ndarray) -> np.ndarray:
+        """Slopes along the inputs (n, nu), given what is ``added`` (n + 1, nX) to the costate at each row of ``X``."""
+
+    def outputs(self, X: np.ndarray, u: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Outputs with sensitivities (N, nY)."""
+
+    def outputs_back(
+        self, X: np.ndarray, u: np.ndarray, d: np.ndarray, along: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes along states with sensitivities (N, nX) and inputs (N, nu), given those along outputs (N, nY)."""
+
+
+class CompiledLoops:
+    """The loops in C. Raises CompilerError where that cannot be made."""
+
+    def __init__(self, functions: StepDerivatives) -> None:
+        self.functions = functions
+        key = " ".join(f.serialize() for f in functions.all)
+        self.library = load_library(lambda: self.source, f"adjoint {LOOPS} {key}")
+        self._iw = np.zeros(max(f.sz_iw() for f in functions.all) + 1, np.int64)
+        self._w = np.zeros(max(f.sz_w() for f in functions.all) + 1)
+
+    @cached_property
+    def source(self) -> str:
+        """The C of the functions and loops."""
+        generator = ca.CodeGenerator("adjoint", {"with_header": False, "casadi_int": "long long"})
+        for function in self.functions.all:
+            generator.add(function)
+        return str(generator.dump()) + LOOPS
+
+    def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.forward`."""
+        X = np.empty((len(u) + 1, self.functions.states))
+        X[0] = start
+        self._call("run_forward", (len(u), self.functions.states, self.functions.inputs), u, c, X)
+        return X
+
+    def backward(self, X: np.ndarray, u: np.ndarray, c: np.ndarray, added: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.backward`."""
+        costate, along = np.zeros_like(added), np.zeros_like(u)
+        costate[-1] = added[-1]
+        sizes = (len(u), self.functions.states, self.functions.inputs)
+        self._call("run_backward", sizes, X, u, c, added, costate, along)
+        return along
+
+    def outputs(self, X: np.ndarray, u: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.outputs`."""
+        y = np.zeros((len(u), self.functions.shown))
+        self._call("run_outputs", self._sizes(u), X, u, d, y)
+        return y
+
+    def outputs_back(
+        self, X: np.ndarray, u: np.ndarray, d: np.ndarray, along: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `AdjointLoops.outputs_back`."""
+        at_x, at_u = np.zeros((len(u), self.functions.states)), np.zeros_like(u)
+        self._call("run_outputs_back", self._sizes(u), X, u, d, along, at_x, at_u)
+        return at_x, at_u
+
+    def _sizes(self, u: np.ndarray) -> tuple[int, ...]:
+        return len(u), self.functions.states, self.functions.inputs, self.functions.shown
+
+    def _call(self, name: str, sizes: tuple[int, ...], *arrays: np.ndarray) -> None:
+        for array in arrays:
+            assert array.flags.c_contiguous and array.dtype == np.float64  # C reads them as they lie
+        addresses = [ctypes.c_void_p(a.ctypes.data) for a in (*arrays, self._iw, self._w)]
+        function = getattr(self.library, name)
+        function.restype = None
+        function(*[ctypes.c_longlong(n) for n in sizes], *addresses)
+
+
+class InterpretedLoops:
+    """The loops as CasADi's maps."""
+
+    def __init__(self, functions: StepDerivatives) -> None:
+        self.functions = functions
+
+    def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.forward`."""
+        run = self.functions.forward.mapaccum(len(u))(start, u.T, np.tile(c[:, None], len(u))).full()
+        return np.ascontiguousarray(np.column_stack([start, run]).T)
+
+    def backward(self, X: np.ndarray, u: np.ndarray, c: np.ndarray, added: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.backward`."""
+        count, backward = len(u), self.functions.backward.mapaccum(len(u))
+        late = X[:-1][::-1].T, u[::-1].T, np.tile(c[:, None], count), added[:-1][::-1].T
+        _, along = backward(added[-1], *late)
+        return along.full().T[::-1]
+
+    def outputs(self, X: np.ndarray, u: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """See `AdjointLoops.outputs`."""
+        return self.functions.outputs.map(len(u))(X.T, u.T, np.tile(d[:, None], len(u))).full().T
+
+    def outputs_back(
+        self, X: np.ndarray, u: np.ndarray, d: np.ndarray, along: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """See `AdjointLoops.outputs_back`."""
+        back = self.functions.outputs_back.map(len(u))
+        at_x, at_u = back(X.T, u.T, np.tile(d[:, None], len(u)), along.T)
+        return at_x.full().T, at_u.full().T
+
+
+@lru_cache(maxsize=64)
+def make_loops(step: Step, directions: int) -> AdjointLoops:
+    """The fastest loops that this machine can make; ``GREYBOX_KERNEL`` decides as for kernels."""
+    functions = StepDerivatives(step, directions)
+    if os.environ.get("GREYBOX_KERNEL") == "interpreted":
+        return InterpretedLoops(functions)
+    try:
+        return CompiledLoops(functions)
+    except CompilerError:  # the kernel has warned of it, with its reason
+        return InterpretedLoops(functions)
+
+
+class SensitivityRun:
+    """A run of one plant over an input with its sensitivities, and what makes a gradient from them.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    inputs
+        By name, each (N,), held over each sampling interval.
+    sensitive
+        Whether it carries sensitivities; without them it is cheaper, and ``slopes`` is empty.
+
+    Attributes
+    ----------
+    outputs, states, slopes
+        As of `greybox.extensions.design.plant.PlantRun`, with zeros in place of NaN.
+    """
+
+    def __init__(self, plant: PlantScenario, inputs: Mapping[str, np.ndarray], sensitive: bool = True) -> None:
+        point, step = plant.point, plant.problem.step
+        self.plant, self.substeps = plant, step.substeps
+        self.nx, self.directions = len(point.x0), point.dx0.shape[1] if sensitive else 0
+        self._loops = make_loops(step, self.directions)
+        self._u = np.ascontiguousarray(np.array([inputs[i.name] for i in plant.model.inputs], float).T)
+        rows = len(self._u)
+        h = float(plant.template.sampling_time or 0.0) / step.substeps
+        self._constants = np.concatenate([point.q[0], point.dq[0][:, : self.directions].ravel(order="F"), [h]])
+        self._parameters = np.concatenate([point.p, point.dp[:, : self.directions].ravel(order="F")])
+        start = np.concatenate([point.x0, point.dx0[:, : self.directions].ravel(order="F")])
+        self._fine_u = np.repeat(self._u[:-1], step.substeps, axis=0)
+        self._fine = self._loops.forward(start, self._fine_u, self._constants)
+        self._samples = np.ascontiguousarray(self._fine[:: step.substeps])
+        y = self._loops.outputs(self._samples, self._u, self._parameters)
+        ny = len(plant.model.outputs)
+        self.outputs, self.states = y[:, :ny], self._samples[:, : self.nx]
+        shown = y[:, ny:].reshape(rows, self.directions, ny).transpose(0, 2, 1)
+        self.slopes = shown * np.where(plant.measured, plant.weight, 0.0)[None, :, None]
+        self.finite = bool(np.isfinite(y).all() and np.isfinite(self._fine).all())
+
+    def gradient(self, outputs: np.ndarray, slopes: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """Slopes (nu, N) along the inputs of a criterion with these slopes along outputs (N, ny), `slopes` (N, ny, L), states (N, nx)."""
+        rows = len(outputs)
+        weight = np.where(self.plant.measured, self.plant.weight, 0.0)
+        along = (slopes * weight[None, :, None]).transpose(0, 2, 1).reshape(rows, -1)
+        cotangent = np.ascontiguousarray(np.hstack([outputs, along]))
+        at_x, result = self._loops.outputs_back(self._samples, self._u, self._parameters, cotangent)
+        at_x[:, : self.nx] += states
+        added = np.zeros_like(self._fine)
+        added[:: self.substeps] = at_x
+        fine = self._loops.backward(self._fine, self._fine_u, self._constants, added)
+        result[:-1] += fine.reshape(rows - 1, self.substeps, -1).sum(axis=1)
+        return result.T
+
+
+def is_differentiable(plant: PlantScenario) -> bool:
+    """Whether the gradient can be had: not of a delayed input, whose step reads the past."""
+    return plant.problem.step.past is None

@@ -1,0 +1,554 @@
+"""A campaign: design, measure, fit, discover, and the next design, until one explanation is left or the budget is spent.
+
+Everything is kept in one folder, a folder in it for each experiment. What is there is not done again, so that a campaign which was
+interrupted anywhere goes on with the same call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.files import hold_file, write_file
+from greybox.base.findings import Finding, Severity
+from greybox.base.json_file import ResultKind, read_json
+from greybox.base.values import Printable
+from greybox.data.experiment import Experiment, Hold
+from greybox.discovery.decision import Verdict
+from greybox.discovery.pipeline import discover
+from greybox.discovery.result import Discovery
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import format_json, to_json_data
+from greybox.extensions.design.design import answer
+from greybox.extensions.design.findings import CampaignCode
+from greybox.extensions.design.policy import CAMPAIGN_POLICY, DESIGN_POLICY, CampaignPolicy, DesignPolicy
+from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.result import Design, save_design
+from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
+from greybox.extensions.design.rivals import fit_explanation, fit_rival
+from greybox.model.effects.catalogue import applicable_effects, effect
+from greybox.model.model import Model
+from greybox.simulation.simulate import read_inputs
+
+FORMAT = 1
+"""Version of ``campaign.json``."""
+
+StepCallback = Callable[[Path, Any], None]
+"""``(path of a page, value)``: called with each design, fit and discovery when it is there."""
+
+
+class CampaignStatus(StrEnum):
+    """How a campaign stands."""
+
+    MEASURING = "measuring"
+    """A record is to be taken."""
+    DONE = "done"
+    """One explanation is left, and its constants are as wanted."""
+    BUDGET_SPENT = "budget_spent"
+    LIMIT_BROKEN = "limit_broken"
+    """The rig passed a limit: somebody has to look before it goes on."""
+
+
+@dataclass(frozen=True)
+class CampaignPlan:
+    """What a campaign is about.
+
+    Parameters
+    ----------
+    model
+        The plain model.
+    limits
+        Signal -> what the rig allows.
+    duration, sampling_time
+        Of each record, in seconds.
+    noise
+        Standard deviation of each sensor, by output.
+    records
+        Records that were taken before.
+    width
+        Half width of each 95 % interval, over the value, that is wanted; None: one explanation is enough.
+    effects
+        Names of the only effects that are tried; all where empty.
+    hold, options
+        What the generator does between samples, and how records are fitted.
+    policy, design_policy
+        The decision numbers.
+    """
+
+    model: Model
+    limits: Mapping[str, SignalLimit]
+    duration: float
+    sampling_time: float
+    noise: Mapping[str, float]
+    records: tuple[Experiment, ...] = ()
+    width: float | None = None
+    effects: tuple[str, ...] = ()
+    hold: Hold = "zero"
+    options: FitOptions = field(default_factory=FitOptions)
+    policy: CampaignPolicy = CAMPAIGN_POLICY
+    design_policy: DesignPolicy = DESIGN_POLICY
+
+    @property
+    def question(self) -> dict[str, Any]:
+        """What may not change while a campaign goes on, as JSON data."""
+        return to_json_data(
+            {
+                "model": self.model.title,
+                "fixed": {q.name: q.value for q in self.model.all_parameters if q.fixed},
+                "limits": self.limits,
+                "duration": self.duration,
+                "sampling_time": self.sampling_time,
+                "noise": self.noise,
+                "records": [record.fingerprint for record in self.records],
+                "effects": self.effects,
+                "hold": self.hold,
+                "at_rest": self.options.at_rest,
+            }
+        )
+
+
+@dataclass(frozen=True)
+class CampaignStep:
+    """One experiment: its goal and the kind of its input; after its record what is known.
+
+    Parameters
+    ----------
+    number
+        Counted from 1.
+    goal, kind
+        What its record is to bring, and what its input is called.
+    verdict
+        Of the discovery after it; empty where there was none yet.
+    effects, alternatives
+        The best explanation after it, and the others that are left.
+    widths
+        Half width of each 95 % interval over the value; infinite where a constant is open.
+    misfit
+        Largest misfit over noise of the best explanation.
+    broken
+        Signal -> measured value beyond its limit.
+    """
+
+    number: int
+    goal: str
+    kind: str
+    verdict: str = ""
+    effects: tuple[str, ...] = ()
+    alternatives: tuple[tuple[str, ...], ...] = ()
+    widths: Mapping[str, float] = field(default_factory=dict)
+    misfit: float = np.nan
+    broken: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Campaign(Printable):
+    """A campaign so far.
+
+    Parameters
+    ----------
+    status
+        How it stands.
+    plan
+        What it is about.
+    folder
+        Where it is kept.
+    steps
+        The experiments.
+    findings
+        What is to be done, or why it ended.
+    """
+
+    status: CampaignStatus
+    plan: CampaignPlan
+    folder: Path
+    steps: tuple[CampaignStep, ...]
+    findings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """What the records so far say: the fit of the plain model, that of the best explanation, and the others that are left."""
+
+    plain: Fit | None = None
+    best: Fit | None = None
+    effects: tuple[str, ...] = ()
+    alternatives: tuple[tuple[str, ...], ...] = ()
+    verdict: str = ""
+
+    @property
+    def widths(self) -> dict[str, float]:
+        """Half width of each interval over the value, infinite where a constant is open."""
+        if self.best is None:
+            return {}
+        deviations = CAMPAIGN_POLICY.interval_deviations
+        return {
+            name: deviations * e.std / abs(e.value) if e.std and e.value else np.inf
+            for name, e in self.best.parameters.items()
+            if not e.fixed
+        }
+
+    @property
+    def misfit(self) -> float:
+        """Largest misfit over noise of the best explanation."""
+        return max((m.noise_ratio for m in self.best.misfit.values()), default=np.nan) if self.best else np.nan
+
+    @property
+    def unexplained(self) -> float:
+        """Largest share of the movement of an output that the best explanation leaves."""
+        if self.best is None:
+            return 0.0
+        shares = []
+        for trace in self.best.traces:
+            for name, measured in trace.measured.items():
+                movement = float(np.nanstd(measured))
+                left = max(float(np.nanstd(trace.residual(name))) - self.best.noise.std.get(name, 0.0), 0.0)
+                shares.append(left / movement if movement else 0.0)
+        return max(shares, default=0.0)
+
+
+def run_campaign(
+    plan: CampaignPlan,
+    folder: str | Path,
+    *,
+    rig: str = "",
+    on_step: StepCallback | None = None,
+    on_message: Callable[[str], None] | None = None,
+    executor: Executor | None = None,
+    workers: int = 0,
+) -> Campaign:
+    """Carry a campaign on as far as it goes.
+
+    Parameters
+    ----------
+    plan
+        What it is about.
+    folder
+        Where it is kept; what is there is not done again.
+    rig
+        A program that plays an input and writes a record, see `greybox.extensions.design.rig.run_rig`; without one the campaign stops at
+        each record that is to be taken.
+    on_step
+        Called with each design, fit and discovery, and where its page belongs.
+    on_message
+        Called with a line when something begins.
+    executor, workers
+        Where the refits of a discovery run; without an executor in as many processes here.
+
+    Returns
+    -------
+    Campaign
+        How it stands; it is kept in ``campaign.json`` as well.
+
+    Raises
+    ------
+    DataError
+        For a folder with another campaign or one that is at work, a rig that fails, and a record of another input.
+    """
+    place = Path(folder)
+    with hold_file(place / "campaign.lock") as held:
+        if held is None:
+            raise DataError(
+                f"{place}: a campaign, or the rig that it started, is at work here; wait until it has ended, or give another folder"
+            )
+        return _carry_on(plan, place, rig, held, on_step, on_message, executor, workers)
+
+
+def _carry_on(
+    plan: CampaignPlan,
+    place: Path,
+    rig: str,
+    held: BinaryIO,
+    on_step: StepCallback | None,
+    on_message: Callable[[str], None] | None,
+    executor: Executor | None,
+    workers: int,
+) -> Campaign:
+    """`run_campaign` in a folder that nobody else works in: the rig holds the file ``held`` as well."""
+    before = _read_steps(plan, place)
+    say, show = on_message or (lambda _: None), on_step or (lambda *_: None)
+    steps: list[CampaignStep] = []
+    records = list(plan.records)
+    knowledge = _learn(plan, records, place / "before", show, executor, workers) if records else Knowledge()
+    for number in range(1, plan.policy.experiments + 1):
+        if records and _is_done(plan, knowledge, steps):
+            return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
+        step_folder = place / f"{number:02d}"
+        goal, kind = _prepare(plan, knowledge, records, step_folder, number, show, say)
+        steps.append(CampaignStep(number, goal, kind))
+        asked = read_inputs(step_folder / "input.csv", plan.model, hold=plan.hold)
+        target = step_folder / "record.csv"
+        if not target.exists():
+            if not rig:
+                finding = Finding(
+                    CampaignCode.MEASURE, subject=str(step_folder / "input.csv"), values={"record": str(target)}
+                )
+                return _save(plan, place, CampaignStatus.MEASURING, steps, finding)
+            _save(plan, place, CampaignStatus.MEASURING, steps, None)
+            say(f"experiment {number}: the rig plays {step_folder / 'input.csv'}")
+            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig, held)
+            fresh = True
+        else:
+            fresh = False
+        record = read_record(target, asked, plan.model, plan.policy.rig)
+        broken = find_broken_limits(record, plan.limits, plan.noise, plan.policy.rig)
+        records.append(record)
+        if broken and fresh:
+            steps[-1] = replace(steps[-1], broken=broken)
+            name, value = next(iter(broken.items()))
+            values = {"value": value, "low": plan.limits[name].low, "high": plan.limits[name].high, "number": number}
+            return _save(
+                plan, place, CampaignStatus.LIMIT_BROKEN, steps,
+                Finding(CampaignCode.LIMIT_BROKEN, Severity.WARNING, name, to_json_data(values)),
+            )  # fmt: skip
+        if number in before and (place / f"{number + 1:02d}" / "input.csv").exists():
+            steps[-1] = before[number]  # the next record is designed: what was learnt from this one is in it
+            continue
+        say(f"experiment {number}: fit and discovery on {len(records)} record{'s' * (len(records) != 1)}")
+        knowledge = _learn(plan, records, step_folder, show, executor, workers)
+        steps[-1] = replace(
+            steps[-1],
+            verdict=knowledge.verdict,
+            effects=knowledge.effects,
+            alternatives=knowledge.alternatives,
+            widths=knowledge.widths,
+            misfit=knowledge.misfit,
+            broken=broken,
+        )
+        _save(plan, place, CampaignStatus.MEASURING, steps, None)
+    if _is_done(plan, knowledge):
+        return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
+    return _save(plan, place, CampaignStatus.BUDGET_SPENT, steps, _ending(CampaignCode.BUDGET_SPENT, knowledge))
+
+
+def campaign_data(campaign: Campaign) -> dict[str, Any]:
+    """A campaign under the keys of ``campaign.json``."""
+    last = campaign.steps[-1] if campaign.steps else CampaignStep(1, "", "")
+    return {
+        "format": FORMAT,
+        "status": campaign.status,
+        "model": campaign.plan.model.title,
+        "experiments": campaign.plan.policy.experiments,
+        "width": campaign.plan.width,
+        "question": campaign.plan.question,
+        "effects": last.effects,
+        "alternatives": last.alternatives,
+        "steps": campaign.steps,
+        "findings": campaign.findings,
+        "notes": list(map(str, campaign.findings)),
+    }
+
+
+def _save(
+    plan: CampaignPlan, place: Path, status: CampaignStatus, steps: Sequence[CampaignStep], finding: Finding | None
+) -> Campaign:
+    campaign = Campaign(status, plan, place, tuple(steps), () if finding is None else (finding,))
+    write_file(place / "campaign.json", format_json(to_json_data(campaign_data(campaign))) + "\n")
+    return campaign
+
+
+def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
+    """The finished steps of a campaign that goes on, by number. Refuses one that asked something else."""
+    path = place / "campaign.json"
+    if not path.exists():
+        return {}
+    data = read_json(path, ResultKind.CAMPAIGN)
+    before = data.get("question") or {}
+    changed = [name for name, value in plan.question.items() if name in before and before[name] != value]
+    if changed:
+        raise DataError(
+            f"{path}: this campaign was begun with another {changed[0].replace('_', ' ')}; repeat its command, or give another folder"
+        )
+    return {step["number"]: _restore_step(step) for step in data["steps"] if step.get("widths")}
+
+
+def _restore_step(data: Mapping[str, Any]) -> CampaignStep:
+    return CampaignStep(
+        data["number"],
+        data["goal"],
+        data.get("kind", ""),
+        data.get("verdict", ""),
+        tuple(data.get("effects", ())),
+        tuple(map(tuple, data.get("alternatives", ()))),
+        {name: np.inf if width is None else float(width) for name, width in data["widths"].items()},
+        float("nan") if data.get("misfit") is None else float(data["misfit"]),
+        dict(data.get("broken", {})),
+    )
+
+
+def _prepare(
+    plan: CampaignPlan,
+    knowledge: Knowledge,
+    records: Sequence[Experiment],
+    place: Path,
+    number: int,
+    show: StepCallback,
+    say: Callable[[str], None],
+) -> tuple[str, str]:
+    """Goal and kind of the designed input of one experiment, which is designed where that was not done yet."""
+    path = place / "design.json"
+    if path.exists() and (place / "input.csv").exists():
+        data = read_json(path, ResultKind.DESIGN)
+        return data["goal"], data.get("kind", "")
+    say(f"experiment {number}: design")
+    result = design_next(plan, knowledge, records)
+    save_design(result, place)
+    show(place / "report.html", result)
+    return str(result.goal), result.kind
+
+
+def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> Design:
+    """The next record of a campaign.
+
+    It is to tell explanations apart while several are left; to show what may hide while no effect is established, though something is
+    missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
+    """
+    policy = plan.policy
+    models: list[Model] = [plan.model if knowledge.best is None else _away_from_bounds(plan, knowledge.best)]
+    if knowledge.plain is not None:
+        for names in knowledge.alternatives[: policy.rivals]:
+            models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
+    hidden = _hidden_effects(plan) if knowledge.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN) else ()
+    goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.DETECTION if hidden else GoalName.PRECISION
+    question = DesignProblem(
+        tuple(models),
+        dict(plan.limits),
+        plan.duration,
+        plan.sampling_time,
+        dict(plan.noise),
+        tuple(records),
+        goal,
+        effects=hidden if goal is GoalName.DETECTION else (),
+        shares=choose_shares(plan, knowledge, records),
+        hold=plan.hold,
+        options=plan.options,
+        policy=plan.design_policy,
+    )
+    return answer(question)
+
+
+def _away_from_bounds(plan: CampaignPlan, best: Fit) -> Model:
+    """The fitted model; a constant that a missing effect drove to its bound is where the user has it.
+
+    At a bound it says nothing of the rig, and may make every prediction stiff (an inductance of next to nothing).
+    """
+    begun = plan.model.values
+    return best.model.start(**{n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun})
+
+
+def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:
+    """The effects that may hide: those that are tried and have a place in the model."""
+    possible = [e.name for e in applicable_effects(plan.model)]
+    return tuple(name for name in possible if not plan.effects or name in plan.effects)
+
+
+def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> dict[str, float]:
+    """Share of the way to each limit that the next record may use.
+
+    Before the first record only a part; afterwards less, the more of the movement the best explanation leaves unexplained; and while it
+    is contradicted (its misfit is above chance) not far beyond where the rig has been.
+    """
+    policy = plan.policy
+    settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED)
+    share = policy.first_share if not records else 1.0 if settled else policy.unproven_share
+    caution = 1 + policy.model_error * knowledge.unexplained
+    share /= caution
+    shares = dict.fromkeys(plan.limits, share)
+    if not knowledge.misfit > policy.contradiction:
+        return shares
+    for name, limit in plan.limits.items():
+        reached = [_reached_share(r.inputs[name], limit, 0.0) for r in records if name in r.inputs]
+        reached += [
+            _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
+        ]
+        if reached:
+            shares[name] = min(share, policy.growth * max(reached) / caution)
+    return shares
+
+
+def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> float:
+    """Share of the way from where it began to its limits that a measured signal went, its noise left out."""
+    known = values[np.isfinite(values)]
+    rest = float(known[0])
+    excursions = ((float(known.max()) - rest, limit.high - rest), (rest - float(known.min()), rest - limit.low))
+    return max(
+        (max(moved - noise, 0.0) / room for moved, room in excursions if np.isfinite(room) and room > 0), default=1.0
+    )
+
+
+def _learn(
+    plan: CampaignPlan,
+    records: Sequence[Experiment],
+    place: Path,
+    show: StepCallback,
+    executor: Executor | None,
+    workers: int,
+) -> Knowledge:
+    """Fit and discovery on the records so far; the last one judges. Refits of a discovery that was interrupted are kept."""
+    plain = fit(plan.model, records, noise=dict(plan.noise), options=plan.options)
+    if not plain.success:
+        raise DataError(
+            f"{plan.model.title}: the fit to {len(records)} record{'s' * (len(records) != 1)} did not end at an optimum; try other start"
+            " values"
+        )
+    if len(records) < 2:
+        plain.save(place / "fit.json")
+        show(place / "fit.html", plain)
+        return Knowledge(plain, plain)
+    discovery = discover(
+        plan.model,
+        records[:-1],
+        validation=records[-1],
+        noise=dict(plan.noise),
+        effects=[effect(name) for name in plan.effects] or None,
+        options=plan.options,
+        journal=place / "journal.jsonl",
+        executor=executor,
+        workers=workers,
+    )
+    discovery.save(place / "discovery.json")
+    show(place / "discovery.html", discovery)
+    names = _explanation(discovery)
+    best = fit_explanation(plain, "+".join(names)) if names else plain
+    best.save(place / "fit.json")
+    show(place / "fit.html", best)
+    alternatives = tuple(tuple(a) for a in discovery.alternatives if tuple(a) != names)
+    return Knowledge(plain, best, names, alternatives, str(discovery.verdict))
+
+
+def _explanation(discovery: Discovery) -> tuple[str, ...]:
+    """The effects to go on with: those of the best model, none where no effect is established."""
+    if discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN):
+        return ()
+    return tuple(e["name"] for e in discovery.effects)
+
+
+def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignStep] | None = None) -> bool:
+    """Whether one explanation is left, and its constants are as wanted.
+
+    The plain model is left when one of the ``steps`` looked for what may hide, too; None: no more records can be taken.
+    """
+    looked = steps is None or any(step.goal == GoalName.DETECTION for step in steps)
+    if knowledge.verdict == Verdict.COMPLETE and not looked and _hidden_effects(plan):
+        return False
+    settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED) and not knowledge.alternatives
+    return settled and (plan.width is None or all(w <= plan.width for w in knowledge.widths.values()))
+
+
+def _ending(code: CampaignCode, knowledge: Knowledge) -> Finding:
+    widest = max(knowledge.widths.values(), default=0.0)
+    values = {
+        "effects": list(knowledge.effects),
+        "alternatives": [list(a) for a in knowledge.alternatives],
+        "verdict": knowledge.verdict,
+        "width": widest if np.isfinite(widest) else None,
+    }
+    return Finding(code, values=values)

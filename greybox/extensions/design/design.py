@@ -1,0 +1,300 @@
+"""`design`: what is known of a plant and what its rig allows in, the next record out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.findings import Finding, Severity
+from greybox.data.experiment import Experiment, Hold
+from greybox.estimation.identifiability.structural import analyse_structural_identifiability
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.extensions.design.alternatives import list_alternatives
+from greybox.extensions.design.findings import DesignCode
+from greybox.extensions.design.goals import (
+    Detection,
+    Discrimination,
+    Goal,
+    HiddenEffect,
+    Precision,
+    closest_pairs,
+    list_hidden_effects,
+    make_detection,
+    make_discrimination,
+    make_precision,
+)
+from greybox.extensions.design.limits import LimitKeeper, fit_into_limits, largest_usage
+from greybox.extensions.design.plant import PlantScenario, list_plants
+from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
+from greybox.extensions.design.problem import CriterionName, DesignProblem, GoalName, SignalLimit, range_of_inputs
+from greybox.extensions.design.result import Design, PredictedConstant, PredictedDetection
+from greybox.extensions.design.rivals import Source, read_source
+from greybox.extensions.design.search import TriedInput, find_bands, flat_multisine, search_inputs
+from greybox.model.model import Model
+
+
+def design(
+    source: Source,
+    *,
+    limits: Mapping[str, SignalLimit | tuple[float, float]] | None = None,
+    duration: float | None = None,
+    sampling_time: float | None = None,
+    goal: str = "precision",
+    criterion: str = "D",
+    constants: Sequence[str] = (),
+    rivals: Sequence[str | Model] = (),
+    plain: Fit | None = None,
+    effects: Sequence[str] = (),
+    noise: Mapping[str, float] | None = None,
+    sensors: Mapping[str, float] | None = None,
+    hold: Hold = "zero",
+    options: FitOptions | None = None,
+    policy: DesignPolicy = DESIGN_POLICY,
+) -> Design:
+    """Design the next record: an input within the limits of the rig that brings most for a goal.
+
+    Every kind of input is tried at the largest amplitude that keeps all limits, under every explanation and for constants drawn from
+    what is known of them; the best ones are then improved sample by sample. The information of the records that were taken counts.
+
+    Parameters
+    ----------
+    source
+        A model (nothing was measured yet), a `Fit`, or a `Discovery`, whose alternatives are rivals.
+    limits
+        Signal (input, output or state) -> ``(low, high)`` or `SignalLimit` with a rate, in the model's units. An input without one
+        gets the range that it had in the records.
+    duration, sampling_time
+        Of the record in seconds; those of the longest earlier record where left out.
+    goal
+        ``precision``: narrow intervals. ``discrimination``: rivals apart. ``detection``: small amounts of effects that may hide.
+    criterion
+        For precision: ``D`` (volume of the confidence region), ``A`` (mean variance), ``E`` (worst combination).
+    constants
+        For precision: those that count; all free ones where empty.
+    rivals
+        For discrimination: effects of the plain model joined by ``+`` (``none``: the plain model), or models.
+    plain
+        The fit of the plain model that ``rivals`` extend, where ``source`` is the fit of another one.
+    effects
+        For detection: effects that may hide; all that have a place where empty.
+    noise
+        Standard deviation of each sensor, by output; those of the fit where left out.
+    sensors
+        Standard deviation of sensors that could be added, by output of the model.
+    hold
+        What the generator does between samples: ``zero`` holds, ``first`` and ``band-limited`` cannot jump.
+    options
+        How records are fitted; ``at_rest`` matters.
+    policy
+        The decision numbers.
+
+    Returns
+    -------
+    Design
+        The input as an experiment, and what it should bring.
+
+    Raises
+    ------
+    DataError, ModelError
+        For limits that cannot be met, a goal that nothing can reach, and a question that lacks something.
+
+    Examples
+    --------
+    >>> plan = design(fit, limits={"u": (-3, 3), "x": (-1e-4, 1e-4)}, duration=1.0)  # doctest: +SKIP
+    >>> plan.predicted["K"].std_after  # doctest: +SKIP
+    0.8
+    """
+    began = time.perf_counter()
+    known = read_source(source, rivals, options, plain)
+    for name, choices in ((goal, GoalName), (criterion, CriterionName)):
+        if name not in list(choices):
+            raise ModelError(f"design: {name!r} is unknown; {nearest(name, list(map(str, choices)))}")
+    given = {n: v if isinstance(v, SignalLimit) else SignalLimit(*v) for n, v in (limits or {}).items()}
+    ranges = range_of_inputs(known.models[0], known.earlier)
+    filled = [
+        n for n in ranges if not np.isfinite([given.get(n, SignalLimit()).low, given.get(n, SignalLimit()).high]).all()
+    ]
+    merged = given | {n: replace(ranges[n], rate=given[n].rate) if n in given else ranges[n] for n in filled}
+    longest = max(known.earlier, key=lambda e: e.duration, default=None)
+    question = DesignProblem(
+        known.models,
+        merged,
+        duration or _length_of(longest),
+        sampling_time or (longest.sampling_time if longest else None) or 0.0,
+        {**known.noise, **(noise or {})},
+        known.earlier,
+        GoalName(goal),
+        CriterionName(criterion),
+        tuple(constants),
+        tuple(effects),
+        dict(sensors or {}),
+        known.inflation,
+        hold=hold,
+        options=known.options,
+        policy=policy,
+    )
+    found_ranges = [Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values=_range(merged[n])) for n in filled]
+    return replace(answer(question, extra=found_ranges), seconds=time.perf_counter() - began)
+
+
+def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
+    """The design that answers a question.
+
+    Parameters
+    ----------
+    question
+        Models, limits, earlier records, goal.
+    extra
+        Findings to put first.
+
+    Returns
+    -------
+    Design
+        As `design` gives it.
+
+    Raises
+    ------
+    DataError, ModelError
+        As `design` does.
+    """
+    began = time.perf_counter()
+    plants, draws = list_plants(question)
+    keeper = LimitKeeper(question, plants, draws)
+    hidden: list[HiddenEffect] = []
+    if question.goal is GoalName.DETECTION:
+        _, bands = find_bands(question)
+        shape = {name: flat_multisine(bands[-1], question.policy.search) for name in question.driven}
+        _, inputs, _ = fit_into_limits(keeper, shape)
+        hidden = list_hidden_effects(question, plants[0], inputs)
+
+    def make_goal(count: int, step: float | None) -> Goal:
+        if question.goal is GoalName.PRECISION:
+            return make_precision(question, count, step)
+        if question.goal is GoalName.DISCRIMINATION:
+            return make_discrimination(question, count, step)
+        return make_detection(question, hidden, count, step)
+
+    tried = search_inputs(question, keeper, make_goal)
+    best = tried[0]
+    if not np.isfinite(best.value):
+        raise DataError(
+            f"{question.model.title}: under every input that keeps the limits the model overflows or brings nothing for"
+            f" {question.goal}; give other limits or another goal"
+        )
+    final = make_goal(question.policy.margin.samples, None)
+    predicted = predict_constants(question, plants[0], best)
+    separation = _separations(question, final, best) if isinstance(final, Discrimination) else {}
+    detection = _detections(hidden, final, best) if isinstance(final, Detection) else {}
+    findings = [*extra, *_findings(question, best, predicted, separation)]
+    experiment = Experiment("designed", question.time, best.inputs, {}, question.hold)
+    return Design(
+        question.goal,
+        question.criterion,
+        question.models,
+        experiment,
+        best.kind,
+        predicted,
+        separation,
+        detection,
+        best.limits,
+        list_alternatives(question, keeper, make_goal, final, tried),
+        tuple(findings),
+        question.policy,
+        time.perf_counter() - began,
+    )
+
+
+def predict_constants(question: DesignProblem, plant: PlantScenario, best: TriedInput) -> dict[str, PredictedConstant]:
+    """Standard deviation of every free constant before and after the record, at the best constants."""
+    spread, n = question.policy.goal.prior_spread, plant.count
+    goal = Precision([plant], np.arange(n), question.criterion, spread)
+    before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
+    after = goal.covariance(0, plant.run(best.inputs))
+    constants = {}
+    for k, name in enumerate(plant.variables.names):
+        variables: DecisionVector = plant.variables
+        size = abs(float(variables.spans[k])) * question.inflation.get(name, 1.0)
+        stds = []
+        for covariance in (before, after):
+            std = np.inf if covariance is None else float(np.sqrt(covariance[k, k]))
+            # As wide as what is known without data: the records say nothing.
+            stds.append(size * std if std < question.policy.goal.undetermined_share * spread else None)
+        constants[name] = PredictedConstant(float(variables.base[k]), stds[0], stds[1], variables.quantities[k].unit)
+    return constants
+
+
+def _separations(question: DesignProblem, goal: Discrimination, best: TriedInput) -> dict[str, float]:
+    runs = [plant.run(best.inputs) for plant in goal.plants]
+    pairs = closest_pairs(goal, goal.separations(runs))
+    titles = [m.title for m in question.models]
+    return {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
+
+
+def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInput) -> dict[str, PredictedDetection]:
+    ratio, result = goal.ratio, {}
+    first = {plant.number: k for k, plant in reversed(list(enumerate(goal.plants)))}
+    for number, each in enumerate(hidden):
+        k = first[number]
+        plant = goal.plants[k]
+        size = ratio * abs(float(plant.variables.spans[goal.positions[k]]))
+        known = plant.earlier.any()
+        before = goal.amplitude_std(k, None) if known else np.inf
+        after = goal.amplitude_std(k, plant.run(best.inputs))
+        largest = 0.1 * goal.prior_spread / np.sqrt(goal.least_prior)
+        amounts = [float(size * s) if s < largest else None for s in (before, after)]
+        result[each.name] = PredictedDetection(each.amplitude, amounts[0], amounts[1], each.unit)
+    return result
+
+
+def _findings(
+    question: DesignProblem,
+    best: TriedInput,
+    predicted: Mapping[str, PredictedConstant],
+    separation: Mapping[str, float],
+) -> Iterator[Finding]:
+    if not question.earlier:
+        spread = question.policy.margin.assumed_spread
+        yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": spread})
+    usage, ruling = largest_usage(best.limits)
+    inputs = {i.name for i in question.model.inputs}
+    if ruling not in inputs and usage > 1 - 5 * question.policy.margin.reserve:
+        yield Finding(DesignCode.LIMIT_RULES, subject=ruling)
+    open_constants = [n for n, c in predicted.items() if c.std_after is None]
+    if open_constants:
+        remedies = _remedies(question)
+        yield Finding(
+            DesignCode.CONSTANT_NOT_DETERMINED,
+            Severity.WARNING,
+            ", ".join(open_constants),
+            {"constants": open_constants, "remedies": remedies},
+        )
+    for pair, cost in separation.items():
+        if cost < question.policy.goal.deciding_cost:
+            limit = question.policy.goal.deciding_cost
+            yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, {"cost": cost, "limit": limit})
+
+
+def _remedies(question: DesignProblem) -> list[str]:
+    """What would part constants that stay in combinations: a sensor, or something that is known."""
+    try:
+        structure = analyse_structural_identifiability(
+            question.model, list(question.noise), at_rest=question.options.at_rest
+        )
+    except DataError:  # a model that overflows wherever it is looked at
+        return []
+    return [str(finding) for finding in structure.recommendations]
+
+
+def _length_of(record: Experiment | None) -> float:
+    """The seconds that an earlier record takes, its last interval included; zero where there is none: the question says what is missing."""
+    return 0.0 if record is None else record.rows * float(np.median(record.intervals))
+
+
+def _range(limit: SignalLimit) -> dict[str, float]:
+    return {"low": limit.low, "high": limit.high}

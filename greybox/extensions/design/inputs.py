@@ -1,0 +1,299 @@
+"""Kinds of inputs as values: each is a shape between -1 and 1 over given times, to be scaled into the range of an input."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from greybox.base.numerics import TINY
+from greybox.data.signals import chirp, prbs
+from greybox.extensions.design.policy import PlayPolicy
+from greybox.extensions.design.problem import DesignProblem, SignalLimit
+
+
+class InputShape(Protocol):
+    """A shape that an input may take."""
+
+    @property
+    def kind(self) -> str:
+        """What people call it."""
+
+    @property
+    def highest(self) -> float:
+        """The frequency in Hz up to which most of its power lies."""
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The shape (N,), between -1 and 1, at uniform times (N,)."""
+
+    def shifted(self, number: int) -> InputShape:
+        """The shape for input ``number`` of several, which must not move together."""
+
+
+@dataclass(frozen=True)
+class Multisine:
+    """Sines of given frequencies in Hz, relative amplitudes and phases (as cosines); its peak is one."""
+
+    frequencies: tuple[float, ...]
+    amplitudes: tuple[float, ...]
+    phases: tuple[float, ...]
+    kind: str = "multisine"
+
+    @property
+    def highest(self) -> float:
+        """Below it lie 95 % of the power."""
+        power = np.cumsum(np.square(self.amplitudes))
+        return self.frequencies[int(np.searchsorted(power, 0.95 * power[-1]))]
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The sum over time."""
+        total = np.zeros(len(time))
+        for f, a, phase in zip(self.frequencies, self.amplitudes, self.phases, strict=True):
+            total += a * np.cos(2 * np.pi * f * (time - time[0]) + phase)
+        return total / max(float(np.abs(total).max()), TINY)
+
+    def shifted(self, number: int) -> Multisine:
+        """The same spectrum with other phases."""
+        turn = [p + 2 * np.pi * ((number * (k + 1) * 0.618) % 1) for k, p in enumerate(self.phases)]
+        return replace(self, phases=tuple(turn)) if number else self
+
+
+@dataclass(frozen=True)
+class Chirp:
+    """A sine that sweeps from ``low`` to ``high`` Hz."""
+
+    low: float
+    high: float
+    kind: str = "chirp"
+
+    @property
+    def highest(self) -> float:
+        """Its last frequency."""
+        return self.high
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The sweep."""
+        return chirp(time, self.low, self.high, 1.0)
+
+    def shifted(self, number: int) -> Chirp:
+        """Swept downwards for every other input."""
+        return replace(self, low=self.high, high=self.low) if number % 2 else self
+
+
+@dataclass(frozen=True)
+class Prbs:
+    """Two levels that alternate like a coin, each kept for ``hold`` seconds at least."""
+
+    hold: float
+    order: int
+    kind: str = "PRBS"
+
+    @property
+    def highest(self) -> float:
+        """A third of the clock frequency, up to which its spectrum is flat."""
+        return 1 / (3 * self.hold)
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The sequence."""
+        return prbs(time, self.order, hold=max(1, round(self.hold / (time[1] - time[0]))))
+
+    def shifted(self, number: int) -> Prbs:
+        """Another clock: sequences of one clock would be delayed copies."""
+        return replace(self, hold=self.hold * (1 + 0.37 * number))
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Random levels between -1 and 1, each kept for an equal time."""
+
+    levels: tuple[float, ...]
+    duration: float
+    kind: str = "steps"
+
+    @property
+    def highest(self) -> float:
+        """A third of the frequency of the steps."""
+        return len(self.levels) / (3 * self.duration)
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The levels over time; beyond their duration they begin anew."""
+        number = np.floor((time - time[0]) / self.duration * len(self.levels) + 1e-9).astype(int)
+        return np.array(self.levels)[number % len(self.levels)]
+
+    def shifted(self, number: int) -> Steps:
+        """The same levels in another order."""
+        return replace(self, levels=tuple(np.roll(self.levels[:: (-1) ** number], 3 * number)))
+
+
+@dataclass(frozen=True)
+class PiecewiseConstant:
+    """Levels between -1 and 1 that were chosen one by one, each kept for ``hold`` seconds; repeated where the record is longer."""
+
+    levels: tuple[float, ...]
+    hold: float
+    kind: str = "piecewise constant"
+
+    @property
+    def highest(self) -> float:
+        """Half the frequency of its levels."""
+        return 0.5 / self.hold
+
+    def sample(self, time: np.ndarray) -> np.ndarray:
+        """The levels over time."""
+        number = np.floor((time - time[0]) / self.hold + 1e-6).astype(int)
+        return np.array(self.levels)[number % len(self.levels)]
+
+    def shifted(self, number: int) -> PiecewiseConstant:
+        """Itself: each input has levels of its own."""
+        return self
+
+
+def staircase(levels: int, duration: float) -> Steps:
+    """Steps up to one, down to minus one and back, ``levels`` of them on each way."""
+    up = np.linspace(0, 1, levels)
+    way = np.concatenate([up, up[-2::-1], -up[1:], -up[-2::-1]])
+    return Steps(tuple(way.tolist()), duration, "staircase")
+
+
+def crest_factor(signal: np.ndarray) -> float:
+    """Peak over rms of a signal (N,).
+
+    Parameters
+    ----------
+    signal
+        The signal, without its mean.
+
+    Returns
+    -------
+    float
+        At least one; 1.41 for a sine.
+    """
+    return float(np.abs(signal).max() / max(np.sqrt(np.mean(np.square(signal))), TINY))
+
+
+def compress_multisine(
+    harmonics: Sequence[int], amplitudes: Sequence[float], iterations: int, seed: int = 0
+) -> np.ndarray:
+    """Phases of a multisine whose peak is low over its rms: the p-norm of one period is minimised for growing p.
+
+    Guillaume, Schoukens, Pintelon and Kollar (1991) proposed that way to the maximum norm, with Gauss-Newton steps; here the p-norm's
+    logarithm is minimised by L-BFGS from Schroeder's phases and from the best of some random ones.
+
+    Parameters
+    ----------
+    harmonics
+        Whole multiples of the base frequency.
+    amplitudes
+        Amplitude of each.
+    iterations
+        Steps at each p.
+    seed
+        Of the random phases.
+
+    Returns
+    -------
+    array (K,)
+        Phases in rad, of cosines.
+    """
+    from scipy.optimize import minimize
+
+    k, a = np.asarray(harmonics, int), np.asarray(amplitudes, float)
+    n = 16 * (int(k.max()) + 1)
+    time = np.arange(n) / n
+    basis = np.exp(2j * np.pi * np.outer(k, time))
+    rms = np.sqrt(np.sum(a**2) / 2)
+
+    def norm(phase: np.ndarray, power: float) -> tuple[float, np.ndarray]:
+        waves = (a * np.exp(1j * phase))[:, None] * basis
+        signal = waves.real.sum(axis=0) / rms
+        top = np.abs(signal).max()
+        ratio = np.abs(signal) / top
+        total = np.mean(ratio**power)
+        slope = ratio ** (power - 1) * np.sign(signal) / (n * total * top)
+        return float(np.log(top) + np.log(total) / power), -(waves.imag / rms) @ slope
+
+    def peak(phase: np.ndarray) -> float:
+        return float(np.abs(((a * np.exp(1j * phase))[:, None] * basis).real.sum(axis=0)).max() / rms)
+
+    generator = np.random.default_rng(seed)
+    power_share = np.concatenate([[0.0], np.cumsum(a**2)[:-1]]) / np.sum(a**2)
+    starts = [-2 * np.pi * np.cumsum(np.concatenate([[0.0], power_share[1:]]) * np.diff(k, prepend=k[0]))]
+    starts += [generator.uniform(0, 2 * np.pi, len(k)) for _ in range(3)]
+    best = min(starts, key=peak)
+    for start in starts:
+        phase = start
+        for power in (4, 8, 16, 32, 64, 128, 256):
+            phase = minimize(
+                norm, phase, args=(float(power),), jac=True, method="L-BFGS-B", options={"maxiter": iterations // 8 + 1}
+            ).x
+        best = min(best, phase, key=peak)
+    return best
+
+
+# From a shape to what a generator plays: within the range, no faster than allowed, from rest to rest.
+
+
+def play(
+    question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float, time: np.ndarray | None = None
+) -> dict[str, np.ndarray]:
+    """All inputs (N,) of the model: those that may move follow their shape, the others rest.
+
+    Parameters
+    ----------
+    question
+        Gives ranges, rates and the hold of the generator.
+    shapes
+        By input.
+    amplitude
+        Share of the way from rest to the ends of the range, 0 to 1.
+    time
+        Other times than the question's.
+    """
+    t = question.time if time is None else time
+    inputs = {}
+    for i in question.model.inputs:
+        limit, rest = question.limits[i.name], question.rest(i.name)
+        if i.name not in shapes:
+            inputs[i.name] = np.full(len(t), rest)
+            continue
+        middle, half = (limit.low + limit.high) / 2, (limit.high - limit.low) / 2
+        deviation = middle + half * shapes[i.name].sample(t) - rest
+        if question.hold != "zero":
+            deviation = smooth(deviation, question.policy.play.smoothing)
+        u = rest + amplitude * envelope(len(t), question.policy.play) * deviation
+        inputs[i.name] = limit_rate(u, rest, limit, float(t[1] - t[0]))
+    return inputs
+
+
+def envelope(rows: int, policy: PlayPolicy) -> np.ndarray:
+    """What an input is multiplied with (N,): it rises softly from zero, and is back at zero before the end."""
+    ramp, rest = round(policy.soft_start * rows), round(policy.rest_share * rows)
+    rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(ramp) / max(ramp, 1))
+    shape = np.ones(rows)
+    shape[:ramp] = rise
+    shape[rows - rest - ramp : rows - rest] = rise[::-1]
+    shape[rows - rest :] = 0.0
+    return shape
+
+
+def smooth(values: np.ndarray, length: int) -> np.ndarray:
+    """Values (N,) averaged with weights that fall off to both sides over ``length`` samples; zero beyond the ends."""
+    weights = np.hanning(length + 2)[1:-1]
+    return np.convolve(values, weights / weights.sum(), mode="same")
+
+
+def limit_rate(u: np.ndarray, rest: float, limit: SignalLimit, step: float) -> np.ndarray:
+    """``u`` (N,) made no faster than the rate of its limit, from rest and back to rest."""
+    if not math.isfinite(limit.rate):
+        return u
+    most = limit.rate * step
+    for _ in range(2):  # forward and backward in time: the second pass keeps what the first one made
+        u = u.copy()
+        previous = rest
+        for k in range(len(u)):
+            previous = u[k] = min(max(u[k], previous - most), previous + most)
+        u = u[::-1]
+    return u

@@ -1,0 +1,237 @@
+"""What a design is asked: models, what is uncertain in them, records already taken, and what the rig allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.values import ReadOnly
+from greybox.data.experiment import Experiment, Hold
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
+from greybox.estimation.options import FitOptions
+from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
+from greybox.model.model import Model
+from greybox.simulation.simulate import declared_initial_state
+
+
+class GoalName(StrEnum):
+    """What a record is to bring."""
+
+    PRECISION = "precision"
+    """Narrow intervals of the constants."""
+    DISCRIMINATION = "discrimination"
+    """Which of several explanations is right."""
+    DETECTION = "detection"
+    """Effects that may still hide."""
+
+
+class CriterionName(StrEnum):
+    """What of the covariance is made small, for precision."""
+
+    D = "D"
+    """The volume of the confidence region."""
+    A = "A"
+    """The mean variance."""
+    E = "E"
+    """The variance of the worst combination."""
+
+
+@dataclass(frozen=True)
+class SignalLimit:
+    """What a rig allows of one signal, in the model's unit.
+
+    Parameters
+    ----------
+    low, high
+        Between which it must stay.
+    rate
+        Largest change in a second, of an input.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high:
+            raise DataError(f"a limit from {self.low:g} to {self.high:g}: the low end must not lie above the high end")
+        if not self.rate > 0:
+            raise DataError(f"a rate of {self.rate:g} per second: give a number above 0")
+
+
+@dataclass(frozen=True)
+class DesignProblem(ReadOnly):
+    """The question of a design, read-only throughout.
+
+    Parameters
+    ----------
+    models
+        The explanations in the running, each with its fitted values; the first is the best one.
+    limits
+        Signal (input, output or state) -> what the rig allows. Every input that is to move needs a range.
+    duration, sampling_time
+        Of the record, in seconds.
+    noise
+        Standard deviation of each sensor that is installed, by output.
+    earlier
+        Records that were taken already: their information is added.
+    goal, criterion
+        What the record is to bring.
+    constants
+        For precision: those whose intervals count; all free ones where empty.
+    effects
+        For detection: names of the effects that may hide.
+    sensors
+        Standard deviation of sensors that could be added, by output of the model.
+    inflation
+        Constant -> how many times wider its interval is than white noise would make it, as a fit to the earlier records found.
+    shares
+        Signal -> share of the way from rest to its limit that this record may use; all of it where left out.
+    hold
+        What the generator does between samples.
+    options
+        How records are fitted, for instance ``at_rest``.
+    policy
+        The decision numbers.
+
+    Raises
+    ------
+    DataError, ModelError
+        For a question that cannot be answered, with what is missing.
+    """
+
+    models: tuple[Model, ...]
+    limits: Mapping[str, SignalLimit]
+    duration: float
+    sampling_time: float
+    noise: Mapping[str, float]
+    earlier: tuple[Experiment, ...] = ()
+    goal: GoalName = GoalName.PRECISION
+    criterion: CriterionName = CriterionName.D
+    constants: tuple[str, ...] = ()
+    effects: tuple[str, ...] = ()
+    sensors: Mapping[str, float] = field(default_factory=dict)
+    inflation: Mapping[str, float] = field(default_factory=dict)
+    shares: Mapping[str, float] = field(default_factory=dict)
+    hold: Hold = "zero"
+    options: FitOptions = field(default_factory=FitOptions)
+    policy: DesignPolicy = DESIGN_POLICY
+
+    def __post_init__(self) -> None:
+        _check(self)
+        super().__post_init__()
+
+    @property
+    def model(self) -> Model:
+        """The best explanation."""
+        return self.models[0]
+
+    @property
+    def rows(self) -> int:
+        """Samples of the record."""
+        return round(self.duration / self.sampling_time)
+
+    @property
+    def time(self) -> np.ndarray:
+        """Times (N,) of the record."""
+        return self.sampling_time * np.arange(self.rows)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """The inputs that may move."""
+        return tuple(i.name for i in self.model.inputs if self.limits[i.name].low < self.limits[i.name].high)
+
+    def share(self, name: str) -> float:
+        """Share of the way to the limit of a signal that may be used."""
+        return self.shares.get(name, 1.0)
+
+    def rest(self, name: str) -> float:
+        """Where an input is at rest: zero, or the end of its range next to it."""
+        limit = self.limits[name]
+        return min(max(0.0, limit.low), limit.high)
+
+    def noise_model(self, more: Mapping[str, float] | None = None) -> NoiseModel:
+        """White noise of the sensors, and of ``more`` of them."""
+        std = {**self.noise, **(more or {})}
+        names = tuple(o.name for o in self.model.outputs)
+        levels = np.array([std.get(name, np.nan) for name in names])
+        sources = dict.fromkeys(std, NoiseSource.GIVEN)
+        return NoiseModel(names, levels, sources, tuple(AutoRegression() for _ in names), True)
+
+
+def range_of_inputs(model: Model, earlier: Sequence[Experiment]) -> dict[str, SignalLimit]:
+    """The range of each input over the records that were taken: what the rig is known to stand."""
+    ranges = {}
+    for i in model.inputs:
+        values = [e.inputs[i.name] for e in earlier if i.name in e.inputs]
+        if values:
+            ranges[i.name] = SignalLimit(
+                min(float(v.min()) for v in values), max(float(v.max()) for v in values), math.inf
+            )
+    return ranges
+
+
+def _check(problem: DesignProblem) -> None:
+    model, policy = problem.model, problem.policy
+    inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
+    states = [s.name for s in model.all_states]
+    if not inputs:
+        raise ModelError(f"{model.title}: the model has no input; there is nothing to design")
+    for name in problem.limits:
+        if name not in (*inputs, *outputs, *states):
+            raise ModelError(
+                f"limit of {name!r}: no such signal in {model.title}; {nearest(name, [*inputs, *outputs, *states])}"
+            )
+        if name not in inputs and math.isfinite(problem.limits[name].rate):
+            raise ModelError(
+                f"rate of {name!r}: only an input has a rate that can be kept; give --limit {name}=LOW:HIGH"
+            )
+    for name in inputs:
+        limit = problem.limits.get(name, SignalLimit())
+        if not (math.isfinite(limit.low) and math.isfinite(limit.high)):
+            raise DataError(f"input {name!r} has no limits; give both, as in --limit {name}=-1:1")
+    if not problem.driven:
+        raise DataError("no input may move: each limit has one value only; give one input a range")
+    if not (problem.sampling_time > 0 and math.isfinite(problem.duration)):
+        raise DataError("a design needs a duration and a sampling time, both above 0 seconds")
+    if not policy.least_rows <= problem.rows <= policy.most_rows:
+        raise DataError(
+            f"{problem.duration:g} s every {problem.sampling_time:g} s are {problem.rows} rows; give"
+            f" {policy.least_rows} to {policy.most_rows}"
+        )
+    for group, what in ((problem.noise, "noise"), (problem.sensors, "sensor")):
+        for name, std in group.items():
+            if name not in outputs:
+                raise ModelError(f"{what} of {name!r}: {model.title} has no such output; {nearest(name, outputs)}")
+            if not (math.isfinite(std) and std > 0):
+                raise DataError(f"{what} of {name!r}: {std:g} is no standard deviation; give a number above 0")
+    if not problem.noise:
+        raise DataError(
+            f"the noise of no output is known; give the standard deviation of each sensor, as in --noise {outputs[0]}=1e-3"
+        )
+    if not any(not q.fixed for q in model.all_parameters):
+        raise ModelError(f"{model.title}: every constant is fixed; free what is to be determined")
+    free = [q.name for q in model.free_parameters]
+    for name in problem.constants:
+        if name not in free:
+            raise ModelError(f"constant {name!r}: not among the free ones of {model.title}; {nearest(name, free)}")
+    if problem.goal is GoalName.DISCRIMINATION and len(problem.models) < 2:
+        raise DataError("discrimination needs two explanations or more; name rivals, as in --rival coulomb_friction")
+    for other in problem.models[1:]:
+        if [i.name for i in other.inputs] != inputs or [o.name for o in other.outputs] != outputs:
+            raise ModelError(f"{other.title} has other inputs or outputs than {model.title}; rivals describe one rig")
+    _check_rest(problem, dict(zip(states, declared_initial_state(model), strict=True)))
+
+
+def _check_rest(problem: DesignProblem, start: Mapping[str, float]) -> None:
+    for name, limit in problem.limits.items():
+        value = start.get(name)
+        if value is not None and not limit.low <= value <= limit.high:
+            raise DataError(
+                f"limit of {name!r}: the plant starts at {value:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
+            )

@@ -1,0 +1,289 @@
+"""An input improved sample by sample: L-BFGS-B within the range of each input, every other limit by an augmented Lagrangian.
+
+The limits are those that the finished input is judged by: the middle of the runs at the best and at drawn constants, with the
+spread between them, at every sample. A limit ``g <= 0`` of a sample with multiplier ``l`` adds ``(max(0, l + r g)^2 - l^2) / (2 r)`` to the
+cost, and ``l`` becomes ``max(0, l + r g)`` after each round (Rockafellar 1974; Nocedal and Wright 2006, section 17.4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from greybox.base.numerics import TINY
+from greybox.extensions.design.adjoint import SensitivityRun
+from greybox.extensions.design.goals import Goal, GoalMaker
+from greybox.extensions.design.inputs import InputShape, PiecewiseConstant, envelope, play, smooth
+from greybox.extensions.design.limits import LimitKeeper
+from greybox.extensions.design.plant import PlantScenario, list_plants
+from greybox.extensions.design.policy import InputSearchPolicy
+from greybox.extensions.design.problem import DesignProblem
+
+
+@dataclass(frozen=True)
+class DesignGrid:
+    """The samples that are refined: ``rows`` of them, each held for ``hold`` samples of the record, all of it ``repeats`` times."""
+
+    rows: int
+    hold: int
+    repeats: float
+
+    @property
+    def scale(self) -> float:
+        """How many times the information of one pass over the grid the record brings."""
+        return self.hold * self.repeats
+
+
+def choose_grid(question: DesignProblem, highest: float) -> DesignGrid:
+    """The grid for an input with frequencies up to ``highest`` in Hz."""
+    policy = question.policy
+    hold = max(1, int(1 / (policy.search.points_per_period * highest * question.sampling_time)))
+    hold = min(hold, max(1, question.rows // policy.least_rows))
+    rows = min(policy.search.most_rows, question.rows // hold)
+    return DesignGrid(rows, hold, question.rows / (rows * hold))
+
+
+def refine(
+    question: DesignProblem,
+    keeper: LimitKeeper,
+    make_goal: GoalMaker,
+    shapes: Mapping[str, InputShape],
+    inputs: Mapping[str, np.ndarray],
+) -> list[dict[str, InputShape]]:
+    """``shapes``, which give ``inputs`` (N,), improved level by level.
+
+    One shape for each round: the first ones may pass limits, to which they are scaled down afterwards.
+    """
+    from scipy.optimize import minimize
+
+    policy = question.policy.search
+    grid = choose_grid(question, max(shape.highest for shape in shapes.values()))
+    step = grid.hold * question.sampling_time
+    small = replace(question, duration=grid.rows * step, sampling_time=step)
+    goal = make_goal(policy.refined_scenarios, step)
+    plants, draws = list_plants(small) if keeper.needs_runs else ([], [])
+    groups = [(plant, *drawn) for plant, drawn in zip(plants, draws, strict=True)]
+    program = InputRefinement(small, goal, groups, grid.scale)
+    iterations = program.affordable_iterations(policy)
+    levels = program.read_levels(inputs, grid)
+    refined: list[dict[str, InputShape]] = []
+    for _ in range(1 if program.is_free else policy.rounds):
+        result = minimize(
+            program,
+            levels.ravel(),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=program.bounds,
+            options={"maxiter": iterations * (policy.rounds if program.is_free else 1)},
+        )
+        levels = result.x.reshape(levels.shape)
+        refined.append(program.to_shapes(levels, grid))
+        if not program.is_free:
+            predictions = keeper.predict(play(question, refined[-1], 1.0))
+            others = {n: p for n, p in predictions.items() if n not in program.order}
+            program.end_round(levels, keeper.load(others)[0] if others else 0.0)
+    return refined
+
+
+@dataclass(frozen=True)
+class SampledLimit:
+    """One limit over all samples: ``values`` (n,) are to be at most zero; ``slopes`` are those along each run's signal, or the input."""
+
+    key: tuple[str, ...]
+    values: np.ndarray
+    slopes: Sequence[np.ndarray]
+
+
+class InputRefinement:
+    """The cost of a refinement and its gradient, as a function of the levels (inputs x rows) between -1 and 1.
+
+    Parameters
+    ----------
+    question
+        On the grid that is refined.
+    goal
+        What is to be made large.
+    groups
+        For each explanation the plants whose runs show states and outputs that are limited; empty where only inputs are.
+    scale
+        How many times the information of the grid counts.
+    """
+
+    def __init__(
+        self, question: DesignProblem, goal: Goal, groups: Sequence[Sequence[PlantScenario]], scale: float
+    ) -> None:
+        self.question, self.goal, self.groups, self.scale = question, goal, groups, scale
+        self.names, self.order = question.driven, [i.name for i in question.model.inputs]
+        self.tightness, self.weight = 1.0, question.policy.search.violation_weight
+        self.multipliers: dict[tuple[str, ...], np.ndarray] = {}
+        self.envelope = envelope(question.rows, question.policy.play)
+        self.smooths = question.hold != "zero"
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no limit but the ranges of the inputs can be violated on the way."""
+        return not self.groups and not any(np.isfinite(self.question.limits[n].rate) for n in self.names)
+
+    @property
+    def bounds(self) -> list[tuple[float, float]]:
+        """Lowest and highest value of each level: the range of its input, or the share of it that may be used."""
+        ends = []
+        for name in self.names:
+            limit, rest, share = self.question.limits[name], self.question.rest(name), self.question.share(name)
+            middle, half = (limit.high + limit.low) / 2, (limit.high - limit.low) / 2
+            low, high = ((rest + share * (end - rest) - middle) / half for end in (limit.low, limit.high))
+            ends += [(max(low, -1.0), min(high, 1.0))] * self.question.rows
+        return ends
+
+    def affordable_iterations(self, policy: InputSearchPolicy) -> int:
+        """Iterations of a round: fewer where one takes long, so that a design takes about as long for every model."""
+        work = 0.0
+        for plant in self.goal.plants:
+            size = len(plant.model.all_states) * (1 + plant.variables.size)
+            work += self.question.rows * plant.problem.step.substeps * size
+        for plant in (p for group in self.groups for p in group):
+            work += self.question.rows * plant.problem.step.substeps * len(plant.model.all_states)
+        return int(np.clip(policy.work / work, policy.least_iterations, policy.iterations))
+
+    def read_levels(self, inputs: Mapping[str, np.ndarray], grid: DesignGrid) -> np.ndarray:
+        """The levels (inputs, rows) of an input that was tried."""
+        rows = len(next(iter(inputs.values())))
+        rising = np.maximum(envelope(rows, self.question.policy.play), 0.1)
+        levels = []
+        for name in self.names:
+            limit, rest = self.question.limits[name], self.question.rest(name)
+            inside = rest + (inputs[name] - rest) / rising
+            level = (inside - (limit.high + limit.low) / 2) / ((limit.high - limit.low) / 2)
+            levels.append(level[:: grid.hold][: grid.rows])
+        return np.clip(np.array(levels), -1.0, 1.0)
+
+    def to_shapes(self, levels: np.ndarray, grid: DesignGrid) -> dict[str, InputShape]:
+        """The levels as shapes; where the record repeats them, each pass begins and ends at rest."""
+        inputs = self.inputs(levels.ravel())
+        shapes: dict[str, InputShape] = {}
+        for k, name in enumerate(self.names):
+            limit = self.question.limits[name]
+            middle, half = (limit.high + limit.low) / 2, (limit.high - limit.low) / 2
+            chosen = (inputs[name] - middle) / half if grid.repeats > 1.5 else levels[k]
+            shapes[name] = PiecewiseConstant(tuple(chosen.tolist()), self.question.sampling_time)
+        return shapes
+
+    def inputs(self, v: np.ndarray) -> dict[str, np.ndarray]:
+        """All inputs at these levels."""
+        levels = v.reshape(len(self.names), -1)
+        result = {i.name: np.full(self.question.rows, self.question.rest(i.name)) for i in self.question.model.inputs}
+        for k, name in enumerate(self.names):
+            limit, rest = self.question.limits[name], self.question.rest(name)
+            deviation = (limit.low + limit.high) / 2 + (limit.high - limit.low) / 2 * levels[k] - rest
+            result[name] = rest + self.envelope * self._smoothed(deviation)
+        return result
+
+    def end_round(self, levels: np.ndarray, load: float) -> None:
+        """Move the multipliers; take in how much wider than these runs the whole record is predicted: ``load`` of what it may use."""
+        inputs = self.inputs(levels.ravel())
+        constraints = [c for name in self.names for c in self._rates(name, inputs[name])]
+        loads = [0.0]
+        for group in self.groups:
+            ranges = list(self._ranges(self._runs(group, inputs)))
+            loads += [float(c.values.max() + 1) / self.tightness for c in ranges]
+            constraints += ranges
+        for c in constraints:
+            pushed = np.maximum(self.multipliers.get(c.key, 0.0) + self.weight * c.values, 0.0)
+            if np.isfinite(pushed).all():
+                self.multipliers[c.key] = pushed
+        self.weight *= self.question.policy.search.violation_growth
+        if np.isfinite(load) and np.isfinite(max(loads)) and max(loads) > 0:
+            self.tightness = max(1.0, load / max(loads))
+
+    def __call__(self, v: np.ndarray) -> tuple[float, np.ndarray]:
+        """Cost and gradient."""
+        inputs = self.inputs(v)
+        along = np.zeros((len(self.order), self.question.rows))
+        runs = [SensitivityRun(plant, inputs) for plant in self.goal.plants]
+        value = self.goal.value(runs, self.scale)
+        if not np.isfinite(value):
+            return 1e6, np.zeros_like(v)
+        cost = -value
+        for run, (outputs, slopes) in zip(runs, self.goal.slopes(runs, self.scale), strict=True):
+            along -= run.gradient(outputs, slopes, np.zeros(run.states.shape))
+        for name in self.names:
+            for constraint in self._rates(name, inputs[name]):
+                penalty, push = self._penalise(constraint)
+                cost += penalty
+                slope = push * constraint.slopes[0]
+                along[self.order.index(name), 1:] += slope
+                along[self.order.index(name), :-1] -= slope
+        for group in self.groups:
+            watched = self._runs(group, inputs)
+            if not all(run.finite for run in watched):
+                return 1e6, np.zeros_like(v)
+            pushes = [(np.zeros(run.outputs.shape), np.zeros(run.states.shape)) for run in watched]
+            active = False
+            for constraint in self._ranges(watched):
+                penalty, push = self._penalise(constraint)
+                cost += penalty
+                if not push.any():
+                    continue
+                active, kind, j = True, constraint.key[1] == "state", int(constraint.key[2])
+                for both, slope in zip(pushes, constraint.slopes, strict=True):
+                    both[kind][:, j] += push * slope
+            if active:
+                for run, (outputs, states) in zip(watched, pushes, strict=True):
+                    along += run.gradient(outputs, np.zeros(run.slopes.shape), states)
+        gradient = []
+        for name in self.names:
+            limit = self.question.limits[name]
+            gradient.append(
+                (limit.high - limit.low) / 2 * self._smoothed(self.envelope * along[self.order.index(name)])
+            )
+        return float(cost), np.array(gradient).ravel()
+
+    def _runs(self, group: Sequence[PlantScenario], inputs: Mapping[str, np.ndarray]) -> list[SensitivityRun]:
+        return [SensitivityRun(plant, inputs, sensitive=False) for plant in group]
+
+    def _smoothed(self, values: np.ndarray) -> np.ndarray:
+        return smooth(values, self.question.policy.play.smoothing) if self.smooths else values
+
+    def _penalise(self, constraint: SampledLimit) -> tuple[float, np.ndarray]:
+        """What a limit adds to the cost, and the slopes (n,) of that along its values."""
+        before = self.multipliers.get(constraint.key, 0.0)
+        push = np.maximum(before + self.weight * constraint.values, 0.0)
+        count = len(constraint.values)
+        return float(np.sum(push**2 - np.square(before))) / (2 * self.weight * count), push / count
+
+    def _rates(self, name: str, u: np.ndarray) -> Iterator[SampledLimit]:
+        """The rate of an input, both ways."""
+        limit = self.question.limits[name]
+        most = limit.rate * self.question.sampling_time * self.question.share(name)
+        if np.isfinite(most):
+            for sign, way in ((1.0, "up"), (-1.0, "down")):
+                slope = np.full(len(u) - 1, sign / most)
+                yield SampledLimit(("rate", name, way), sign * np.diff(u) / most - 1, [slope])
+
+    def _ranges(self, runs: Sequence[SensitivityRun]) -> Iterator[SampledLimit]:
+        """Each limited output and state of an explanation, both ends: the middle of its runs with their spread, over the room."""
+        plant, inputs = runs[0].plant, set(self.order)
+        outputs, states = [o.name for o in plant.model.outputs], [s.name for s in plant.model.all_states]
+        margin = self.question.policy.margin
+        for name, limit in self.question.limits.items():
+            if name in inputs:
+                continue
+            kind, j = ("output", outputs.index(name)) if name in outputs else ("state", -1)
+            if kind == "state":
+                if name not in states:
+                    continue
+                j = states.index(name)
+            signals = np.array([(run.outputs if kind == "output" else run.states)[:, j] for run in runs])
+            rest, middle = signals[0, 0], signals.mean(axis=0)
+            apart = signals - middle
+            std = np.sqrt(np.mean(apart**2, axis=0))
+            along_std = apart / np.maximum(std, TINY) / len(runs)
+            for sign, end in ((1.0, limit.high - rest), (-1.0, rest - limit.low)):
+                room = end * (1 - margin.reserve) * self.question.share(name) / self.tightness
+                if not (np.isfinite(room) and room > 0):
+                    continue
+                values = (sign * (middle - rest) + margin.deviations * std) / room - 1
+                slopes = (sign / len(runs) + margin.deviations * along_std) / room
+                yield SampledLimit((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))

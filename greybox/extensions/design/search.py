@@ -1,0 +1,194 @@
+"""The search for the best input: every kind within the limits first, then the best of them refined sample by sample."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
+from greybox.extensions.design.adjoint import is_differentiable
+from greybox.extensions.design.goals import Goal, GoalMaker
+from greybox.extensions.design.inputs import (
+    Chirp,
+    InputShape,
+    Multisine,
+    Prbs,
+    Steps,
+    compress_multisine,
+    play,
+    staircase,
+)
+from greybox.extensions.design.limits import LimitKeeper, LimitPrediction, fit_into_limits
+from greybox.extensions.design.plant import PlantScenario
+from greybox.extensions.design.policy import InputSearchPolicy
+from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.refinement import refine
+from greybox.extensions.design.sampling_times import weigh_optimally
+
+
+@dataclass(frozen=True, eq=False)
+class TriedInput:
+    """An input that was tried: shapes by input, amplitude, the signals (N,), what is predicted of the limits, and the goal's value."""
+
+    shapes: Mapping[str, InputShape]
+    amplitude: float
+    inputs: Mapping[str, np.ndarray]
+    limits: Mapping[str, LimitPrediction]
+    value: float
+
+    @property
+    def kind(self) -> str:
+        """What people call it."""
+        return next(iter(self.shapes.values())).kind
+
+
+def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalMaker) -> list[TriedInput]:
+    """Every kind of input at its best amplitude and band, and refined ones; the best first.
+
+    Raises
+    ------
+    DataError
+        Where no input keeps the limits.
+    """
+    policy = question.policy.search
+    goal = make_goal(question.policy.margin.samples, None)
+    tried = try_shapes(question, keeper, goal, list_shapes(question, goal))
+    best_of_kind: dict[str, TriedInput] = {}
+    for each in tried:
+        best_of_kind.setdefault(each.kind, each)
+    # Rivals lie far apart on many inputs: the more models there are to run, the fewer starts are needed.
+    models = {plant.model.title for plant in goal.plants}
+    count = max(policy.starts // len(models), policy.least_starts)
+    starts = list(best_of_kind.values())[:count]
+    if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
+        refined = [s for start in starts for s in refine(question, keeper, make_goal, start.shapes, start.inputs)]
+        tried += try_shapes(question, keeper, goal, refined)
+    return sorted(tried, key=lambda t: -t.value)
+
+
+def try_shapes(
+    question: DesignProblem,
+    keeper: LimitKeeper,
+    goal: Goal,
+    shapes: Sequence[Mapping[str, InputShape]],
+) -> list[TriedInput]:
+    """Each of the shapes at the best of the amplitudes that the limits allow, the best first.
+
+    Raises
+    ------
+    DataError
+        Where none keeps the limits.
+    """
+    tried: list[TriedInput] = []
+    refusal: DataError | None = None
+    for each in shapes:
+        try:
+            largest, inputs, limits = fit_into_limits(keeper, each)
+        except DataError as error:
+            refusal = error
+            continue
+        options = [TriedInput(each, largest, inputs, limits, -np.inf)]
+        for smaller in question.policy.search.amplitudes[1:]:
+            played = play(question, each, smaller * largest)
+            options.append(TriedInput(each, smaller * largest, played, limits, -np.inf))
+        valued = [replace(o, value=evaluate(goal, o.inputs)) for o in options]
+        best = max(valued, key=lambda o: o.value)
+        if best.amplitude < largest:
+            best = replace(best, limits=keeper.predict(best.inputs))
+        tried.append(best)
+    if not tried:
+        raise refusal or DataError("no input was tried")
+    return sorted(tried, key=lambda t: -t.value)
+
+
+def evaluate(goal: Goal, inputs: Mapping[str, np.ndarray], scale: float = 1.0) -> float:
+    """The goal's value under inputs, by the compiled kernel."""
+    return goal.value([plant.run(inputs) for plant in goal.plants], scale)
+
+
+def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShape]]:
+    """Chirps, steps, a staircase, PRBS and multisines over several bands; a multisine whose spectrum suits the model."""
+    policy = question.policy.search
+    lowest, bands = find_bands(question)
+    generator = np.random.default_rng(policy.seed)
+    shapes: list[InputShape] = [staircase(policy.staircase_levels, question.duration)]
+    for high in bands:
+        count = int(np.clip(3 * high * question.duration, policy.step_count, 0.4 * question.rows))
+        shapes += [
+            flat_multisine(high, policy),
+            Chirp(lowest, high),
+            Prbs(1 / (3 * high), policy.prbs_order),
+            Steps(tuple(generator.uniform(-1, 1, count).tolist()), question.duration),
+        ]
+    shaped = shape_spectrum(question, goal.plants[0], bands[-1])
+    shapes += [shaped] if shaped is not None else []
+    return [{name: shape.shifted(k) for k, name in enumerate(question.driven)} for shape in shapes]
+
+
+def find_bands(question: DesignProblem) -> tuple[float, list[float]]:
+    """The lowest frequency in Hz of a sweep, and upper ends of bands: from what is slow in the model to what is fast."""
+    policy = question.policy
+    lowest = 1 / question.duration
+    top = policy.play.share_of_nyquist * 0.5 / question.sampling_time
+    if question.hold != "zero":
+        top /= policy.play.smoothing / 2
+    fastest, slowest = fastest_and_slowest_rate(question.model)
+    high = min(top, fastest / 2) if fastest else top
+    low = min(max(4 * lowest, slowest / 20), high)
+    high = max(high, min(4 * lowest, top))
+    return lowest, list(np.geomspace(low, high, policy.search.bands) if high > low else [high])
+
+
+def flat_multisine(high: float, policy: InputSearchPolicy) -> Multisine:
+    """A multisine up to ``high`` Hz with lines on a logarithmic scale and a low crest factor."""
+    harmonics = _spread_harmonics()
+    phases = _compressed_phases(harmonics, tuple([1.0] * len(harmonics)), policy.crest_iterations)
+    base = high / harmonics[-1]
+    return Multisine(tuple(base * k for k in harmonics), tuple([1.0] * len(harmonics)), phases)
+
+
+def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -> Multisine | None:
+    """A multisine whose power is D-optimal for a plant of small motion; None where single lines do not determine the constants."""
+    policy = question.policy.search
+    harmonics = sorted({round(k) for k in np.geomspace(1, 100, policy.spectrum_lines)})
+    base = high / harmonics[-1]
+    information = []
+    for k in harmonics:
+        line = {name: Multisine((base * k,), (1.0,), (0.0,)) for name in question.driven}
+        run = plant.run(play(question, line, 0.5))
+        if not run.finite:
+            return None
+        information.append(run.information[: plant.count, : plant.count])
+    try:
+        weights = weigh_optimally(np.array(information))
+    except DataError:
+        return None
+    kept = weights > 1e-3
+    amplitudes = np.sqrt(weights[kept])
+    lines = tuple(int(k) for k in np.array(harmonics)[kept])
+    phases = _compressed_phases(lines, tuple(np.round(amplitudes, 6).tolist()), policy.crest_iterations)
+    frequencies = tuple(base * k for k in lines)
+    return Multisine(frequencies, tuple(amplitudes.tolist()), phases, "multisine with optimal spectrum")
+
+
+@lru_cache(maxsize=1)
+def _spread_harmonics() -> tuple[int, ...]:
+    return tuple(sorted({round(k) for k in np.geomspace(1, 100, 40)}))
+
+
+@lru_cache(maxsize=16)
+def _compressed_phases(harmonics: tuple[int, ...], amplitudes: tuple[float, ...], iterations: int) -> tuple[float, ...]:
+    return tuple(compress_multisine(harmonics, amplitudes, iterations // 8).tolist())
+
+
+def kinds_of(tried: Sequence[TriedInput]) -> Iterator[TriedInput]:
+    """The best of each kind, the best kind first."""
+    seen: set[str] = set()
+    for each in tried:
+        if each.kind not in seen:
+            seen.add(each.kind)
+            yield each

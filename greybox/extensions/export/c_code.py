@@ -1,0 +1,304 @@
+"""One discrete step as C that stands alone: a header to read, a source to compile."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+from greybox.base.files import write_file
+from greybox.base.texts import to_comment, to_identifier, to_identifiers
+from greybox.base.units import format_unit
+from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.result import Fit
+from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
+from greybox.extensions.export.observer import Observer, refuse_sampling
+from greybox.model.equations import equations_text
+from greybox.model.expressions.printer import c_literal
+from greybox.model.model import Model
+from greybox.model.signals import Input, Output, State
+from greybox.simulation.integrators.input_delay import count_history_columns
+from greybox.simulation.kernel.c_routine import CRoutine
+from greybox.simulation.kernel.tape import read_tape
+
+# The step of a model as plain C: what the C export and the FMU share.
+
+ADVANCE, OUTPUTS = ("x", "ua", "ub", "q", "h"), ("x", "u", "p")
+
+
+def write_step(interval: DiscreteStep) -> str:
+    """Sizes, the step, the outputs and the state at rest: C99, for arrays of doubles, without memory of its own.
+
+    Raises UnsupportedOperationError for an operation that C does not have.
+    """
+    step = interval.step
+    columns = len(interval.interface.inputs) + count_history_columns(step.past)
+    sizes = {
+        "NX": len(interval.x0),
+        "NU": len(interval.interface.inputs),
+        "NY": len(interval.interface.outputs),
+        "NP": len(interval.p),
+        "NQ": len(interval.coefficients()),
+        "PAST": interval.past,
+        "LATE": interval.late_input,
+        "COLUMNS": max(columns, 1),
+        "SUBSTEPS": step.substeps,
+    }
+    routines = [
+        CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
+        CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
+        CRoutine("start", read_tape(interval.start_function()), ("p",), (), 0),
+    ]
+    return "\n".join(
+        [
+            "#include <math.h>",
+            "",
+            "#define INLINE static",
+            *(f"#define {name} {size}" for name, size in sizes.items()),
+            "",
+            *(routine.text() for routine in routines),
+            read_template("step.c"),
+        ]
+    )
+
+
+def read_template(name: str) -> str:
+    """The text of a C file beside this one."""
+    return files("greybox.export").joinpath(name).read_text(encoding="utf-8")
+
+
+def write_initialisers(values: list[float], remarks: list[str]) -> str:
+    """Initialisers of an array, one a line, each with a remark."""
+    return "\n".join(f"    {c_literal(float(v))}, /* {to_comment(r)} */" for v, r in zip(values, remarks, strict=True))
+
+
+KEYWORDS = frozenset(
+    re.findall(
+        r"\w+",
+        """
+        auto break case char const continue default do double else enum extern float for goto if inline int long
+        register restrict return short signed sizeof static struct switch typedef union unsigned void volatile
+        while
+        """,
+    )
+)
+
+
+def to_c(
+    plant: Fit | Model | Observer, path: str | Path, *, dt: float | None = None, substeps: int = 0
+) -> tuple[Path, Path]:
+    """Write one sampling interval of a model as C99 without dependencies: a source and the header beside it.
+
+    It is the library's own step (exact hold or Runge-Kutta with its substeps), with every effect in it: friction that sticks, bristles,
+    play, delays. The parameters are in the source with their units and where they come from; nothing is allocated, there are no globals
+    that change.
+
+    Parameters
+    ----------
+    plant
+        A fit, a model at its present values, or an `Observer`: its state is the estimate with its covariance, its inputs are those of
+        the plant and the measurements (NaN for a missing one), its outputs the states after them with their standard deviations.
+    path
+        Of the source, ``plant.c``.
+    dt
+        Sampling time in s; None takes that of the fitted records.
+    substeps
+        Of a Runge-Kutta step; 0 chooses.
+
+    Returns
+    -------
+    tuple of Path
+        The source and the header.
+
+    Raises
+    ------
+    ModelError
+        Where no sampling time is known.
+    UnsupportedOperationError
+        For an operation that C does not have.
+    """
+    interval: DiscreteStep
+    if isinstance(plant, Observer):
+        refuse_sampling(dt, substeps)
+        source, interval = plant.plant, plant.corrected
+    else:
+        source = to_plant(plant)
+        interval = make_discrete_step(source, dt, substeps=substeps)
+    target = Path(path).with_suffix(".c")
+    header, text = write_c(source, interval, target.with_suffix(".h").name)
+    declarations = write_file(target.with_suffix(".h"), header)
+    return write_file(target, text), declarations
+
+
+def write_c(plant: Plant, interval: DiscreteStep, header_name: str) -> tuple[str, str]:
+    """The texts of header and source."""
+    return _header(plant, interval), _source(plant, interval, header_name)
+
+
+def _header(plant: Plant, interval: DiscreteStep) -> str:
+    model, name = interval.interface, to_identifier(interval.interface.name)
+    past = _past_members(interval)
+    lines = [
+        "/*",
+        *(f"   {to_comment(line)}".rstrip() for line in _about(plant, interval)),
+        "*/",
+        "",
+        f"#ifndef {name.upper()}_H",
+        f"#define {name.upper()}_H",
+        "",
+        f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */",
+        "",
+        *_struct(f"{name}_state", model.all_states, past),
+        *_struct(f"{name}_input", model.inputs),
+        *_struct(f"{name}_output", model.outputs),
+        "/* The state at rest. */",
+        f"void {name}_start(struct {name}_state *state);",
+        "",
+        "/* What the sensors show now. */",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output);",
+        "",
+        f"/* The state {interval.dt:g} s later, the input held. */",
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input);",
+        "",
+        "#endif",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
+    model = plant.model
+    title = interval.interface.title
+    title = f"{title}: {interval.interface.description}" if interval.interface.description else title
+    table = [
+        (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
+        for q in model.all_parameters
+    ]
+    widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
+    constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
+    return [
+        title,
+        "",
+        *equations_text(model).splitlines(),
+        "",
+        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.",
+        "",
+        "Constants",
+        *constants,
+        "",
+        *plant.origin(),
+        *(f"Note: {finding}" for finding in plant.findings),
+    ]
+
+
+def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
+    model, name = interval.interface, to_identifier(interval.interface.name)
+    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+    exact = interval.step.per_interval
+    tables = [
+        "/* The constants. */",
+        "static const double constants[] = {",
+        write_initialisers(list(interval.p), remarks) or "    0",
+        "};",
+        "",
+    ]
+    if exact:
+        tables += [
+            "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these:",
+            "   export the model anew. */",
+            "static const double coefficients[] = {",
+            *_blocks(interval),
+            "};",
+            "",
+        ]
+    use = "coefficients" if exact else "constants"
+    states = _members(model.all_states, _past_members(interval))
+    inputs, outputs = _members(model.inputs), _members(model.outputs)
+    nx = len(model.all_states)
+    load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
+    past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
+    body = [
+        f"void {name}_start(struct {name}_state *state)",
+        "{",
+        "    struct start_once once;",
+        "    double x[NX];",
+        "",
+        "    prepare_start(&once, constants);",
+        "    start(&once, constants, x);",
+        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
+        *(f"    state->{m} = 0;" for m in states[nx:]),
+        "}",
+        "",
+        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output)",
+        "{",
+        f"    const double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
+        *load,
+        "    double y[NY];",
+        "",
+        *(["    (void)input;"] if not inputs else []),
+        f"    read_outputs(x, past, u, constants, {name.upper()}_SAMPLING_TIME, y);",
+        *(f"    output->{m} = y[{k}];" for k, m in enumerate(outputs)),
+        "}",
+        "",
+        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input)",
+        "{",
+        f"    double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
+        *load,
+        "",
+        *(["    (void)input;"] if not inputs else []),
+        f"    interval(x, past, u, {use}, {name.upper()}_SAMPLING_TIME);",
+        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
+        *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])),
+        "}",
+        "",
+    ]
+    head = [
+        f"/* {to_comment(model.title)}: see {to_comment(header_name)}. Generated by greybox; edit the model and export it anew. */",
+        "",
+    ]
+    return "\n".join([*head, f'#include "{header_name}"', "", write_step(interval), *tables, *body])
+
+
+def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
+    remarks = [f"[{format_unit(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [
+        remark for _, remark in extra
+    ]
+    members = _members(signals, extra) or ["none"]
+    remarks = remarks or ["nothing"]
+    width = max(map(len, members)) + 1
+    lines = [f"    double {m + ';':{width}} /* {to_comment(r)} */" for m, r in zip(members, remarks, strict=True)]
+    return [f"struct {name} {{", *lines, "};", ""]
+
+
+def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
+    return to_identifiers([*(s.name for s in signals), *(name for name, _ in extra)], KEYWORDS)
+
+
+def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
+    if not interval.past:
+        return []
+    late = interval.interface.inputs[interval.late_input]
+    return [
+        (f"{late.name}_{k + 1}", f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
+        for k in range(interval.past)
+    ]
+
+
+def _blocks(interval: DiscreteStep) -> list[str]:
+    """The coefficients of the exact hold, block by block."""
+    nx, nu = len(interval.x0), len(interval.interface.inputs)
+    sizes = {
+        "Phi: x+ = Phi x + ..., column by column": nx * nx,
+        "Gamma of the held inputs and of the constant 1": nx * (nu + 1),
+    }
+    sizes |= {"of inputs that are linear in between (not used here)": nx * nu}
+    q, lines = interval.coefficients(), []
+    for title, size in [
+        *sizes.items(),
+        ("of the delayed input, 0, 1, 2 ... intervals ago", len(q) - sum(sizes.values())),
+    ]:
+        texts, q = [c_literal(float(v)) for v in q[:size]], q[size:]
+        if texts:
+            lines += [f"    /* {title} */", *("    " + ", ".join(texts[k : k + nx]) + "," for k in range(0, size, nx))]
+    return lines

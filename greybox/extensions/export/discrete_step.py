@@ -1,0 +1,169 @@
+"""One sampling interval of the nonlinear model, as the library itself steps it: what generated code and control systems run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.errors import ModelError
+from greybox.estimation.linear.plant import Plant
+from greybox.estimation.linear.policy import DEFAULT_STEP, DiscreteStepPolicy
+from greybox.model.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.integrators.step import Step
+
+NO_ROWS = np.empty(0, int)
+
+
+class SteppedSignals(Protocol):
+    """What code has to know of the thing that it steps."""
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in code."""
+
+    @property
+    def description(self) -> str:
+        """What it is."""
+
+    @property
+    def inputs(self) -> Sequence[Input]:
+        """Inputs."""
+
+    @property
+    def outputs(self) -> Sequence[Output]:
+        """Outputs."""
+
+    @property
+    def all_states(self) -> Sequence[State]:
+        """States."""
+
+    @property
+    def all_parameters(self) -> Sequence[Parameter]:
+        """Constants."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiscreteStep:
+    """``dt`` seconds of ``model`` with its inputs held, as ``step`` takes them; ``p`` (np,) constants, ``x0`` (nx,) state at rest.
+
+    With a delayed input earlier inputs belong to the state: ``past`` of them, the latest first.
+    """
+
+    model: Model
+    step: Step
+    dt: float
+    p: np.ndarray
+    x0: np.ndarray
+
+    @property
+    def interface(self) -> SteppedSignals:
+        """The signals that code is written for."""
+        return self.model
+
+    def start_function(self) -> ca.Function:
+        """``p -> state`` at rest."""
+        return ca.Function("start", [self.model.system.p], [ca.densify(self.model.system.start)])
+
+    @property
+    def past(self) -> int:
+        """How many earlier values of the delayed input are kept."""
+        return self.step.past.rows if self.step.past is not None else 0
+
+    @property
+    def late_input(self) -> int:
+        """The number of the delayed input, 0 where there is none."""
+        return self.step.past.column if self.step.past is not None else 0
+
+    def coefficients(self, p: np.ndarray | None = None) -> np.ndarray:
+        """What ``step.advance`` needs to know of the constants (nq,)."""
+        return self.step.coefficients(self.p if p is None else p, np.array([self.dt]), NO_ROWS)[0][0]
+
+    def row(self, u: np.ndarray, past: np.ndarray, share: float = 0.0) -> np.ndarray:
+        """Inputs as the step reads them: with the past, and the share of the interval that has gone by."""
+        return np.concatenate([u, past, [share, 0.0, self.dt]]) if self.past else u
+
+    def advance(self, x: np.ndarray, past: np.ndarray, u: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
+        """The state (nx,) ``dt`` seconds later."""
+        n = self.step.substeps
+        shares = np.arange(n + 1) / n
+        rows = np.array([self.row(u, past, share) for share in shares]).T
+        q = np.tile(self.coefficients(p)[:, None], n)
+        return self._substeps(x, rows[:, :-1], rows[:, 1:], q, np.full((1, n), self.dt / n)).full()[:, -1]
+
+    def outputs(self, x: np.ndarray, past: np.ndarray, u: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
+        """The outputs (ny,) at the beginning of the interval."""
+        return self.step.outputs(x, self.row(u, past), self.p if p is None else p).full().ravel()
+
+    @cached_property
+    def _substeps(self) -> ca.Function:
+        return self.step.advance.mapaccum(self.step.substeps)
+
+
+def make_discrete_step(
+    plant: Plant,
+    dt: float | None = None,
+    *,
+    substeps: int = 0,
+    method: str = "automatic",
+    at: Mapping[str, float] | None = None,
+    policy: DiscreteStepPolicy = DEFAULT_STEP,
+) -> DiscreteStep:
+    """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
+
+    ``substeps`` 0: as many as it takes that halving them changes nothing visible over the fitted record (for a model without a fit:
+    ten for the time of its fastest mode). ``at``: states to begin with, by name; the others are as declared.
+
+    Raises ModelError for a sampling time that is not above zero or not known, and for an unknown state.
+    """
+    from greybox.simulation.simulate import declared_initial_state
+
+    period = plant.sampling_time if dt is None else dt
+    if period is None:
+        raise ModelError(f"{plant.model.title}: no sampling time is known; give dt in seconds")
+    if not (np.isfinite(period) and period > 0):
+        raise ModelError(f"sampling time {period} s: give a time above 0 s")
+    # With every constant known a delay is as long as it is, not as long as its bounds allow.
+    known = plant.model.fix(*plant.model.values)
+    system, p, x0 = known.system, plant.p, declared_initial_state(known, at)
+    lengths = np.array([float(period)])
+    inputs = _recorded_inputs(plant, period, policy)
+    if inputs is not None and not substeps:
+        step = discretise(system, p, x0[None, :], lengths, method=method, target=policy.precision, inputs=inputs)
+    else:
+        step = discretise(system, p, x0[None, :], lengths, method=method, substeps=substeps)
+    return DiscreteStep(known, step, float(period), p, x0)
+
+
+def find_delay_parameters(model: Model) -> list[str]:
+    """Names of the constants on which a delay depends: how many earlier inputs are kept hangs on them."""
+    symbols = ca.symvar(ca.vertcat(*[d.seconds for d in model.system.delays], ca.SX(0, 1)))
+    return [symbol.name() for symbol in symbols]
+
+
+def _recorded_inputs(plant: Plant, dt: float, policy: DiscreteStepPolicy) -> np.ndarray | None:
+    """Inputs (N, nu) of the first fitted record, held at every ``dt`` seconds; None without a record."""
+    if plant.fit is None or not plant.fit.traces or not plant.model.inputs:
+        return None
+    record = plant.fit.traces[0].experiment
+    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, policy.rows)
+    rows = np.searchsorted(record.time - record.time[0], np.arange(count) * dt * (1 + 1e-12), side="right") - 1
+    return np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
+
+
+def name_past_inputs(interval: DiscreteStep) -> list[str]:
+    """Names of the earlier inputs: ``u_1``, ``u_2`` ... samples ago."""
+    if not interval.past:
+        return []
+    name = interval.model.inputs[interval.late_input].name
+    return [f"{name}_{k + 1}" for k in range(interval.past)]

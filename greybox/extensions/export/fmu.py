@@ -1,0 +1,275 @@
+"""The model as an FMU 2.0 for co-simulation: description, sources, and a binary for this platform."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import sys
+import tempfile
+import uuid
+import zipfile
+from collections.abc import Iterable
+from pathlib import Path
+from typing import BinaryIO
+from xml.etree import ElementTree as ET
+
+from greybox.base.errors import ModelError, OutputError
+from greybox.base.files import write_file
+from greybox.base.texts import to_identifier, to_identifiers, to_line
+from greybox.base.units import format_unit, parse_unit
+from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.result import Fit
+from greybox.extensions.export.c_code import read_template, write_initialisers, write_step
+from greybox.extensions.export.discrete_step import (
+    DiscreteStep,
+    SteppedSignals,
+    find_delay_parameters,
+    make_discrete_step,
+)
+from greybox.extensions.export.observer import Observer, ObserverInterval, refuse_sampling
+from greybox.model.expressions.printer import c_literal
+from greybox.model.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.kernel.c_compiler import (
+    CompilerError,
+    NoCompilerError,
+    find_compiler,
+    run_compiler,
+    summarise_errors,
+)
+
+PLATFORMS = {"linux": ("linux64", ".so"), "darwin": ("darwin64", ".dylib"), "win32": ("win64", ".dll")}
+# Every entry has this date, so that the same model gives the same file.
+ENTRY_DATE = (1980, 1, 1, 0, 0, 0)
+# Compiler flags: nothing that only this processor has; no contraction of products and sums, so that every compiler gives the same digits.
+FLAGS = ("-O2", "-std=c99", "-ffp-contract=off", "-shared", "-fvisibility=hidden")
+BASE_UNITS = ("kg", "m", "s", "A", "K", "mol", "cd")
+
+
+def to_fmu(
+    plant: Fit | Model | Observer, path: str | Path, *, dt: float | None = None, substeps: int = 0, binary: bool = True
+) -> Path:
+    """Write the model as an FMU 2.0 for co-simulation.
+
+    Inputs are held over a communication step. The step is the library's Runge-Kutta step, with friction that sticks, bristles, play
+    and delays in it. Communication steps that are no multiple of ``dt`` are divided evenly; with a delayed input they are refused.
+    Parameters can be changed at any time, except those of a delay; states can be set before a run begins.
+
+    Parameters
+    ----------
+    plant
+        A fit, a model at its present values, or an `Observer`: its outputs are the states predicted for the present from the measurements
+        up to the sample before, and their standard deviations; a measurement that is NaN is missing. Its steps are its own ``dt``.
+    path
+        The file; its suffix becomes ``.fmu``.
+    dt
+        Step in seconds; None: the sampling time of the estimation records.
+    substeps
+        Integration steps in ``dt``; 0 chooses.
+    binary
+        Whether a library for this platform is added to the sources.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    ModelError
+        Where no sampling time is known.
+    CompilerError
+        Where a binary is wanted and there is no C compiler.
+    OutputError
+        Where the binary cannot be compiled, or the file cannot be written.
+
+    Examples
+    --------
+    >>> gb.export.to_fmu(fit, "plant.fmu", dt=1e-3)  # doctest: +SKIP
+    """
+    step: DiscreteStep
+    if isinstance(plant, Observer):
+        refuse_sampling(dt, substeps)
+        source, step = plant.plant, plant.predicted
+    else:
+        source = to_plant(plant)
+        step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
+    if step.step.per_interval:
+        raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
+    name = to_identifier(step.interface.name)
+    text, guid = _source(source, step)
+    platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
+    target = Path(path).with_suffix(".fmu")
+    contents: dict[str, bytes] = {
+        "modelDescription.xml": write_description(source, step, name, guid).encode(),
+        f"sources/{name}.c": text.encode(),
+    }
+    if binary and platform is not None:
+        folder, suffix = platform
+        contents[f"binaries/{folder}/{name}{suffix}"] = _compile_binary(text, f"{name}{suffix}", target)
+
+    def write_archive(file: BinaryIO) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+            for entry, data in contents.items():
+                archive.writestr(zipfile.ZipInfo(entry, ENTRY_DATE), data, zipfile.ZIP_DEFLATED)
+
+    return write_file(target, write_archive)
+
+
+def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
+    """The C text of the FMU and its identifier, which follows from the text."""
+    model, fixed = step.interface, find_delay_parameters(plant.model)
+    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+    body = [
+        write_step(step),
+        f"#define DT {c_literal(step.dt)}",
+        f'#define DT_TEXT "{step.dt:g}"',
+        "",
+        "static const double constants[] = {",
+        write_initialisers(list(step.p), remarks) or "    0",
+        "};",
+        f"static const int FIXED[] = {{{', '.join(str(int(q.name in fixed)) for q in model.all_parameters) or '0'}}};",
+        "",
+        read_template("fmu.c"),
+    ]
+    guid = str(uuid.UUID(bytes=hashlib.sha256("\n".join(body).encode()).digest()[:16]))
+    return "\n".join(
+        [f"/* {to_identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]
+    ), f"{{{guid}}}"
+
+
+# ---- modelDescription.xml ----
+
+
+def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) -> str:
+    """The description of ``plant`` stepped over ``step``; value references as in ``fmu.c``."""
+    model = step.interface
+    root = ET.Element(
+        "fmiModelDescription",
+        fmiVersion="2.0",
+        modelName=to_line(model.title),
+        guid=guid,
+        description=to_line(model.description or model.title),
+        generationTool=plant.origin()[0].partition(",")[0],
+        variableNamingConvention="structured",
+    )
+    simulation = ET.SubElement(
+        root,
+        "CoSimulation",
+        modelIdentifier=name,
+        canHandleVariableCommunicationStepSize=_to_boolean(not step.past and not isinstance(step, ObserverInterval)),
+        canGetAndSetFMUstate="true",
+        canSerializeFMUstate="true",
+        canNotUseMemoryManagementFunctions="true",
+    )
+    ET.SubElement(ET.SubElement(simulation, "SourceFiles"), "File", name=f"{name}.c")
+    signals: list[Input | Output | State | Parameter] = [
+        *model.inputs,
+        *model.outputs,
+        *model.all_states,
+        *model.all_parameters,
+    ]
+    _units(root, signals)
+    ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(1000 * step.dt), stepSize=repr(step.dt))
+    _variables(root, plant, step, signals)
+    structure = ET.SubElement(root, "ModelStructure")
+    first = len(model.inputs) + 1
+    for kind in ("Outputs", "InitialUnknowns"):
+        group = ET.SubElement(structure, kind)
+        for k in range(len(model.outputs)):
+            ET.SubElement(group, "Unknown", index=str(first + k))
+    ET.indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def list_fmu_names(model: SteppedSignals) -> list[str]:
+    """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
+    plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
+    states = [f"state.{name}" for name in to_identifiers(s.name for s in model.all_states)]
+    return [*plain, *states, *to_identifiers((q.name for q in model.all_parameters), plain)]
+
+
+def _units(root: ET.Element, signals: Iterable[Input | Output | State | Parameter]) -> None:
+    units = dict.fromkeys(format_unit(s.unit) for s in signals if format_unit(s.unit) not in ("", "-", "1"))
+    if not units:
+        return
+    group = ET.SubElement(root, "UnitDefinitions")
+    for text in units:
+        value = parse_unit(text)
+        powers = {
+            symbol: str(int(e)) for symbol, e in value.dimensions if symbol in BASE_UNITS and float(e).is_integer()
+        }
+        representable = len(powers) == len(value.dimensions)
+        unit = ET.SubElement(group, "Unit", name=text)
+        if representable:  # the standard has no fractional powers
+            ET.SubElement(unit, "BaseUnit", {**powers, "factor": repr(value.factor)})
+
+
+def _variables(
+    root: ET.Element, plant: Plant, step: DiscreteStep, signals: list[Input | Output | State | Parameter]
+) -> None:
+    group, fixed = ET.SubElement(root, "ModelVariables"), find_delay_parameters(plant.model)
+    starts = iter(step.x0)
+    measured = step.measurements if isinstance(step, ObserverInterval) else ()
+    for reference, (name, signal) in enumerate(zip(list_fmu_names(step.interface), signals, strict=True)):
+        description = signal.description
+        real: dict[str, str] = {}
+        if isinstance(signal, Input):
+            # A measurement is there at its sample; between two of them there is nothing to interpolate.
+            kind = {"causality": "input", "variability": "discrete" if signal.name in measured else "continuous"}
+            real["start"] = "NaN" if signal.name in measured else "0"
+        elif isinstance(signal, Output):
+            kind = {"causality": "output", "variability": "continuous", "initial": "calculated"}
+        elif isinstance(signal, State):
+            kind = {"causality": "local", "variability": "continuous", "initial": "exact"}
+            real["start"] = repr(float(next(starts)))
+        else:
+            settable = {"causality": "parameter", "variability": "tunable", "initial": "exact"}
+            kind = {"causality": "local", "variability": "constant"} if signal.name in fixed else settable
+            real["start"] = repr(float(signal.value))
+            real |= {
+                key: repr(float(v)) for key, v in zip(("min", "max"), signal.bounds, strict=True) if abs(v) < 1e300
+            }
+            description = f"{description} ({plant.provenance(signal.name)})".strip()
+        unit = format_unit(signal.unit)
+        variable = ET.SubElement(
+            group,
+            "ScalarVariable",
+            {"name": name, "valueReference": str(reference), "description": to_line(description), **kind},
+        )
+        ET.SubElement(variable, "Real", {**real, **({"unit": unit} if unit not in ("", "-", "1") else {})})
+
+
+def _to_boolean(value: bool) -> str:
+    return "true" if value else "false"
+
+
+# ---- The binary ----
+
+
+def _compile_binary(text: str, name: str, target: Path) -> bytes:
+    """The library of that ``name``. Raises NoCompilerError, and OutputError with the FMU's name where it cannot be made."""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            return compile_shared_library(text, Path(folder) / name).read_bytes()
+    except NoCompilerError:
+        raise
+    except CompilerError as error:
+        raise OutputError(errno.EIO, f"its library cannot be compiled: {error}", str(target)) from error
+    except OSError as error:
+        reason = f"its library cannot be made in {tempfile.gettempdir()}: {error.strerror or error}"
+        raise OutputError(error.errno or errno.EIO, reason, str(target)) from error
+
+
+def compile_shared_library(text: str, target: Path) -> Path:
+    """Compile C ``text`` into a library for any machine of this kind. Raises CompilerError where there is no compiler, or it fails."""
+    compiler = find_compiler()
+    source = write_file(target.with_suffix(".c"), text)
+    flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
+    command = [*compiler.command, *flags, "-o", str(target), str(source), "-lm"]
+    run = run_compiler(command, compiler.timeout)
+    if run.returncode != 0:
+        raise CompilerError(
+            f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
+        )
+    return target

@@ -1,0 +1,65 @@
+"""The page of an export: which files were written, what they hold, and the fit behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.model_family import ModelFamily
+from greybox.estimation.result import Fit
+from greybox.show.pages.equations import typeset_equations
+from greybox.show.pages.fit_page import fit_verdict, parameters_table
+from greybox.show.pages.linearisation_page import linear_question, linear_sections, linear_verdict
+from greybox.show.pages.page import Block, CodeBlock, Details, Page, PageTable, Paragraphs, Section, Tone
+from greybox.show.pages.policy import REPORT
+from greybox.show.pages.provenance import provenance_section
+from greybox.show.sentences.pages import PageText
+from greybox.show.sentences.wording import phrase
+
+READABLE = (".c", ".h", ".py", ".mo", ".json")
+
+
+@dataclass(frozen=True)
+class Export:
+    """What `greybox export` has written: ``files`` of ``kind`` ("MATLAB", "C" ...) from a fit; the linear model, where it is one."""
+
+    fit: Fit
+    kind: str
+    files: tuple[Path, ...]
+    linear: Linearisation | None = None
+    family: ModelFamily | None = None
+
+
+def build_export_page(export: Export, *, command: str = "") -> Page:
+    """The page of an export; ``command`` is what was typed."""
+    fit, linear = export.fit, export.linear
+    sections = [
+        *(linear_sections(linear, export.family) if linear is not None else []),
+        Section("files", list(_files(export))),
+        Section("fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)]),
+        provenance_section(command, fit.provenance.versions),
+    ]
+    title = phrase(PageText.EXPORT_TITLE, fit.model.title, kind=export.kind)
+    question = linear_question(linear) if linear is not None else phrase(PageText.EXPORT_QUESTION, fit.model.title)
+    return Page(title, question, _verdict(export), sections, "export")
+
+
+def _verdict(export: Export) -> Paragraphs:
+    written = phrase(PageText.EXPORT_WRITTEN, files=[f.name for f in export.files])
+    if export.linear is not None:
+        verdict = linear_verdict(export.linear)
+        return Paragraphs([*verdict.items, written], verdict.tone)
+    items = [phrase(PageText.EXPORT_VERDICT, kind=export.kind), written]
+    if export.fit.success:
+        return Paragraphs(items, Tone.GOOD)
+    return Paragraphs([*items, phrase(PageText.EXPORT_OF_FAILED_FIT)], Tone.BAD)
+
+
+def _files(export: Export) -> Iterator[Block]:
+    rows = [[f.name, f"{f.stat().st_size:,} bytes".replace(",", " ")] for f in export.files]
+    yield PageTable(phrase(PageText.EXPORT_FILES), ["file", "size"], rows)
+    for file in export.files:
+        if file.suffix in READABLE and file.stat().st_size <= REPORT.listing:
+            yield Details(phrase(PageText.EXPORT_CONTENT, file.name), [CodeBlock(file.read_text(encoding="utf-8"))])

@@ -1,0 +1,368 @@
+"""Hand-over to python-control: linear models with signal names, and the nonlinear model, continuous or sampled."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import ModelError, nearest
+from greybox.base.findings import Finding, Severity
+from greybox.base.texts import to_identifier, to_identifiers
+from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
+from greybox.estimation.linear.linearise import linearise
+from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.policy import DEFAULT_SAMPLING, SamplingPolicy
+from greybox.estimation.linear.transfer_channel import extract_channel
+from greybox.estimation.result import Fit
+from greybox.extensions.export.discrete_step import (
+    DiscreteStep,
+    find_delay_parameters,
+    make_discrete_step,
+    name_past_inputs,
+)
+from greybox.model.model import Model
+from greybox.simulation.kernel.c_compiler import GreyboxWarning
+
+FORMS = ("state_space", "transfer_function", "nonlinear")
+
+
+def to_control(
+    plant: Fit | Model | Linearisation,
+    at: Mapping[str, float] | None = None,
+    *,
+    dt: float | None = None,
+    method: str = "zoh",
+    delay: float = 0.0,
+    form: str = "state_space",
+    minimal: bool = False,
+    pade: int = 4,
+) -> Any:
+    """Convert a fit, a model or a linear model to a system of python-control, with signal names.
+
+    Parameters
+    ----------
+    plant
+        A fit, a model at its present values, or a `Linearisation`, whose operating point and sampling stay as they are.
+    at
+        The operating point: states and inputs by name, in the model's units; see `linearise`.
+    dt, method, delay
+        Sampling, as in `linearise`.
+    form
+        ``state_space``, ``transfer_function``, or ``nonlinear``: a ``control.NonlinearIOSystem``, for which ``at``, ``method``,
+        ``delay`` and ``minimal`` do not apply (see `to_nonlinear_system`).
+    minimal
+        Whether states that no input reaches or no output shows are removed.
+    pade
+        Order in which the delay of a continuous model is approximated.
+
+    Returns
+    -------
+    control.StateSpace, control.TransferFunction or control.NonlinearIOSystem
+        Linear systems carry their `Linearisation` as the attribute ``linearisation``: units, operating point, findings. Findings (no
+        equilibrium, what replaces dry friction, a sampling time that is too long) are given as warnings.
+
+    Raises
+    ------
+    ModelError
+        For unknown names, and for options that do not apply.
+
+    Examples
+    --------
+    >>> system = gb.export.to_control(fit, {"u": 0.5}, dt=1e-3)  # doctest: +SKIP
+    >>> system.linearisation.output_units  # doctest: +SKIP
+    """
+    if form not in FORMS:
+        raise ModelError(f"unknown form {form!r}; {nearest(form, FORMS)}")
+    given = (("at", at), ("delay", delay), ("minimal", minimal), ("method", method != "zoh"), ("dt", dt is not None))
+    if isinstance(plant, Linearisation):
+        unused = [name for name, value in given if value and name != "minimal"]
+        if unused or form == "nonlinear":
+            what = ", ".join(unused) or "form='nonlinear'"
+            raise ModelError(
+                f"{what} cannot be given for a linear model, which is used unchanged; give a fit or a model"
+            )
+        linear = plant
+    elif form == "nonlinear":
+        unused = [name for name, value in given if value and name != "dt"]
+        if unused:
+            raise ModelError(
+                f"{', '.join(unused)} cannot be given with form='nonlinear'; leave them out, or use another form"
+            )
+        _warn(to_plant(plant).findings)
+        return to_nonlinear_system(plant, dt)
+    else:
+        linear = linearise(plant, at, dt=dt, method=method, delay=delay)
+        _warn(linear.findings)
+    reduced = minimal_realisation(linear) if minimal else linear
+    return to_state_space(reduced, pade) if form == "state_space" else to_transfer_function(reduced, pade)
+
+
+def _warn(findings: tuple[Finding, ...]) -> None:
+    for finding in findings:
+        warnings.warn(str(finding), GreyboxWarning, stacklevel=3)
+
+
+# ---- Linear models ----
+
+
+def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Any:
+    """Convert a linear model to a ``control.StateSpace`` with signal names.
+
+    Parameters
+    ----------
+    model
+        A linear model, continuous or sampled.
+    pade
+        A delay of a continuous model is not in its matrices: it becomes a Pade approximation of this order, whose states come last.
+    policy
+        The highest order that is allowed.
+
+    Returns
+    -------
+    control.StateSpace
+        Its attribute ``linearisation`` is ``model``, with units, operating point and findings.
+
+    Raises
+    ------
+    ModelError
+        For an order outside 1 to 10.
+
+    Examples
+    --------
+    >>> system = gb.export.to_state_space(gb.linearise(model))  # doctest: +SKIP
+    """
+    import control
+
+    finite = approximate_delays(model, pade, policy) if model.delay.any() else model
+    system = control.StateSpace(
+        finite.A,
+        finite.B,
+        finite.C,
+        finite.D,
+        finite.dt,
+        states=to_identifiers(finite.state_names),
+        inputs=to_identifiers(finite.input_names),
+        outputs=to_identifiers(finite.output_names),
+        name=to_identifier(finite.name),
+        remove_useless_states=False,
+    )
+    system.linearisation = model
+    return system
+
+
+def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Any:
+    """Convert a linear model to a ``control.TransferFunction`` with signal names, each channel cancelled by itself.
+
+    Parameters
+    ----------
+    model
+        A linear model, continuous or sampled.
+    pade
+        Order of the Pade approximation of a delay, as in `to_state_space`.
+    policy
+        The highest order that is allowed.
+
+    Returns
+    -------
+    control.TransferFunction
+        One numerator and denominator for each channel; its attribute ``linearisation`` is ``model``.
+
+    Examples
+    --------
+    >>> system = gb.export.to_transfer_function(gb.linearise(model))  # doctest: +SKIP
+    """
+    import control
+
+    finite = approximate_delays(model, pade, policy) if model.delay.any() else model
+    rows = [[extract_channel(finite, o, i) for i in finite.input_names] for o in finite.output_names]
+
+    def each(of: str) -> list[list[np.ndarray]]:
+        return [[getattr(channel, of) for channel in row] for row in rows]
+
+    system = control.TransferFunction(
+        each("numerator"),
+        each("denominator"),
+        finite.dt,
+        inputs=to_identifiers(finite.input_names),
+        outputs=to_identifiers(finite.output_names),
+        name=to_identifier(finite.name),
+    )
+    system.linearisation = model
+    return system
+
+
+def approximate_delays(model: Linearisation, order: int, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Linearisation:
+    """A continuous ``model`` with its delays as Pade approximations of this ``order``, and a note up to which frequency they hold.
+
+    The phase of an approximation of order n is right to within a degree up to ``w delay`` of about ``1.6 n - 1``.
+    """
+    if not 1 <= order <= policy.largest_pade_order:
+        raise ModelError(f"order {order} of a Pade approximation: give 1 to {policy.largest_pade_order}")
+    unit = _pade(order)
+    A, B, C, D = model.A, model.B.copy(), model.C, model.D.copy()
+    names, units, findings = list(model.state_names), list(model.state_units), list(model.findings)
+    for j, seconds in enumerate(model.delay):
+        if not seconds:
+            continue
+        a, b, c, d = unit[0] / seconds, unit[1] / seconds, unit[2], unit[3]
+        corner = np.zeros((len(a), len(A)))
+        A = np.block([[A, np.outer(B[:, j], c)], [corner, a]])
+        C = np.hstack([C, np.outer(D[:, j], c)])
+        D[:, j] *= d
+        B = np.vstack([B, np.zeros((len(a), B.shape[1]))])
+        B[:, j] *= d
+        B[-len(a) :, j] = b.ravel()
+        names += [f"{model.input_names[j]}_late_{i + 1}" for i in range(len(a))]
+        units += [model.input_units[j]] * len(a)
+        values = {"delay": float(seconds), "order": order, "limit": (1.6 * order - 1) / seconds}
+        findings.append(Finding(ExportFinding.DELAY_APPROXIMATED, Severity.NOTE, model.input_names[j], values))
+    extra = len(A) - len(model.A)
+    return replace(
+        model,
+        A=A,
+        B=B,
+        C=C,
+        D=D,
+        state_names=tuple(names),
+        state_units=tuple(units),
+        delay=np.zeros_like(model.delay),
+        x0=np.append(model.x0, np.zeros(extra)),
+        rates=np.append(model.rates, np.zeros(extra)),
+        findings=tuple(findings),
+    )
+
+
+def _pade(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """State space of the Pade approximation of a delay of one second; another delay only changes the unit of time."""
+    import control
+    from scipy.signal import tf2ss  # half a second to import
+
+    a, b, c, d = tf2ss(*control.pade(1.0, order))
+    return a, b, c, float(d[0, 0])
+
+
+# ---- The nonlinear model ----
+
+
+def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps: int = 0) -> Any:
+    """Convert a fit or model to a ``control.NonlinearIOSystem`` with signal names.
+
+    Parameters
+    ----------
+    plant
+        A fit, or a model at its present values.
+    dt
+        None: the continuous equations. Seconds: one sampling interval with held inputs, stepped as the library steps it, with dry
+        friction that sticks, play and delays in it (earlier values of a delayed input are states ``u_1, u_2, ...``).
+    substeps
+        Integration steps in a sampling interval; 0 chooses.
+
+    Returns
+    -------
+    control.NonlinearIOSystem
+        Its ``params`` are the model's parameters by name, without those of a delay.
+
+    Raises
+    ------
+    ModelError
+        For a continuous system of a model with an effect that is more than a differential equation; it names the effect.
+
+    Examples
+    --------
+    >>> system = gb.export.to_nonlinear_system(fit, 1e-3)  # doctest: +SKIP
+    """
+    source = to_plant(plant)
+    return (
+        _make_continuous(source)
+        if dt is None
+        else _make_sampled(source, make_discrete_step(source, dt, substeps=substeps))
+    )
+
+
+def find_discontinuous_effects(model: Model) -> list[str]:
+    """Effects of ``model`` that ordinary differential equations cannot hold, each with the reason."""
+    s = model.system
+    return [
+        *(f"{d.effect} (it sticks: the velocity stays at zero for a while)" for d in s.dry),
+        *(f"{u.effect} (its state {s.state_names[u.state]!r} is set, it has no rate)" for u in s.updates),
+        *(f"{d.effect} (it needs earlier values of the input)" for d in s.delays),
+    ]
+
+
+def _make_continuous(plant: Plant) -> Any:
+    import control
+
+    model, s = plant.model, plant.model.system
+    beyond = find_discontinuous_effects(model)
+    if beyond:
+        raise ModelError(
+            f"{model.title} is not an ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that contains it"
+        )
+    rates, outputs = s.rhs_function, s.output_function
+    parameters, values = _changeable_parameters(plant)
+
+    def update(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
+        return rates(_as_row(x, s.x.numel()), _as_row(u, s.u.numel()), values(params)).full().ravel()
+
+    def read(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
+        return outputs(_as_row(x, s.x.numel()), _as_row(u, s.u.numel()), values(params)).full().ravel()
+
+    return control.NonlinearIOSystem(
+        update,
+        read,
+        inputs=to_identifiers(s.input_names),
+        outputs=to_identifiers(s.output_names),
+        states=to_identifiers(s.state_names),
+        params=parameters,
+        name=to_identifier(model.title),
+    )
+
+
+def _make_sampled(plant: Plant, step: DiscreteStep) -> Any:
+    import control
+
+    model, s = plant.model, plant.model.system
+    nx, column = s.x.numel(), step.late_input
+    parameters, values = _changeable_parameters(plant)
+
+    def update(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
+        x, u = np.asarray(x, float).ravel(), _as_row(u, s.u.numel())
+        after = step.advance(x[:nx], x[nx:], u, values(params))
+        return np.concatenate([after, u[[column]], x[nx:-1]]) if step.past else after
+
+    def read(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
+        x = np.asarray(x, float).ravel()
+        return step.outputs(x[:nx], x[nx:], _as_row(u, s.u.numel()), values(params))
+
+    return control.NonlinearIOSystem(
+        update,
+        read,
+        inputs=to_identifiers(s.input_names),
+        outputs=to_identifiers(s.output_names),
+        states=to_identifiers([*s.state_names, *name_past_inputs(step)]),
+        params=parameters,
+        name=to_identifier(model.title),
+        dt=step.dt,
+    )
+
+
+def _as_row(values: Any, size: int) -> np.ndarray:
+    return np.asarray(values, float).ravel()[:size]
+
+
+def _changeable_parameters(plant: Plant) -> tuple[dict[str, float], Callable[[Mapping[str, float]], np.ndarray]]:
+    """The constants that may be changed, under names that control systems allow, and how they become an array again."""
+    names, fixed = plant.model.system.parameter_names, find_delay_parameters(plant.model)
+    parameters = dict(zip(to_identifiers(names), map(float, plant.p), strict=True))
+
+    def values(params: Mapping[str, float]) -> np.ndarray:
+        return np.array([params.get(name, value) for name, value in parameters.items()])
+
+    return {
+        name: value for (name, value), true in zip(parameters.items(), names, strict=True) if true not in fixed
+    }, values

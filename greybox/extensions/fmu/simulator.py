@@ -1,0 +1,267 @@
+"""Runs of an FMU beside records, by fmpy: one instance that is reset from run to run, and made anew after one that fails."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from greybox.base.errors import GreyboxError, OutputError, shorten
+from greybox.data.experiment import Experiment
+from greybox.extensions.fmu.description import FmuPlant, FmuVariable
+from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
+from greybox.extensions.fmu.sensitivities import SensitivityRunner, has_directional_derivatives
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[list[BaseException]]:
+    """Nothing that an FMU or its solver prints is shown: a failure says it once. Gives the errors that were lost in calls from C."""
+    lost: list[BaseException] = []
+
+    def keep(event: Any) -> None:
+        lost.append(event.exc_value or FmuRunError(str(event)))
+
+    hook, sys.unraisablehook = sys.unraisablehook, keep
+    saved = {}
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    try:
+        for number in (1, 2):
+            with contextlib.suppress(OSError):
+                saved[number] = os.dup(number)
+                os.dup2(nowhere, number)
+        with warnings.catch_warnings(), contextlib.redirect_stdout(io.StringIO()):
+            warnings.simplefilter("ignore")
+            yield lost
+    finally:
+        sys.unraisablehook = hook
+        for number, copy in saved.items():
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
+
+
+class FmuRunError(GreyboxError):
+    """A run of an FMU that failed."""
+
+
+class FmuSimulator:
+    """Runs an FMU; a context manager, which unpacks it and removes it again.
+
+    Parameters
+    ----------
+    plant
+        The FMU.
+    policy
+        How exactly it is solved.
+    """
+
+    def __init__(self, plant: FmuPlant, policy: FmuFitPolicy = DEFAULT_FMU_FIT) -> None:
+        self.plant, self.policy = plant, policy
+        self.runs = self.failures = self.rows = 0
+        self._folder: str | None = None
+        self._description: Any = None
+        self._instance: Any = None
+        self._may_differentiate: bool | None = None
+
+    def __enter__(self) -> Self:
+        from fmpy import extract, read_model_description
+
+        self._folder = tempfile.mkdtemp(prefix="greybox-fmu-")
+        try:
+            extract(str(self.plant.path), unzipdir=self._folder)
+            self._description = read_model_description(self._folder, validate=False)
+        except BaseException as error:
+            self._discard()
+            shutil.rmtree(self._folder, ignore_errors=True)
+            if not isinstance(error, Exception):
+                raise
+            if isinstance(error, OSError):  # a disk that is full
+                raise OutputError(error.errno, error.strerror or str(error), self._folder) from error
+            reason = shorten(str(error) or type(error).__name__)
+            raise FmuRunError(f"{self.plant.path.name}: cannot be unpacked ({reason}); export it again") from error
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._discard()
+        if self._folder is not None:
+            shutil.rmtree(self._folder, ignore_errors=True)
+            self._folder = None
+
+    def run(self, experiment: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Outputs over a record.
+
+        Parameters
+        ----------
+        experiment
+            Its inputs drive the FMU.
+        values
+            Variable of the FMU -> value before the run.
+
+        Returns
+        -------
+        dict
+            Label of the output -> values (N,) at the times of the record.
+
+        Raises
+        ------
+        FmuRunError
+            Where the FMU reports an error, or an output is not finite.
+        """
+        time = experiment.time - experiment.time[0]
+        step = experiment.sampling_time or float(np.median(np.diff(time)))
+        self.runs += 1
+        self.rows += experiment.rows
+        try:
+            result = self._simulate(experiment, time, step, values)
+        except Exception as error:  # of the FMU, its solver or the library: whatever it is, the run is lost
+            self.failures += 1
+            self._discard()
+            raise FmuRunError(
+                f"{self.plant.path.name}: the run failed ({str(error)[:120] or type(error).__name__})"
+            ) from error
+        outputs = {}
+        for o in self.plant.outputs:
+            values_at = np.interp(time, result["time"], np.asarray(result[o.name], dtype=float))
+            if not np.isfinite(values_at).all() or result["time"][-1] < time[-1] - step:
+                self.failures += 1
+                raise FmuRunError(f"{self.plant.path.name}: output {o.name!r} is not finite to the end of the record")
+            outputs[o.label] = values_at
+        return outputs
+
+    def _simulate(self, experiment: Experiment, time: np.ndarray, step: float, values: Mapping[str, float]) -> Any:
+        import fmpy
+
+        with _silence() as lost:
+            if self._instance is None:
+                self._instance = fmpy.instantiate_fmu(self._folder, self._description, self.plant.kind)
+            else:
+                self._instance.reset()
+                vars(self._instance).pop("setTime", None)
+            if self.plant.kind == "ModelExchange" and self.plant.inputs and experiment.hold != "zero":
+                self._follow_inputs(experiment, time)
+            result = fmpy.simulate_fmu(
+                self._folder,
+                validate=False,
+                start_time=0.0,
+                stop_time=float(time[-1]),
+                output_interval=step,
+                step_size=step,
+                relative_tolerance=self.policy.relative_tolerance,
+                record_events=False,
+                fmi_type=self.plant.kind,
+                start_values=dict(values),
+                input=self._write_inputs(experiment, time),
+                output=[o.name for o in self.plant.outputs],
+                model_description=self._description,
+                fmu_instance=self._instance,
+                fmi_call_logger=None,
+            )
+        if lost:
+            raise lost[0]
+        return result
+
+    @property
+    def has_derivatives(self) -> bool:
+        """Whether the FMU has directional derivatives that can be used, and they have not failed so far."""
+        if self._may_differentiate is None:
+            assert self._folder is not None  # asked inside the context alone
+            self._may_differentiate = has_directional_derivatives(self._folder, self._description, self.plant.kind)
+        return self._may_differentiate
+
+    def differentiate(
+        self,
+        experiment: Experiment,
+        values: Mapping[str, float],
+        unknowns: Sequence[FmuVariable],
+        widths: np.ndarray,
+        outputs: Mapping[str, np.ndarray],
+    ) -> np.ndarray | None:
+        """Slopes (N, ny, n) of the outputs over a record, by the FMU's directional derivatives.
+
+        Parameters
+        ----------
+        experiment
+            Its inputs drive the FMU.
+        values
+            Variable of the FMU -> value before the run.
+        unknowns
+            With respect to what.
+        widths
+            Steps (n,) of differences, for what has no directional derivative.
+        outputs
+            The run over the record, which the one with slopes must agree with.
+
+        Returns
+        -------
+        array or None
+            None where the FMU has none, they fail, or that run does not agree; then they are not asked for again.
+        """
+        if not self.has_derivatives or self._folder is None:
+            return None
+        self.runs += 1
+        self.rows += experiment.rows * (1 + len(unknowns))
+        try:
+            with (
+                _silence() as lost,
+                SensitivityRunner(self._folder, self._description, self.plant, self.policy) as runner,
+            ):
+                run, slopes = runner.run(experiment, values, unknowns, widths)
+            if lost:
+                raise lost[0]
+        except Exception:  # of the FMU or the library: differences take their place
+            self._may_differentiate = False
+            return None
+        expected = np.column_stack([outputs[o.label] for o in self.plant.outputs])
+        error = np.abs(run - expected).max(axis=0)
+        if not (
+            np.isfinite(slopes).all() and np.all(error <= self.policy.sensitivity_error * np.ptp(expected, axis=0))
+        ):
+            self._may_differentiate = False
+            return None
+        return slopes
+
+    def _write_inputs(self, experiment: Experiment, time: np.ndarray) -> np.ndarray | None:
+        if not self.plant.inputs:
+            return None
+        columns = [time, *(experiment.inputs[i.label] for i in self.plant.inputs)]
+        table = np.column_stack(columns)
+        if experiment.hold == "zero" and self.plant.kind == "ModelExchange":
+            # The held value again at the end of its interval: two rows of one time are a step.
+            held = np.empty((2 * len(table) - 1, table.shape[1]))
+            held[::2], held[1::2] = table, table[:-1]
+            held[1::2, 0] = time[1:]
+            table = held
+        names = [("time", float), *((i.name, float) for i in self.plant.inputs)]
+        return np.array([tuple(row) for row in table], dtype=names)
+
+    def _follow_inputs(self, experiment: Experiment, time: np.ndarray) -> None:
+        """Set the inputs wherever the solver asks for rates: by itself fmpy holds them over each of its steps."""
+        instance, kind = self._instance, type(self._instance)
+        known = {v.name: v.valueReference for v in self._description.modelVariables}
+        references = [known[i.name] for i in self.plant.inputs]
+        columns = [experiment.inputs[i.label] for i in self.plant.inputs]
+        write = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+
+        def set_time(at: float) -> Any:
+            result = kind.setTime(instance, at)
+            write(references, [float(np.interp(at, time, column)) for column in columns])
+            return result
+
+        instance.setTime = set_time
+
+    def _discard(self) -> None:
+        if self._instance is not None:
+            with contextlib.suppress(Exception), _silence():
+                self._instance.freeInstance()
+            self._instance = None

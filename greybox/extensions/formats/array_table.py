@@ -1,0 +1,172 @@
+"""Tables in files of named arrays: MATLAB, NumPy, HDF5, Parquet. Shapes are known at once, numbers are loaded when they are wanted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import DataError, shorten
+from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.problems import RowLabels
+
+Arrays = Mapping[str, np.ndarray]
+ArrayLoader = Callable[[Sequence[str]], Arrays]
+"""Gives the arrays of these names."""
+
+
+@dataclass(frozen=True)
+class ArrayInfo:
+    """What is known of an array before it is loaded: its ``shape``, and what it ``holds`` if not numbers."""
+
+    shape: tuple[int, ...]
+    holds: str = ""
+
+    @property
+    def is_matrix(self) -> bool:
+        """Whether it has several columns of numbers."""
+        return len(self.shape) == 2 and min(self.shape) > 1 and not self.holds
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether it is one column of several numbers."""
+        return not self.holds and len(self.shape) in (1, 2) and max(self.shape) > 1 and not self.is_matrix
+
+
+@dataclass(frozen=True)
+class ArrayColumn:
+    """One column of a table: an array, or in a matrix its column (or row, if it has more columns than rows) ``index``."""
+
+    array: str
+    header: str
+    index: int | None = None
+
+
+@dataclass(frozen=True)
+class ArrayTable:
+    """Named arrays of a file; rows are counted from 1. The columns of a matrix ``data`` are called ``data(:,1)``, ``data(:,2)``, ...
+
+    Parameters
+    ----------
+    infos
+        The arrays of the file, in their order.
+    load
+        Loads some of them.
+    columns
+        The columns of the table.
+    policy
+        How much may be loaded.
+    """
+
+    infos: Mapping[str, ArrayInfo]
+    load: ArrayLoader = field(repr=False)
+    columns: tuple[ArrayColumn, ...]
+    policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
+    headless = False
+    header_line = 1
+
+    @classmethod
+    def from_infos(
+        cls, infos: Mapping[str, ArrayInfo], load: ArrayLoader, policy: ReadingPolicy = READING_POLICY
+    ) -> ArrayTable:
+        """The table of a file's arrays. Raises DataError for more columns than the policy allows."""
+        check_width(sum(min(i.shape) if i.is_matrix else 1 for i in infos.values()), policy)
+        columns: list[ArrayColumn] = []
+        for name, info in infos.items():
+            if not info.is_matrix:
+                columns.append(ArrayColumn(name, name))
+                continue
+            written = "{}(:,{})" if info.shape[0] >= info.shape[1] else "{}({},:)"
+            columns += [ArrayColumn(name, written.format(name, k + 1), k) for k in range(min(info.shape))]
+        return cls(infos, load, tuple(columns), policy)
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(column.header for column in self.columns)
+
+    @property
+    def comments(self) -> tuple[str, ...]:
+        """None: such files have no lines."""
+        return ()
+
+    @property
+    def row_labels(self) -> RowLabels:
+        """Rows are called by their number."""
+        return RowLabels()
+
+    @property
+    def numbered(self) -> tuple[int, ...]:
+        """Positions of the columns of the only matrix, or of all vectors where there is no matrix."""
+        matrices = [name for name, info in self.infos.items() if info.is_matrix]
+        if matrices:
+            return tuple(
+                k for k, column in enumerate(self.columns) if len(matrices) == 1 and column.array == matrices[0]
+            )
+        return tuple(k for k, column in enumerate(self.columns) if self.infos[column.array].is_vector)
+
+    def rename(self, names: Sequence[str]) -> ArrayTable:
+        """The table with a name for each counted column; the others have none. Raises DataError for another number of names."""
+        if not self.numbered:
+            matrices = [shorten(name) for name, info in self.infos.items() if info.is_matrix]
+            what = f"the matrices {', '.join(matrices)}" if matrices else "no columns of numbers"
+            raise DataError(f"the file has {what}; choose columns by their headers, as in columns={{'u': 'data(:,2)'}}")
+        if len(names) != len(self.numbered):
+            raise DataError(describe_wrong_count(names, len(self.numbered)))
+        named = dict(zip(self.numbered, names, strict=True))
+        return replace(
+            self, columns=tuple(replace(column, header=named.get(k, "")) for k, column in enumerate(self.columns))
+        )
+
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
+        """Columns (N,) as float64 with NaN for gaps, and the problems met."""
+        wanted = {k: self.columns[k] for k in positions}
+        problems = [
+            f"column {shorten(column.header)!r} holds {info.holds}, not real numbers; write numbers (time in seconds)"
+            for column in wanted.values()
+            if (info := self.infos[column.array]).holds
+        ]
+        if problems:
+            return {k: np.zeros(0) for k in positions}, problems
+        names = list(dict.fromkeys(column.array for column in wanted.values()))
+        check_size(sum(int(np.prod(self.infos[name].shape, dtype=object)) for name in names), 1, self.policy)
+        arrays = self.load(names)
+        columns = {
+            k: _to_column(column, arrays[column.array], self.row_labels, problems) for k, column in wanted.items()
+        }
+        rows = {len(values) for values in columns.values()}
+        if not problems and len(rows) > 1:
+            lengths = ", ".join(f"{shorten(self.headers[k])!r} {len(v)}" for k, v in columns.items())
+            problems.append(f"columns differ in length ({lengths} rows); each needs one value for each time")
+        return columns, problems
+
+
+def _to_column(column: ArrayColumn, array: np.ndarray, labels: RowLabels, problems: list[str]) -> np.ndarray:
+    header = shorten(column.header)
+    if column.index is not None and array.ndim == 2:
+        array = array[:, column.index] if array.shape[0] >= array.shape[1] else array[column.index]
+    if array.ndim == 2 and 1 in array.shape:
+        array = array.ravel()
+    if array.ndim != 1:
+        problems.append(f"column {header!r} has shape {array.shape}; it needs one number for each row")
+    elif array.dtype.kind in "biuf":
+        return array.astype(np.float64)
+    elif array.dtype.kind in "OUS":
+        values = [_to_number(v) for v in array]
+        bad = [k for k, v in enumerate(values) if v is None]
+        if not bad:
+            return np.array(values, dtype=np.float64)
+        problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
+    else:
+        problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
+    return np.zeros(0)
+
+
+def _to_number(value: Any) -> float | None:
+    """A number, NaN for a missing one, None for anything else."""
+    if value is None:
+        return float("nan")
+    return float(value) if isinstance(value, (int, float, np.number)) and not isinstance(value, complex) else None

@@ -1,0 +1,96 @@
+"""Parquet files through pyarrow: the schema first, columns when they are wanted."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.data.columns import check_width
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.extensions.formats.array_table import ArrayInfo, ArrayTable
+
+
+def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
+    """Columns of a Parquet file; an index that pandas stored is a column like the others."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        check_width(len(file.schema_arrow), policy)
+        rows = file.metadata.num_rows
+        infos = {
+            column.name: ArrayInfo((rows,), "" if _is_number(pa.types, column.type) else _describe_type(column.type))
+            for column in file.schema_arrow
+        }
+
+    def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        with pq.ParquetFile(path) as file:
+            table = file.read(columns=list(names), use_threads=False)
+        return {name: _to_array(table.column(name).cast(pa.float64(), safe=False)) for name in names}
+
+    return ArrayTable.from_infos(infos, load, policy)
+
+
+def _is_number(types: Any, kind: Any) -> bool:
+    known = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
+    return any(is_kind(kind) for is_kind in known)
+
+
+def _describe_type(kind: Any) -> str:
+    return "text" if str(kind) in ("string", "large_string") else str(kind)
+
+
+def _to_array(column: Any) -> np.ndarray:
+    """Numbers with NaN for nulls."""
+    return np.asarray(column.to_numpy(), dtype=np.float64)
+
+
+# Archives of NumPy arrays (.npz): headers first, arrays when they are wanted, nothing unpickled.
+
+SUFFIX = ".npy"
+HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def read_npz(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
+    """Arrays of a NumPy archive; names may carry units, as in ``numpy.savez(file, **{"x [um]": x})``.
+
+    Raises DataError for a member that is no array, or shorter than it claims to be.
+    """
+    with zipfile.ZipFile(path) as archive:
+        check_width(len(archive.infolist()), policy)
+        members = {member.filename.removesuffix(SUFFIX): member for member in archive.infolist()}
+        infos = {}
+        for name, member in members.items():
+            with archive.open(member) as file:
+                infos[name] = _read_info(file, member.file_size)
+
+    def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
+        arrays = {}
+        with zipfile.ZipFile(path) as archive:
+            for name in names:
+                with archive.open(members[name]) as file:
+                    arrays[name] = np.lib.format.read_array(file, allow_pickle=False)
+        return arrays
+
+    return ArrayTable.from_infos(infos, load, policy)
+
+
+def _read_info(file: IO[bytes], size: int) -> ArrayInfo:
+    """Shape and type of an array from its header; ``size``: bytes of the member."""
+    if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
+        raise DataError("a member is no array; write it with numpy.savez(file, time=..., u=...)")
+    version = tuple(file.read(2))
+    if version not in HEADERS:
+        return ArrayInfo((), "an array of another format")
+    shape, _, dtype = HEADERS[version](file)
+    if dtype.hasobject:
+        return ArrayInfo(shape, "Python objects")
+    if int(np.prod(shape, dtype=object)) * dtype.itemsize > size:
+        raise DataError(f"an array claims the shape {shape}, which its {size} bytes cannot hold; write the file again")
+    holds = {"U": "text", "S": "text"}.get(dtype.kind, str(dtype))
+    return ArrayInfo(shape, "" if dtype.kind in "biuf" else holds)

@@ -1,0 +1,115 @@
+"""TDMS files of LabVIEW, through nptdms: channels whose stamps are a start, an offset and an increment, or a channel of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.findings import Finding
+from greybox.base.units import convert
+from greybox.data.channels import Channel, ChannelTable
+from greybox.data.columns import TIME, check_width, parse_header
+from greybox.data.findings import RecordCode
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.time_base import Samples
+
+
+class _Stamps(NamedTuple):
+    """Start of the recorder (s), offset and increment (s) of a channel; or the channel of its group that holds the stamps."""
+
+    start: float
+    offset: float
+    increment: float
+    channel: str
+
+
+def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable:
+    """The channels of all groups, each group with its own clock. Times count from the first start that the file states."""
+    from nptdms import TdmsFile
+
+    channels: list[Channel] = []
+    places: list[tuple[str, str, _Stamps]] = []
+    starts: dict[str, float] = {}
+    with TdmsFile.open(path) as file:
+        check_width(sum(len(group.channels()) for group in file.groups()), policy)
+        for group in file.groups():
+            clock = next((c for c in group.channels() if _is_time(c.name)), None)
+            for channel in group.channels():
+                if clock is not None and channel.name == clock.name:
+                    continue
+                stamps = _read_stamps(channel, clock)
+                if stamps is None:
+                    continue
+                header = parse_header(channel.name, 0)
+                unit = str(channel.properties.get("unit_string", "") or header.unit).strip()
+                kind = np.dtype(channel.dtype).kind if channel.dtype is not None else "O"
+                holds = "" if kind in "biuf" else "text or stamps"
+                starts.setdefault(group.name, stamps.start)
+                name = header.name if header.unit else channel.name
+                channels.append(
+                    Channel(name, unit, group.name, group.name, len(channel), holds, stepwise=kind in "biu")
+                )
+                places.append((group.name, channel.name, stamps))
+    if not channels:
+        raise DataError("no channel has stamps (wf_increment, or a channel 'time' in its group); export it as CSV")
+    known = [start for start in starts.values() if np.isfinite(start)]
+    origin = min(known, default=0.0)
+    findings = [
+        Finding(RecordCode.CLOCK_START, subject=group, values={"start": start - origin})
+        for group, start in starts.items()
+        if np.isfinite(start) and start > origin
+    ]
+
+    def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
+        result: dict[int, Samples] = {}
+        with TdmsFile.open(path) as file:
+            for k in wanted:
+                group, name, stamps = places[k]
+                values = np.asarray(file[group][name][:], dtype=np.float64)
+                if stamps.channel:
+                    time = _to_seconds(file[group][stamps.channel])
+                    time = time - origin if np.isfinite(stamps.start) else time
+                else:
+                    begin = stamps.start - origin if np.isfinite(stamps.start) else 0.0
+                    time = begin + stamps.offset + stamps.increment * np.arange(len(values))
+                result[k] = Samples(time, values)
+        return result
+
+    return ChannelTable.from_channels(channels, load, policy, findings)
+
+
+def _is_time(name: str) -> bool:
+    bare = parse_header(name, 0).name
+    return bare == "t" or bare.lower() == TIME
+
+
+def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
+    properties = channel.properties
+    if clock is not None and len(clock) == len(channel):
+        absolute = np.dtype(clock.dtype).kind == "M"
+        return _Stamps(_to_epoch(clock[0]) if absolute and len(clock) else np.nan, 0.0, 0.0, clock.name)
+    increment = float(properties.get("wf_increment", 0.0))
+    if not increment > 0:
+        return None
+    start = properties.get("wf_start_time")
+    return _Stamps(
+        np.nan if start is None else _to_epoch(start), float(properties.get("wf_start_offset", 0.0)), increment, ""
+    )
+
+
+def _to_epoch(stamp: Any) -> float:
+    """Seconds since 1970; TDMS counts in microseconds at the finest."""
+    return float(np.datetime64(stamp).astype("datetime64[us]").astype(np.int64)) * 1e-6
+
+
+def _to_seconds(clock: Any) -> np.ndarray:
+    values = clock[:]
+    if values.dtype.kind == "M":
+        return np.asarray(values.astype("datetime64[us]").astype(np.int64) * 1e-6)
+    unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
+    time = np.asarray(values, dtype=np.float64)
+    return np.asarray(convert(time, unit, "s")) if unit else time

@@ -1,0 +1,49 @@
+"""The catalogue: physical effects that a model may lack, as values.
+
+``model + effect("coulomb_friction")`` is a new model. The effects are grouped by domain, one file each. They speak in
+roles (``x.velocity``, ``p.resistance``) and sites (``force``, ``input``, ``valve``, ``sensor``), so one entry serves every
+model that has them. Amplitudes are zero in the catalogue (or at their neutral value): an effect just added changes nothing
+until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exceptions have no amplitude: ``choked_flow`` replaces the linear
+law, ``linear_input`` and ``band_limited_input`` say how the input moves between samples.
+"""
+
+from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, effect
+from greybox.model.effects.elasticity import CONTACT, ELASTICITY
+from greybox.model.effects.electrical import ELECTRICAL, THERMAL
+from greybox.model.effects.flow import FLOW, LEVEL
+from greybox.model.effects.formula import formula_effect
+from greybox.model.effects.friction import DAMPING, FRICTION
+from greybox.model.effects.placement import EffectListing, Placement, find_placements, place_effect
+from greybox.model.effects.roles import ROLES, SignalRole
+from greybox.model.effects.rotation import LOAD, ROTATION
+from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
+from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
+
+__all__ = [
+    "BETWEEN_SAMPLES",
+    "CATALOGUE",
+    "CONTACT",
+    "DAMPING",
+    "ELASTICITY",
+    "ELECTRICAL",
+    "FLOW",
+    "FRICTION",
+    "LEVEL",
+    "LOAD",
+    "ROLES",
+    "ROTATION",
+    "SIGNAL_PATH",
+    "THERMAL",
+    "EffectListing",
+    "Placement",
+    "Scales",
+    "SignalRole",
+    "applicable_effects",
+    "bound_delays",
+    "effect",
+    "find_placements",
+    "formula_effect",
+    "measure_scales",
+    "place_effect",
+    "tailor_to_record",
+]

@@ -1,0 +1,311 @@
+"""How large things are in a record: what start values of effects are measured by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.base.numerics import INTEGRATING_POLE
+from greybox.model.algebraic import eliminate
+from greybox.model.effect import Effect
+from greybox.model.effects.policy import START, UNTAILORED_DELAY
+from greybox.model.model import Model
+from greybox.model.sites import PlaceKind, Site, find_sites
+
+
+@dataclass(frozen=True)
+class SiteScales:
+    """How large things are at one site: peaks of what an effect there sees, 0 where there is no such signal.
+
+    Attributes
+    ----------
+    displacement, velocity, force, storage
+        Of a balance.
+    lowest, highest
+        Between which the displacement lies.
+    store
+        Peak of the pressure or level that the balance stores.
+    input, sensor, reading
+        Of an input, and of an output: how far it moves from its first value, and its peak.
+    pitch
+        Distance along the displacement after which what the plain model leaves repeats; 0 where it does not.
+    """
+
+    displacement: float = 0.0
+    velocity: float = 0.0
+    force: float = 0.0
+    storage: float = 0.0
+    lowest: float = 0.0
+    highest: float = 0.0
+    store: float = 0.0
+    input: float = 0.0
+    sensor: float = 0.0
+    reading: float = 0.0
+    pitch: float = 0.0
+
+
+@dataclass(frozen=True)
+class Scales:
+    """How large and how fast things are in a record, in the units of the model: what start values of effects are measured by.
+
+    A peak is 0 where the model has no such signal, and 1 where it has one and nothing moves.
+
+    Attributes
+    ----------
+    displacement, velocity, current
+        Peak absolute values of the states with these roles.
+    input
+        Peak of the first input.
+    sensor
+        How far the main output moves from its first value.
+    force, storage
+        Largest term of the balance ``force``, and what it stores (the mass).
+    balances
+        Largest term of each balance, by its name.
+    period, duration
+        Time between samples and length of the record, in s.
+    fastest, slowest
+        Time constants ``1 / |lambda|`` of the model along the record in s, integrators left out, at most the duration.
+    reading
+        Peak of the main output itself.
+    peaks
+        Peak of every state that has a role, by role.
+    lowest, highest
+        Between which the displacement lies.
+    store
+        Peak of the first pressure or level.
+    pitch
+        Distance along a displacement after which what the plain model leaves repeats; 0 where it does not, or where nobody looked.
+    sites
+        Scales at every site of the model, by the names and labels of the sites.
+    """
+
+    displacement: float
+    velocity: float
+    current: float
+    input: float
+    sensor: float
+    force: float
+    storage: float
+    balances: Mapping[str, float]
+    period: float
+    duration: float
+    fastest: float
+    slowest: float
+    reading: float = 1.0
+    peaks: Mapping[str, float] = field(default_factory=dict)
+    lowest: float = 0.0
+    highest: float = 0.0
+    store: float = 0.0
+    pitch: float = 0.0
+    sites: Mapping[str, SiteScales] = field(default_factory=dict)
+
+    def at(self, site: str) -> Scales:
+        """The same as an effect at ``site`` sees it: peaks there in the place of those at the first site of their kind."""
+        shown = {f.name: getattr(self.sites[site], f.name) for f in fields(SiteScales)} if site in self.sites else {}
+        return replace(self, **{name: value for name, value in shown.items() if value})
+
+    def with_periods(self, model: Model, periods: Mapping[str, float]) -> Scales:
+        """The same where what the plain ``model`` leaves repeats over states: ``periods`` by the name of the state, in its unit."""
+        pitches = {
+            name: periods[displacement]
+            for site in model.sites
+            if (displacement := site.states.get("displacement", "")) in periods
+            for name in (site.name, site.label)
+        }
+        sites = {name: replace(at_site, pitch=pitches.get(name, at_site.pitch)) for name, at_site in self.sites.items()}
+        return replace(self, pitch=next(iter(pitches.values()), self.pitch), sites=sites)
+
+    @property
+    def visible_force(self) -> float:
+        """A small share of the largest force: an effect of this size is visible but small (`StartingValues.visible_share`)."""
+        return START.visible_share * self.force
+
+
+def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
+    """The scales of a model along a record or a simulation of it.
+
+    Parameters
+    ----------
+    model
+        The model; its parameters have the values of the simulation.
+    x, u
+        Its states (N, nx) and inputs (N, nu). Rows that are not finite are left out.
+    period
+        Time between rows in s.
+
+    Returns
+    -------
+    Scales
+        Peaks, largest terms and time constants.
+
+    Raises
+    ------
+    DataError
+        If no row is finite.
+    """
+    system, p = model.system, np.array(list(model.values.values()))
+    duration = period * max(len(x) - 1, 1)
+    every = max(1, len(x) // START.rows)
+    x, u = np.asarray(x, float)[::every], np.asarray(u, float).reshape(len(u), -1)[::every]
+    is_finite = np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1)
+    x, u = x[is_finite], u[is_finite]
+    if not len(x):
+        raise DataError(
+            f"model {model.title!r}: no row of the simulated states is finite; start from other values of its parameters"
+        )
+    arguments = [system.x, system.u, system.p]
+    columns = {state.name: x[:, k] for k, state in enumerate(model.all_states)}
+    for a in system.algebraic:
+        columns[a.state.name] = np.asarray(ca.Function("value", arguments, [a.value])(x.T, u.T, p)).ravel()
+    peaks = {state.role: _peak(columns[state.name]) for state in reversed(model.all_states) if state.role}
+    for site in model.sites:  # roles that units tell
+        peaks = {role: _peak(columns[name]) for role, name in site.states.items() if name} | peaks
+    rows = {b.name: ca.vertcat(*b.terms.values()) for b in system.balances}
+    rows |= {
+        a.balance.name: eliminate(ca.vertcat(*a.balance.terms.values()), system.algebraic) for a in system.algebraic
+    }
+    every_term = {name: ca.Function("terms", arguments, [row]) for name, row in rows.items()}
+    balances = {name: _peak(np.asarray(terms(x.T, u.T, p))) for name, terms in every_term.items()}
+    stored = ca.Function("storage", arguments, [ca.vertcat(*[ca.SX(b.storage) for b in system.balances])])
+    of_balances = dict(zip(balances, np.asarray(stored(x[0], u[0], p)).ravel().tolist(), strict=False))
+    storages = dict.fromkeys(balances, 0.0) | of_balances
+    readings = dict(zip(system.output_names, np.asarray(system.output_function(x.T, u.T, p)), strict=True))
+    inputs = dict(zip(system.input_names, u.T, strict=True))
+    sites: dict[str, SiteScales] = {}
+    for site in model.sites:
+        at_site = _measure_site(site, columns, inputs, readings, balances, storages)
+        sites |= {site.name: at_site, site.label: at_site}
+    bodies = [sites[site.name] for site in find_sites("force", model.sites, model.inputs)]
+    body = bodies[0] if bodies else SiteScales()
+    stores = [s.store for s in sites.values() if s.store]
+    shown = readings[system.output_names[0]]
+    fastest, slowest = _time_constants(model, x, u, p, duration)
+    return Scales(
+        displacement=peaks.get("displacement", body.displacement),
+        velocity=peaks.get("velocity", body.velocity),
+        current=peaks.get("current", 0.0),
+        input=_peak(u[:, 0]) if u.shape[1] else 0.0,
+        sensor=_peak(shown - shown[0]),
+        force=body.force,
+        storage=body.storage,
+        balances=balances,
+        period=period,
+        duration=duration,
+        fastest=fastest,
+        slowest=slowest,
+        reading=_peak(shown),
+        peaks=peaks,
+        lowest=body.lowest,
+        highest=body.highest,
+        store=stores[0] if stores else 0.0,
+        sites=sites,
+    )
+
+
+def _measure_site(
+    site: Site,
+    states: Mapping[str, np.ndarray],
+    inputs: Mapping[str, np.ndarray],
+    readings: Mapping[str, np.ndarray],
+    balances: Mapping[str, float],
+    storages: Mapping[str, float],
+) -> SiteScales:
+    if site.kind is PlaceKind.INPUT:
+        return SiteScales(input=_peak(inputs[site.name]))
+    if site.kind is PlaceKind.OUTPUT:
+        shown = readings[site.name]
+        return SiteScales(sensor=_peak(shown - shown[0]), reading=_peak(shown))
+    seen = {role: states[name] for role, name in site.states.items() if name}
+    displacement = seen.get("displacement", np.zeros(0))
+    return SiteScales(
+        displacement=_peak(displacement) if len(displacement) else 0.0,
+        velocity=_peak(seen["velocity"]) if "velocity" in seen else 0.0,
+        force=balances[site.name],
+        storage=storages[site.name],
+        lowest=float(displacement.min(initial=0.0)),
+        highest=float(displacement.max(initial=0.0)),
+        store=_peak(seen["store"]) if "store" in seen else 0.0,
+    )
+
+
+def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
+    """An effect of the catalogue made ready for a record.
+
+    Shape parameters start inside their grid, and their bounds reach `StartingValues.bounds_reach` times further; a delay gets its longest
+    value: the catalogue cannot know how the record is sampled.
+
+    Parameters
+    ----------
+    entry
+        An effect.
+    scales
+        Those of the record, from `measure_scales`.
+
+    Returns
+    -------
+    Effect
+        The same effect with other start values and bounds.
+    """
+    grid = entry.grid(scales) if entry.grid else {}
+    limits = dict(entry.limits(scales)) if entry.limits else {}
+    parameters = []
+    for q in entry.parameters:
+        low, high = q.bounds
+        value = q.value
+        values = sorted(grid[q.name]) if q.name in grid and q.name not in entry.amplitudes else []
+        if values:
+            value = values[len(values) // 2]
+        if q.name in limits:
+            low, high = limits[q.name]
+        elif values and q.positive and low < values[0] and values[-1] < high:
+            low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
+        parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
+    return replace(entry, parameters=tuple(parameters))
+
+
+def bound_delays(model: Model, period: float) -> Model:
+    """A model whose delays may be as long as records show that are sampled every ``period`` seconds.
+
+    Only bounds that are still the catalogue's are changed: it cannot know how a record is sampled.
+
+    Parameters
+    ----------
+    model
+        A model with a delay or without one.
+    period
+        Time between rows in s.
+
+    Returns
+    -------
+    Model
+        The same model, or one with other bounds of its delays.
+    """
+    for bound in model.bound_effects:
+        if not bound.effect.delay:
+            continue
+        for inner, outer in zip(bound.effect.parameters, bound.parameters, strict=True):
+            if inner.name in bound.effect.amplitudes and inner.bounds == UNTAILORED_DELAY and not outer.fixed:
+                model = model.bound(**{outer.name: (0.0, START.longest_delay * period)})
+    return model
+
+
+def _peak(values: np.ndarray) -> float:
+    return float(np.abs(values).max(initial=0.0)) or 1.0
+
+
+def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, duration: float) -> tuple[float, float]:
+    rates = []
+    for k in range(0, len(x), max(1, len(x) // 10)):
+        jacobian = model.system.jacobian(x[k], u[k], p).full()
+        if np.isfinite(jacobian).all():
+            rates.append(np.abs(np.linalg.eigvals(jacobian)))
+    magnitudes = np.concatenate([*rates, np.empty(0)])
+    moving = magnitudes[magnitudes > INTEGRATING_POLE * magnitudes.max(initial=0.0)]
+    if not len(moving):
+        return duration, duration
+    return min(1 / float(moving.max()), duration), min(1 / float(moving.min()), duration)

@@ -1,0 +1,444 @@
+"""Signal path: what the drive and the sensor do to a signal on its way in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import casadi as ca
+
+from greybox.model.balance import Balance
+from greybox.model.effect import Effect
+from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
+from greybox.model.effects.policy import NEUTRAL, START, UNTAILORED_DELAY
+from greybox.model.effects.scales import Scales
+from greybox.model.signals import Expression, NamedValues, State
+
+
+def _add_offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value + p.u0
+
+
+def _clip(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
+
+
+def _clip_softly(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return p.u_max * ca.tanh(value / p.u_max)
+
+
+def _soft_from_hard_limit(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
+    return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
+
+
+def _subtract_dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value - ca.fmin(ca.fmax(value, -p.d), p.d)
+
+
+def _scale_by_sign(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value - p.g * ca.fmin(value, 0)
+
+
+def _gain_from_offset(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # An input of both signs that does less on one side has a mean: that is what a fitted offset or load shows.
+    share = min(2 * abs(values["u0"]) / s.input, 0.5) if "u0" in values else START.gain_share
+    return [{"g": share}, {"g": -share}]
+
+
+def _play_of_input(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # What the state was and where the input is: play does not depend on the way between.
+    return ca.fmin(ca.fmax(x.w, value - p.h), value + p.h)
+
+
+def _update_input_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    return {"w": ca.fmin(ca.fmax(x.w, u.input - p.h), u.input + p.h)}
+
+
+def _rectify(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value - 2 * p.r * ca.fmin(value, 0)
+
+
+def _spool_position(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return x.w
+
+
+def _spool_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
+
+
+def _delivered(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return x.w
+
+
+def _drive_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    return [Balance("drive", "{drive}", p.tau_u, "w", command=u.drive, drive=-x.w)]
+
+
+def _delay_seconds(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return p.delay
+
+
+def _add_drift(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return value + x.drift
+
+
+def _drift_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    return [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)]
+
+
+def _lagged_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return x.y
+
+
+def _lag_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+    return [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)]
+
+
+def _reading_with_play(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    return x.w
+
+
+def _update_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    return {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)}
+
+
+def _saturation_grid(s: Scales) -> Mapping[str, list[float]]:
+    return {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]}
+
+
+input_saturation = Effect(
+    "input_saturation",
+    site="input",
+    parameters=[
+        shape_parameter(
+            "u_max",
+            "{input}",
+            NEUTRAL.out_of_reach,
+            (1e-9, 1e9),
+            "largest input that gets through",
+            "large: absent until fitted",
+        )
+    ],
+    on_input=_clip,
+    equation="min(max(u, -u_max), u_max)",
+    parity="odd",
+    tells_apart=(
+        "Look at large inputs at small displacements: a clipped input acts whatever the displacement is, a hardening"
+        " spring and choked flow do not."
+    ),
+    source="supply voltage of an amplifier, end stop of a spool",
+    amplitudes=("u_max",),
+    neutral={"u_max": NEUTRAL.out_of_reach},
+    grid=_saturation_grid,
+)
+
+soft_saturation = Effect(
+    "soft_saturation",
+    site="input",
+    parameters=[shape_parameter("u_max", "{input}", NEUTRAL.out_of_reach, (1e-9, 1e9), "input that is never exceeded")],
+    on_input=_clip_softly,
+    equation="u_max tanh(u / u_max)",
+    parents=("input_saturation",),
+    parity="odd",
+    tells_apart=(
+        "Drive with a slow ramp: the response bends from the start, where a hard limit leaves it straight and then stops it; a"
+        " hardening spring bends with displacement instead, and winding heat takes its time."
+    ),
+    source="amplifier or valve driver that limits gradually",
+    amplitudes=("u_max",),
+    neutral={"u_max": NEUTRAL.out_of_reach},
+    grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
+    from_parent=_soft_from_hard_limit,
+)
+
+input_dead_zone = Effect(
+    "input_dead_zone",
+    site="drive",
+    parameters=[amplitude_parameter("d", "{drive}", "half-width of the zone without effect", low=0.0)],
+    on_input=_subtract_dead_zone,
+    equation="0 inside +-d, u -+ d outside",
+    parity="odd",
+    tells_apart=(
+        "Add a constant voltage larger than d: the dead zone is gone, Coulomb friction stays; or measure the current,"
+        " which stays at zero inside the zone."
+    ),
+    source="crossover distortion of an amplifier",
+    amplitudes=("d",),
+    probe=lambda s: {"d": 0.01 * s.input},
+)
+
+valve_dead_zone = replace(
+    input_dead_zone,
+    name="valve_dead_zone",
+    site="valve",
+    parameters=(amplitude_parameter("d", "{valve}", "half-width of the overlap of the spool", low=0.0),),
+    tells_apart=(
+        "Measure the pressures: in the dead zone none of them changes, while friction lets them build up until the"
+        " piston moves."
+    ),
+    source="overlap of a spool and its ports; Linear ARX modelling of pneumatic actuator system (chapter 10)",
+)
+
+input_hysteresis = Effect(
+    "input_hysteresis",
+    site="drive",
+    parameters=[amplitude_parameter("h", "{drive}", "half of the width of the loop", low=0.0)],
+    states=[State("w", "{drive}", description="input that gets through")],
+    update=_update_input_play,
+    on_input=_play_of_input,
+    equation="w = min(max(w, u - h), u + h), w in the place of u",
+    parity="odd",
+    tells_apart=(
+        "Drive with slow triangles of two sizes: after each reversal nothing happens until the input has come back by 2 h, whatever"
+        " its size; a dead zone is passed at zero only, and a lag shrinks with the frequency."
+    ),
+    source="play in front of the plant: M. Krasnoselskii, A. Pokrovskii, Systems with Hysteresis, Springer 1989",
+    amplitudes=("h",),
+    probe=lambda s: {"h": 0.01 * s.input},
+    limits=lambda s: {"h": (0.0, s.input)},
+)
+
+valve_hysteresis = replace(
+    input_hysteresis,
+    name="valve_hysteresis",
+    site="valve",
+    parameters=(amplitude_parameter("h", "{valve}", "half of the width of the loop", low=0.0),),
+    states=(State("w", "{valve}", description="position of the spool, as the voltage that would hold it"),),
+    source="friction of the spool and remanence of its solenoid, in data sheets of proportional valves: hysteresis 2 h over the range",
+)
+
+rectified_reading = Effect(
+    "rectified_reading",
+    site="sensor",
+    parameters=[
+        amplitude_parameter("r", "1", "0.5 for a sensor that ends at zero, 1 for one without sign", low=0.0, high=1.0)
+    ],
+    on_output=_rectify,
+    equation="y for y > 0, (1 - 2 r) y for y < 0",
+    parity="even",
+    tells_apart=(
+        "Reverse the motion slowly: the reading goes on at zero, or turns round there, while every other output passes through."
+    ),
+    source="tacho with a rectifier, flow meter without direction, converter of one sign",
+    amplitudes=("r",),
+    probe=lambda s: {"r": 0.05},
+)
+
+valve_lag = Effect(
+    "valve_lag",
+    site="valve",
+    parameters=[
+        shape_parameter(
+            "tau_v", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the spool", "small: absent until fitted"
+        )
+    ],
+    states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
+    on_input=_spool_position,
+    balances=_spool_balance,
+    equation="tau_v w' = u - w, w in the place of u",
+    parity="linear",
+    tells_apart=(
+        "Measure the pressures: a lag of the spool delays them, a lag of the sensor does not; from voltage to position"
+        " both are the same. Tones at 1/tau_v tell a lag, which weakens them, from a delay."
+    ),
+    source="first order of a spool with its spring and solenoid",
+    amplitudes=("tau_v",),
+    neutral={"tau_v": NEUTRAL.lag},
+    grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_v": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+)
+
+drive_lag = replace(
+    valve_lag,
+    name="drive_lag",
+    site="drive",
+    parameters=(
+        shape_parameter(
+            "tau_u", "s", NEUTRAL.lag, (NEUTRAL.lag, 1e6), "lag of the drive", "small: absent until fitted"
+        ),
+    ),
+    states=(State("w", "{drive}", relaxing=True, description="what the drive delivers"),),
+    on_input=_delivered,
+    balances=_drive_balance,
+    equation="tau_u w' = u - w, w in the place of u",
+    tells_apart=(
+        "Measure what the drive delivers (current, heat, flow). From the command to the output its lag and that of a sensor are the same;"
+        " tones at 1/tau_u tell a lag, which weakens them, from a delay."
+    ),
+    source="first order of an amplifier, a heater or a pump",
+    amplitudes=("tau_u",),
+    neutral={"tau_u": NEUTRAL.lag},
+    grid=lambda s: {"tau_u": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_u": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+)
+
+transport_delay = Effect(
+    "transport_delay",
+    site="input",
+    parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", *UNTAILORED_DELAY)],
+    delay=_delay_seconds,
+    equation="u(t - delay)",
+    parity="linear",
+    tells_apart=(
+        "Raise the frequency until delay times frequency is a quarter: a delay turns the phase and keeps the amplitude,"
+        " a lag of amplifier, valve or sensor weakens it."
+    ),
+    source="transport time in a hose (about 3 ms a metre), a converter or a bus",
+    amplitudes=("delay",),
+    probe=lambda s: {"delay": 0.4 * s.period},
+    limits=lambda s: {"delay": (0.0, START.longest_delay * s.period)},
+)
+
+input_offset = Effect(
+    "input_offset",
+    site="input",
+    parameters=[amplitude_parameter("u0", "{input}", "offset between the recorded and the acting input, either sign")],
+    on_input=_add_offset,
+    equation="u + u0",
+    parity="even",
+    tells_apart=(
+        "For a linear spring an input offset and a constant load give the same displacement record. Disconnect the"
+        " drive: the load stays, the offset goes; or measure the current at rest, which only the offset moves."
+    ),
+    source="amplifier and converter offset",
+    amplitudes=("u0",),
+    probe=lambda s: {"u0": 0.01 * s.input},
+)
+
+gain_by_sign = Effect(
+    "gain_by_sign",
+    site="input",
+    parameters=[
+        amplitude_parameter(
+            "g", "1", "share by which a negative input does less, negative where it does more", high=1.0
+        )
+    ],
+    on_input=_scale_by_sign,
+    equation="u for u > 0, (1 - g) u for u < 0",
+    parents=("input_offset", "constant_load"),
+    parity="even",
+    tells_apart=(
+        "Repeat a step of either sign at two sizes: the answers differ by the same ratio at both sizes, those of an input offset by"
+        " the same amount; a constant load acts with the input at rest too."
+    ),
+    source="unequal piston areas or valve edges; amplifier with unequal branches",
+    amplitudes=("g",),
+    probe=lambda s: {"g": 0.03},
+    from_parent=_gain_from_offset,
+    limits=lambda s: {"g": (-9.0, 1.0)},
+)
+
+sensor_drift = Effect(
+    "sensor_drift",
+    site="sensor",
+    parameters=[amplitude_parameter("rate", "{sensor}/s", "drift of the reading, either sign")],
+    states=[State("drift", "{sensor}", description="how far the reading has drifted")],
+    balances=_drift_balance,
+    on_output=_add_drift,
+    equation="x + rate t",
+    parity="slow",
+    tells_apart=(
+        "Rest for as long as the record: the reading drifts on with nothing applied; creep under a constant load slows"
+        " down and goes back when the load is taken off."
+    ),
+    source="thermal drift of a displacement sensor",
+    amplitudes=("rate",),
+    probe=lambda s: {"rate": 0.02 * s.sensor / s.duration},
+)
+
+sensor_lag = Effect(
+    "sensor_lag",
+    site="sensor",
+    parameters=[
+        shape_parameter(
+            "tau_s", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the sensor", "small: absent until fitted"
+        )
+    ],
+    states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
+    balances=_lag_balance,
+    on_output=_lagged_reading,
+    equation="tau_s y' = x - y, y in the place of x",
+    parity="linear",
+    tells_apart=(
+        "Measure the current or a pressure: a lag of the sensor leaves them alone, a delay or lag of the input does not;"
+        " from the input to this sensor a lag at either end is the same."
+    ),
+    source="filter of a sensor or its amplifier",
+    amplitudes=("tau_s",),
+    neutral={"tau_s": NEUTRAL.lag},
+    grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
+    limits=lambda s: {"tau_s": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+)
+
+backlash = Effect(
+    "backlash",
+    site="sensor",
+    parameters=[amplitude_parameter("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
+    states=[State("w", "{sensor}", lambda p: p.sensor, description="what the sensor shows")],
+    update=_update_play,
+    on_output=_reading_with_play,
+    equation="w = min(max(w, s - gap), s + gap), w in the place of s",
+    parity="odd",
+    tells_apart=(
+        "Move slowly forth and back: play keeps the reading still at every reversal by the same distance whatever the"
+        " force, friction keeps the body itself still until the force has changed."
+    ),
+    source="play in the coupling of a sensor",
+    amplitudes=("gap",),
+    probe=lambda s: {"gap": 0.01 * s.sensor},
+)
+
+SIGNAL_PATH: tuple[Effect, ...] = (
+    input_saturation,
+    soft_saturation,
+    input_dead_zone,
+    valve_dead_zone,
+    input_hysteresis,
+    valve_hysteresis,
+    valve_lag,
+    drive_lag,
+    transport_delay,
+    input_offset,
+    gain_by_sign,
+    sensor_drift,
+    sensor_lag,
+    backlash,
+    rectified_reading,
+)
+
+
+# Between samples: what the input does there, as an effect of its own.
+#
+# A record holds the input at its rows only. A computer holds it until the next row, which is what a model without one of these
+# effects assumes (or whatever the experiment says, see `greybox.Experiment.hold`); a measured input moves on. On a fast plant that
+# difference can outweigh every nonlinearity, so it is looked at before anything else.
+
+TELLS_APART = (
+    "Look at the input with an oscilloscope, or sample it ten times as fast: steps are held, straight lines and smooth curves are"
+    " not. In the data a held input is late by half a sample and no more than that at every frequency, as a short delay is."
+)
+
+linear_input = Effect(
+    "linear_input",
+    site="input",
+    parameters=[],
+    hold="first",
+    equation="u straight from sample to sample",
+    parity="linear",
+    tells_apart=TELLS_APART,
+    source="first-order hold: Astrom, Wittenmark, Computer-Controlled Systems",
+)
+
+band_limited_input = Effect(
+    "band_limited_input",
+    site="input",
+    parameters=[],
+    hold="band-limited",
+    equation="u without content above half the sampling rate",
+    parity="linear",
+    tells_apart=TELLS_APART,
+    source="Pintelon, Schoukens, System Identification: A Frequency Domain Approach: the band-limited measurement setup",
+)
+
+BETWEEN_SAMPLES: tuple[Effect, ...] = (linear_input, band_limited_input)

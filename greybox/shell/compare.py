@@ -1,0 +1,275 @@
+"""`greybox compare`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from greybox.base.errors import GreyboxError
+from greybox.extensions.fmu.command import is_fmu, run_fmu_comparison
+from greybox.shell.inputs import (
+    add_effects,
+    build_model,
+    check_prediction_steps,
+    check_skip,
+    check_substeps,
+    check_workers,
+    constrain,
+    fit_options,
+    print_record_notes,
+    read_quiet_records,
+    read_records,
+    seed_of,
+    with_delays_of_records,
+)
+from greybox.shell.options import (
+    STARTS_FILE,
+    Cluster,
+    Figures,
+    Json,
+    NoReport,
+    Silent,
+    Workers,
+    check_writable,
+    takes_study,
+)
+from greybox.shell.policy import PROGRESS
+from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
+from greybox.shell.study import COMPARE, Study
+from greybox.shell.terminal import ExitCode, exit_with_error, write_report
+
+if TYPE_CHECKING:
+    from greybox.base.findings import Finding
+    from greybox.comparison.compare import NamedModel
+    from greybox.comparison.result import Comparison
+    from greybox.data.experiment import Experiment
+    from greybox.estimation.result import Fit
+    from greybox.estimation.transcription.solution import FitProgress
+    from greybox.model.model import Model
+
+
+@takes_study(COMPARE)
+def compare(
+    study: Study,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", metavar="DIR", help="Folder for compare.json and the report. [default: results/MODEL-compare]"
+        ),
+    ] = None,
+    workers: Workers = 0,
+    cluster: Cluster = "",
+    silent: Silent = False,
+    json: Json = False,
+    figures: Figures = False,
+    no_report: NoReport = False,
+) -> None:
+    """Fit MODEL and black-box models to the same records, and compare their errors on validation records.
+
+    The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
+    and offset; a state-space model by subspace projection where there are several inputs or outputs; and Monte-Carlo smoothing
+    where a record is a single step. Prints the errors of the free run and one sample
+    ahead, best fit, number of parameters, BIC, stability, feed-through and time, and the best model with its margin. Writes
+    DIR/compare.json and DIR/report.html, a report for the browser.
+
+    greybox compare study.toml runs a study file; --write-study writes one from these options.
+
+    Exit code 0: there is a comparison. 2: bad input, nothing was written. 130: Ctrl-C, nothing was written.
+    """
+    from greybox.base.parallel.jobs import open_workers
+    from greybox.comparison.black_box_candidates import check_sampling_times
+    from greybox.comparison.compare import NamedModel, compare_named
+
+    if silent and json:
+        raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
+    if is_fmu(study):
+        check_workers(workers, cluster, {"--starts N": study.starts > 1})
+        result, prepared, folder = run_fmu_comparison(study, output)
+        _write(
+            result,
+            folder,
+            prepared.records,
+            prepared.others,
+            None if no_report else {},
+            quiet=silent,
+            json=json,
+            pictures=figures,
+        )
+        return
+    plain = build_model(study)
+    extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
+    models = [constrain(add_effects(plain, names), study) for names in ((), *extensions)]
+    check_substeps(study, models[0])
+    folder = check_writable(output or Path("results") / f"{plain.name}-compare")
+    records, validation = read_records(study, plain)
+    models = [with_delays_of_records(model, records) for model in models]
+    quiet = read_quiet_records(study, plain, hold=study.hold)
+    check_skip(study, validation)
+    check_workers(workers, cluster, {"--starts N": study.starts > 1})
+    check_prediction_steps(study, records, validation)
+    check_sampling_times(records, validation, [q.name for q in plain.outputs])
+    if not silent:
+        print_record_notes(records, validation)
+    options, seed = fit_options(study), seed_of(study)
+    given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
+    journal = folder / STARTS_FILE
+    with open_workers(workers, cluster) as executor, show_progress(silent) as show:
+        if study.starts > 1:
+            given |= {
+                "starts": study.starts,
+                "seed": seed,
+                "executor": executor,
+                "workers": workers,
+                "journal": journal,
+            }
+        fits = [_fit(models[0], records, show, given)]
+        for names, model in zip(extensions, models[1:], strict=True):
+            grown = _grown(fits[0][0], names, models[0], show) if study.starts == 1 else None
+            fits.append(grown or _fit(model, records, show, given))
+        black, findings = _black_boxes(plain, records, study.at_rest, show)
+        show("judging")
+        grey = [NamedModel(fit.model.title, fit, seconds) for fit, seconds in fits]
+        result = compare_named(
+            [*grey, *black],
+            validation,
+            records,
+            skip=study.skip,
+            beginning=study.beginning,
+            steps=[k for k in study.predict if k],
+            options=options,
+            findings=findings,
+        )
+    journal.unlink(missing_ok=True)
+    by_title = None if no_report else {fit.model.title: fit for fit, _ in fits}
+    _write(result, folder, records, validation, by_title, quiet=silent, json=json, pictures=figures)
+
+
+def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
+    """``first`` refitted with these effects, each from where the records would show it, and the seconds it took.
+
+    An effect's own values leave it absent, and a search from there may end anywhere. None where a refit of free runs is not what
+    was asked for, or the extended model overflows from every start.
+    """
+    from greybox.base.errors import DataError
+    from greybox.discovery.effect_test import try_effect
+
+    automatic = first.provenance.options.get("transcription") == "automatic" and first.solver.statistics.get(
+        "free_run", True
+    )
+    if (
+        not (first.success and automatic)
+        or first.prediction.process_noise
+        or first.constraints.per_experiment
+        or first.robust.name
+    ):
+        return None
+    began, fit = time.perf_counter(), first
+    for name in names:
+        show(f"{fit.model.title} + {name}")
+        try:
+            fit = try_effect(fit, name, nominal=plain).larger
+        except DataError:
+            return None
+    return fit, time.perf_counter() - began
+
+
+def scan_share(what: str, share: float, outputs: Sequence[str]) -> float:
+    """Share of all scans that is done, when ``share`` of ``what`` ("armax of x") is, by the time that each kind takes as a rule."""
+    kind, _, output = what.rpartition(" of ")
+    times = PROGRESS.scan_times
+    kinds = list(times)
+    before = sum(times[k] for k in kinds[: kinds.index(kind)])
+    return (outputs.index(output) + (before + share * times[kind]) / sum(times.values())) / len(outputs)
+
+
+def _fit(
+    plant: Model, records: Sequence[Experiment], show: ShowProgress, given: Mapping[str, Any]
+) -> tuple[Fit, float]:
+    """The fit, from several starts where they are ``given``, and the seconds it took."""
+    from greybox.estimation.fit import fit
+    from greybox.estimation.multistart import multistart
+
+    def report(progress: FitProgress) -> None:
+        show(f"{plant.title}: {describe_progress(progress)}", share_done(progress))
+
+    def tally(done: int, jobs: int) -> None:
+        show(f"{plant.title}: {done} of {jobs} starts done", done / jobs)
+
+    began = time.perf_counter()
+    if "starts" in given:
+        many = multistart(plant, records, report=tally, **given)
+        if many.interrupted:
+            raise KeyboardInterrupt
+        result = many.best
+    else:
+        result = fit(plant, records, report=report, **given)
+    return result, time.perf_counter() - began
+
+
+def _black_boxes(
+    plain: Model, records: Sequence[Experiment], at_rest: bool, show: ShowProgress
+) -> tuple[tuple[NamedModel, ...], tuple[Finding, ...]]:
+    """The black boxes of every output of ``plain`` that the records measure, and what is to be said about them."""
+    from greybox.comparison.black_box_candidates import fit_black_boxes
+
+    measured = [q for q in plain.outputs if any(q.name in e.outputs for e in records)]
+    outputs = [q.name for q in measured]
+    return fit_black_boxes(
+        records,
+        outputs,
+        [i.name for i in plain.inputs],
+        at_rest=at_rest,
+        units={i.name: i.unit for i in plain.inputs} | {q.name: q.unit for q in measured},
+        report=lambda what, done, of: show(f"{what}: structure {done} of {of}", scan_share(what, done / of, outputs)),
+    )
+
+
+def _write(
+    result: Comparison,
+    folder: Path,
+    records: Sequence[Experiment],
+    validation: Sequence[Experiment],
+    fits: Mapping[str, Fit] | None,
+    *,
+    quiet: bool,
+    json: bool,
+    pictures: bool,
+) -> None:
+    from greybox.comparison.result import save_comparison
+    from greybox.data.experiment import collect_record_findings
+    from greybox.estimation.versions import read_versions
+    from greybox.show.sentences.registry import sentences
+    from greybox.show.sentences.shell import report_line, written
+
+    known = sentences(collect_record_findings([*records, *validation]))
+    fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
+    saved = save_comparison(
+        result, folder / "compare.json", {"data": fingerprints, "remarks": known, "versions": read_versions()}
+    )
+    if json:
+        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
+    elif not quiet:
+        typer.echo(str(result))
+    try:
+        figures = _draw_pictures(result, folder) if pictures else []
+        report = (
+            None
+            if fits is None
+            else write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known)
+        )
+    except KeyboardInterrupt:
+        exit_with_error(f"interrupted while drawing; the comparison is in {saved}", ExitCode.INTERRUPTED)
+    if not (quiet or json):
+        typer.echo(f"\n{written([saved, *figures])}")
+        if report:
+            typer.echo(report_line(report))
+
+
+def _draw_pictures(result: Comparison, folder: Path) -> list[Path]:
+    from greybox.show.figures.pictures import draw_comparison
+
+    return draw_comparison(result, folder)

@@ -1,0 +1,219 @@
+"""The demonstration: a simulated rig has an effect that its model lacks; discovery identifies the effect, and the error shrinks."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from greybox.base.values import Printable
+from greybox.comparison.blackbox.best_models import best_black_boxes
+from greybox.comparison.blackbox.structure_scan import BlackBoxKind
+from greybox.comparison.compare import ComparedModel, compare
+from greybox.comparison.result import Comparison, save_comparison
+from greybox.data.experiment import Experiment
+from greybox.data.read import read_csv
+from greybox.data.signals import chirp, multisine
+from greybox.discovery.pipeline import discover
+from greybox.discovery.result import Discovery
+from greybox.estimation.fit import fit
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.linearise import linearise
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.extensions.export.linear_files import write_control
+from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
+from greybox.shell.project import find_shipped_model
+from greybox.show.figures.pictures import draw_fit, draw_gap
+from greybox.simulation.simulate import write_csv
+from greybox.simulation.twin import simulate_twin
+
+PLAIN, EXTENDED = "plain model", "extended model"
+"""The names of the two physical models in the comparison."""
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class DemoSetup:
+    """The rig of the demonstration and how it is measured."""
+
+    model: str = "micro_actuator"
+    """The shipped model that is fitted."""
+    hidden: str = "cubic_stiffness"
+    """The effect that the rig has and the model lacks."""
+    strength: Mapping[str, float] = field(default_factory=lambda: {"K3": 5e9})
+    """Its parameters: at full stroke the hinges push back by an eighth more than a straight spring would (N/m^3)."""
+    sampling_time: float = 2.5e-4
+    """Seconds: 4 kHz resolves the electrical time constant of 60 us by the held input alone, and is a usual rate."""
+    rows: int = 1200
+    """Rows of the estimation record: 0.3 s."""
+    validation_rows: int = 600
+    """Rows of the validation record: 0.15 s."""
+    band: tuple[float, float] = (5.0, 400.0)
+    """Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows."""
+    voltage: float = 2.0
+    """Volt: rms of the multisine and amplitude of the sweep."""
+    noise: Mapping[str, float] = field(default_factory=lambda: {"x": 0.2e-6, "i": 5e-3})
+    """Standard deviation of the noise of each output, in m and A."""
+    known: tuple[str, ...] = ("M", "Ra")
+    """Constants that are fixed: weighed, and measured with a multimeter."""
+    start_error: float = 0.4
+    """The start values are off by this share of the truth, upwards and downwards in turn."""
+    seed: int = 20100
+    """Seed of the multisine's phases and of the noise."""
+    black_boxes: tuple[BlackBoxKind, ...] = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
+    """The black boxes beside the physical models."""
+
+
+@dataclass(frozen=True)
+class Demo(Printable):
+    """What was done, step by step.
+
+    ``truth`` of the rig's parameters, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
+    ``discovery``: what it lacks; ``comparison`` with black boxes on the other record; ``plant``: matrices of the extended model.
+    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all; ``setup`` of the rig.
+    """
+
+    truth: Mapping[str, float]
+    start: Mapping[str, float]
+    plain: Fit
+    discovery: Discovery
+    comparison: Comparison
+    plant: Linearisation
+    records: tuple[Path, ...]
+    files: Mapping[Path, str]
+    seconds: float
+    setup: DemoSetup
+
+    @property
+    def fit(self) -> Fit:
+        """The model with the effect that was found."""
+        return self.discovery.best
+
+    @property
+    def deviations(self) -> dict[str, float]:
+        """Error of each parameter that was found in its own standard deviations (NaN where the fit gives none)."""
+        common = {name: self.fit.parameters[name] for name in self.truth if name in self.fit.parameters}
+        return {name: (e.value - self.truth[name]) / (e.std or np.nan) for name, e in common.items()}
+
+
+def run_demo(
+    directory: str | Path,
+    *,
+    setup: DemoSetup | None = None,
+    say: Say | None = None,
+    report: Callable[[int], None] | None = None,
+    pictures: bool = False,
+) -> Demo:
+    """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
+
+    The records come from `greybox.simulation.twin`, an integrator that the fits do not use, with white noise; they are written to
+    ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening, and its
+    start values are 40 % off.
+
+    Parameters
+    ----------
+    directory
+        Folder for the records and results.
+    setup
+        The rig and how it is measured; the default is the one of the tutorial.
+    say
+        Called with a line of text before each step.
+    report
+        Called with the number of refits of the discovery that are done.
+    pictures
+        Also write figures as PNG and SVG.
+    """
+    began, folder = time.perf_counter(), Path(directory)
+    setup = setup or DemoSetup()
+    tell = say or (lambda _: None)
+    model = find_shipped_model(setup.model)
+    rig = (model + effect(setup.hidden)).start(**setup.strength)
+    tell(
+        f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {setup.hidden}, which the model lacks"
+    )
+    records = _measure(rig, folder, setup)
+    known = model.fix(*setup.known)
+    truth = {q.name: q.value for q in rig.fix(*setup.known).free_parameters}
+    start = {q.name: q.value * (1 + setup.start_error * (-1) ** k) for k, q in enumerate(known.free_parameters)}
+    train, test = (read_csv(path, known) for path in records)
+    options = FitOptions(at_rest=True)
+    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(setup.known)} are known")
+    plain = fit(known.start(**start), train, noise=setup.noise, validation=test, options=options)
+    tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model is incomplete")
+    tell("2. discover: which effect of the catalogue explains the residual?")
+    discovery = discover(
+        known.start(**start),
+        train,
+        validation=test,
+        noise=setup.noise,
+        options=options,
+        on_message=lambda s: tell(f"   {s}"),
+        on_refit=report,
+    )
+    tell("3. compare with black boxes, which need no physics")
+    comparison = _compare(plain, discovery.best, train, test, setup)
+    tell("4. export the state space")
+    plant = linearise(discovery.best)
+    files = {
+        plain.save(folder / "plain.json"): "the fit of the plain model",
+        discovery.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
+        discovery.save(folder / "discovery.json"): "the missing effect, and the evidence",
+        save_comparison(comparison, folder / "compare.json"): "the comparison with black boxes",
+        write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
+    }
+    if pictures:
+        gap = _draw_gap(plain, discovery.best, comparison, folder, setup)
+        files |= dict.fromkeys(gap, "the error before and after")
+        files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
+    seconds = time.perf_counter() - began
+    return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds, setup)
+
+
+def _compare(plain: Fit, best: Fit, train: Experiment, test: Experiment, setup: DemoSetup) -> Comparison:
+    """Both physical models and the best black boxes of the displacement, on the record that none of them saw."""
+    scans = best_black_boxes(train, output="x", kinds=setup.black_boxes, at_rest=True, units={"x": "m", "u": "V"})
+    models: dict[str, ComparedModel] = {PLAIN: plain, EXTENDED: best}
+    models |= {str(kind): [scan.best] for kind, scan in scans.items()}
+    return compare(models, test, training=train)
+
+
+def _draw_gap(plain: Fit, best: Fit, comparison: Comparison, folder: Path, setup: DemoSetup) -> list[Path]:
+    """The picture of the gap, on the validation record."""
+    noise = setup.noise["x"]
+    black = [e.name for e in comparison.entries if e.kind == "black"]
+    order = [PLAIN, *black, EXTENDED]
+    added = "".join(f" + {e.name}" for e in best.model.effects)
+    names = {PLAIN: PLAIN, EXTENDED: PLAIN + added if added else EXTENDED, **{n: f"{n} (black box)" for n in black}}
+    ratios = {names[n]: comparison[n].validation["x"].rmse / noise for n in order}
+    return draw_gap(
+        plain.validation.traces[0],
+        best.validation.traces[0],
+        output="x",
+        unit="m",
+        noise=noise,
+        ratios=ratios,
+        names=(names[PLAIN], names[EXTENDED]),
+        path=folder / "gap",
+    )
+
+
+def _measure(rig: Model, folder: Path, setup: DemoSetup) -> tuple[Path, Path]:
+    """Two records of the rig: one to estimate from, one to judge by."""
+    generator = np.random.default_rng(setup.seed)
+    (drive,) = (i.name for i in rig.inputs)
+    t = setup.sampling_time * np.arange(setup.rows)
+    inputs = {
+        "multisine": multisine(t, *setup.band, setup.voltage, generator),
+        "sweep": chirp(t[: setup.validation_rows], *setup.band, setup.voltage),
+    }
+    paths = []
+    for k, (name, u) in enumerate(inputs.items()):
+        record = simulate_twin(rig, {drive: u}, setup.sampling_time, setup.noise, setup.seed + k, name=name)
+        paths.append(write_csv(record, rig, folder / f"{name}.csv"))
+    return paths[0], paths[1]

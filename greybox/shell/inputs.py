@@ -1,0 +1,333 @@
+"""From a study to what the library takes: the model, the records, the options. Every check runs before the computation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from greybox.base.errors import GreyboxError, ModelError, nearest
+from greybox.base.findings import Finding, Severity
+from greybox.shell.policy import COMMANDS, CommandPolicy
+from greybox.shell.study import MethodName, Study
+from greybox.shell.terminal import CommandCode, print_findings, print_note
+
+if TYPE_CHECKING:
+    from greybox.data.experiment import Experiment
+    from greybox.estimation.options import FitOptions
+    from greybox.model.model import Model
+
+
+def build_model(study: Study) -> Model:
+    """The model of a study: with its schedules, effects and process noise, parameters freed, started and fixed; without
+    priors and ties. Raises GreyboxError.
+    """
+    from greybox.shell.project import find_model
+
+    model = _apply_schedules(find_model(study.model), study)
+    model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
+    return set_parameters(model, study)
+
+
+def add_effects(model: Model, names: Iterable[str]) -> Model:
+    """``model`` with these effects of the catalogue or of the project. Raises GreyboxError."""
+    from greybox.shell.own_effects import find_effect
+
+    for name in names:
+        model = model + find_effect(name)
+    return model
+
+
+def with_delays_of_records(model: Model, records: Iterable[Experiment]) -> Model:
+    """``model`` whose delays may be as long as these records can show, where the user did not bound them."""
+    import numpy as np
+
+    from greybox.model.effects.scales import bound_delays
+
+    periods = [float(np.median(record.intervals)) for record in records]
+    return bound_delays(model, max(periods)) if periods else model
+
+
+def set_parameters(model: Model, study: Study) -> Model:
+    """``model`` with parameters freed, started and fixed as the study has it. Raises ModelError."""
+    known = {name: value for name, value in study.fixed.items() if value is not None}
+    as_declared = [name for name, value in study.fixed.items() if value is None]
+    for other, names in (("start", known.keys() & study.start.keys()), ("free", study.fixed.keys() & set(study.free))):
+        if names:
+            raise ModelError(
+                f"{', '.join(sorted(names))}: {study.label('fixed')} and {study.label(other)} contradict each other; keep one"
+            )
+    return model.free(*study.free).start(**study.start).fix(*as_declared, **known)
+
+
+def _apply_process_noise(model: Model, process_noise: Mapping[str, float | None]) -> Model:
+    known = {state: value for state, value in process_noise.items() if value is not None}
+    estimated = [state for state, value in process_noise.items() if value is None]
+    return model.with_process_noise(*estimated, **known) if process_noise else model
+
+
+def _apply_schedules(model: Model, study: Study) -> Model:
+    for name, (by, at) in study.schedules.items():
+        if at is None and by in [i.name for i in model.inputs]:
+            label = study.label("schedules")
+            raise GreyboxError(
+                f"{label} {name}={by}: {by} is an input; give the value at which {name} is valid, as in {label} {name}={by}@2"
+            )
+        model = model.schedule(name, by=by, about=at)
+    return model
+
+
+def constrain(model: Model, study: Study) -> Model:
+    """``model`` with the priors and ties of a study. Raises GreyboxError."""
+    both = sorted(q.name for q in model.all_parameters if q.fixed and q.name in study.priors)
+    if both:
+        raise ModelError(
+            f"{study.label('priors')} {', '.join(both)}: fixed in the model or by {study.label('fixed')}, so a prior has no"
+            " effect; free it, or leave out one of the two"
+        )
+    return model.prior(**study.priors).with_ties(dict(study.ties))
+
+
+def fit_options(study: Study) -> FitOptions:
+    """The options of the estimation."""
+    from greybox.estimation.options import FitOptions
+
+    return FitOptions(
+        at_rest=study.at_rest,
+        method=study.method,
+        substeps=study.substeps,
+        loss=study.loss,
+        per_experiment=study.per_experiment,
+        transcription=study.transcription,
+        arc_length=study.arc_length,
+    )
+
+
+def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The estimation and the validation records, each with its conditions, from its file or from the study.
+
+    Records are split where their time starts anew and at its gaps if the study says so; otherwise a long gap in which the
+    input is unknown is refused. Raises GreyboxError.
+    """
+    from greybox.data.experiment import refuse_unknown_input
+    from greybox.data.read import read_experiments
+
+    from_files = {name: None for name, values in study.conditions.items() if values is None}
+    given = {name: values for name, values in study.conditions.items() if values is not None}
+    estimation, validation = (
+        read_experiments(
+            files,
+            model,
+            conditions=from_files,
+            split=study.split_holes,
+            hold=study.hold,  # type: ignore[arg-type]
+            allow_constant_input=study.free_decay,
+            **layout_of(study),
+        )
+        if files
+        else ()
+        for files in (study.estimation, study.validation)
+    )
+    refuse_repeated_records(study.estimation, estimation)
+    validation = tuple(_marked_if_fitted(record, estimation) for record in validation)
+    estimation, validation = _with_conditions(given, study, estimation, validation)
+    if not study.split_holes:
+        refuse_unknown_input([*estimation, *validation])
+        return estimation, validation
+    read = len(estimation) + len(validation)
+    pieces, findings = split_records(
+        (estimation, validation), at_rest=study.at_rest, runs=read - len(study.estimation) - len(study.validation)
+    )
+    print_findings(findings)
+    return pieces[0], pieces[1]
+
+
+def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> tuple[Experiment, ...]:
+    """The records with the input at rest, from which the noise is estimated. Raises GreyboxError."""
+    from greybox.data.read import read_experiments
+
+    if not study.quiet:
+        return ()
+    more: dict[str, Any] = {} if hold is None else {"hold": hold}
+    return read_experiments(study.quiet, model, allow_constant_input=True, **layout_of(study), **more)
+
+
+def layout_of(study: Study) -> dict[str, Any]:
+    """How the files of the records are laid out, and how large they may be, as the readers take it. Raises GreyboxError."""
+    from greybox.data.policy import READING_POLICY
+
+    if study.headers and study.columns:
+        raise GreyboxError(
+            f"{study.label('headers')} and {study.label('columns')} exclude each other: names for all columns, or headers for some;"
+            " keep one"
+        )
+    layout: dict[str, Any] = {"columns": study.headers or dict(study.columns) or None}
+    if study.sampling_time:
+        layout["sampling_time"] = study.sampling_time
+    if study.interpolation:
+        layout["interpolation"] = dict(study.interpolation)
+    if study.read_limit:
+        layout["reading"] = READING_POLICY.times(study.read_limit)
+    return layout
+
+
+def refuse_repeated_records(files: Sequence[Path], records: Iterable[Experiment]) -> None:
+    """Refuse ``records`` of ``files`` that hold the same data. Raises GreyboxError."""
+    repeated = next((str(file) for k, file in enumerate(files) if file in files[:k]), "")
+    pair = (repeated, repeated)
+    known: dict[str, Experiment] = {}
+    for record in records:
+        first = known.setdefault(record.fingerprint, record)
+        if first.source != record.source:  # runs of one file may be alike: a program without noise wrote them
+            pair = (record.source or record.name, first.source or first.name)
+    if pair[0]:
+        what = "given twice" if repeated else f"the same data as {pair[1]}"
+        raise GreyboxError(f"{pair[0]}: {what}; its data would count twice, and intervals be too narrow; leave one out")
+
+
+def _marked_if_fitted(record: Experiment, estimation: Sequence[Experiment]) -> Experiment:
+    """A validation record, with a finding where it is one of the estimation records."""
+    from greybox.data.findings import RecordCode
+
+    same = next((r for r in estimation if r.fingerprint == record.fingerprint), None)
+    if same is None:
+        return record
+    name = same.source or same.name
+    finding = Finding(RecordCode.ALSO_FITTED, Severity.WARNING, values={"record": name})
+    return replace(record, findings=(*record.findings, finding))
+
+
+def _with_conditions(
+    given: Mapping[str, tuple[float, ...]],
+    study: Study,
+    estimation: Sequence[Experiment],
+    validation: Sequence[Experiment],
+) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
+    """The records, each with its value of the conditions that the study gives."""
+    records = [*estimation, *validation]
+    for name, values in given.items():
+        if len(values) not in (len(estimation), len(records)):
+            raise GreyboxError(
+                f"{study.label('conditions')} {name}: {len(values)} values for {len(estimation)}"
+                f" record{'s' * (len(estimation) != 1)}"
+                + (f" and {len(validation)} for validation" if validation else "")
+                + "; give one for each, in their order, separated by commas"
+            )
+        for k, value in enumerate(values):
+            records[k] = replace(records[k], conditions={**records[k].conditions, name: value})
+    return tuple(records[: len(estimation)]), tuple(records[len(estimation) :])
+
+
+def split_records(
+    groups: Sequence[Sequence[Experiment]], *, at_rest: bool, runs: int = 0
+) -> tuple[list[tuple[Experiment, ...]], list[Finding]]:
+    """Each group with its records split at the gaps in their time, and what is to be said about it.
+
+    ``runs``: splits that were made while the files were read.
+    """
+    split = [[(record, record.split_at_time_gaps()) for record in group] for group in groups]
+    findings = [
+        Finding(CommandCode.RECORD_SPLIT, subject=record.source or record.name, values={"pieces": len(pieces)})
+        for group in split
+        for record, pieces in group
+        if pieces != (record,)
+    ]
+    if findings and at_rest:
+        findings.append(Finding(CommandCode.PIECES_AT_REST))
+    if not findings and not runs:
+        findings.append(Finding(CommandCode.SPLIT_WITHOUT_EFFECT))
+    return [tuple(piece for _, pieces in group for piece in pieces) for group in split], findings
+
+
+def print_record_notes(*groups: Iterable[Experiment]) -> None:
+    """The findings of records as lines on stderr; records that share a finding share its line."""
+    from greybox.data.experiment import collect_record_findings
+
+    for finding in collect_record_findings(record for group in groups for record in group):
+        print_note(f"note: {finding}")
+
+
+def check_skip(study: Study, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS) -> None:
+    """Refuse to leave out rows where there are none, or so many that a validation record has too few left."""
+    skip, label = study.skip, study.label("skip")
+    if study.beginning > skip:
+        skip, label = study.beginning, study.label("beginning")
+    if skip:
+        check_skipped_rows(label, skip, validation, policy)
+
+
+def check_skipped_rows(
+    label: str, skip: int, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS
+) -> None:
+    """`check_skip` for ``skip`` rows, which the option ``label`` gives. Raises GreyboxError."""
+    if not validation:
+        raise GreyboxError(
+            f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
+        )
+    least = policy.minimum_validation_rows
+    shortest = min(r.rows for r in validation)
+    if shortest - skip < least:
+        raise GreyboxError(
+            f"{label} {skip}: the shortest validation record has {shortest} rows, and at least {least} must be left;"
+            " leave out fewer"
+        )
+
+
+def check_substeps(study: Study, model: Model) -> None:
+    """Refuse substeps with a method that has none; say so where the automatic choice may be such a method."""
+    label = study.label("substeps")
+    if study.substeps and study.method == MethodName.exact:
+        raise GreyboxError(
+            f"{label} {study.substeps} has no effect: --method exact has no substeps; leave out one of the two"
+        )
+    if study.substeps and study.method == MethodName.automatic and model.system.linear:
+        print_findings([Finding(CommandCode.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": study.substeps})])
+
+
+def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
+    """Refuse predictions so far ahead that the records hold nothing to compare with."""
+    longest = min((max(e.rows for e in group) for group in groups if group), default=0)
+    for k in study.predict:
+        if k >= longest > 0:
+            raise GreyboxError(
+                f"{study.label('predict')} {k}: the longest record has {longest} rows, and the first {k} of each have no"
+                " measurement to predict from; predict fewer samples ahead"
+            )
+
+
+def read_time_limit(study: Study) -> float:
+    """Seconds that a search may take, infinite where nobody limits it."""
+    return study.time_limit or math.inf
+
+
+def seed_of(study: Study) -> int:
+    """The seed of the random starts. Raises GreyboxError where there are none."""
+    if study.seed is not None and study.starts == 1:
+        raise GreyboxError(
+            f"{study.label('seed')} {study.seed} has no effect: there are no random starts; give --starts N too"
+        )
+    return study.seed or 0
+
+
+def check_workers(workers: int, cluster: str, shared: Mapping[str, object]) -> None:
+    """Refuse workers where there is nothing to share; ``shared``: the options whose work they share, with their values."""
+    given = f"--cluster {cluster}" if cluster else f"--workers {workers}" if workers else ""
+    if given and not any(shared.values()):
+        raise GreyboxError(f"{given} has no effect: there is one computation; give {' or '.join(shared)} too")
+
+
+def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS) -> tuple[str, ...]:
+    """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
+    free = [q.name for q in model.free_parameters]
+    names = tuple(dict.fromkeys(study.profiles))
+    for name in names:
+        if name not in free:
+            raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
+    if 0 < study.bootstrap < policy.minimum_replicates:
+        raise GreyboxError(
+            f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
+            f" give {policy.minimum_replicates} or more"
+        )
+    return names

@@ -1,0 +1,156 @@
+"""How far a long command is, with the time left: on a terminal one line with a bar, after a second; else a plain line now and then."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Protocol
+
+from greybox.shell.policy import PROGRESS
+from greybox.shell.terminal import Interrupt, print_note
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+
+    from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback
+
+
+class ShowProgress(Protocol):
+    """Shows a text, and how much of the work is done."""
+
+    def __call__(self, text: str, share: float | None = None) -> None:
+        """``share`` from 0 to 1; None if unknown; then no remaining time is printed."""
+
+
+class ProgressLine:
+    """What the line says, and the time left by what the work done so far took; a ``silent`` one says nothing."""
+
+    def __init__(self, silent: bool = False) -> None:
+        from rich.console import Console
+
+        self.console = Console(stderr=True)
+        self.silent = silent
+        self.began = self.written = time.monotonic()
+        self.bar: Bar | None = None
+
+    def __call__(self, text: str, share: float | None = None) -> None:
+        """Show ``text``; with the ``share`` of the work that is done also the bar and the time left."""
+        if self.silent:
+            return
+        now = time.monotonic()
+        elapsed = now - self.began
+        left = time_left(elapsed, share)
+        remaining = "" if left is None else f"about {format_duration(left)} left"
+        if not self.console.is_terminal:
+            if now - self.written >= PROGRESS.line_seconds:
+                self.written = now
+                print_note("; ".join(part for part in (text, f"{format_duration(elapsed)} so far", remaining) if part))
+            return
+        if elapsed < PROGRESS.patience:
+            return
+        if self.bar is None:
+            self.bar = _bar(self.console)
+            self.bar.start()
+        self.bar.update(
+            self.bar.task_ids[0],
+            description=text,
+            total=None if share is None else 1.0,
+            completed=share or 0.0,
+            left=remaining,
+        )
+
+    def stop(self) -> None:
+        """Take the line away."""
+        if self.bar is not None:
+            self.bar.stop()
+
+
+def _bar(console: object) -> Bar:
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+        BarColumn(bar_width=20),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
+    )
+    bar = Bar(*columns, console=console, transient=True)  # type: ignore[arg-type]
+    bar.add_task("", total=None, left="")
+    return bar
+
+
+@contextmanager
+def show_progress(silent: bool = False) -> Iterator[ShowProgress]:
+    """A function that shows a text, and a share done, in place of the last one; the line is gone at the end."""
+    line = ProgressLine(silent)
+    try:
+        yield line
+    finally:
+        line.stop()
+
+
+@contextmanager
+def show_fit_progress(title: str, interrupt: Interrupt, silent: bool = False) -> Iterator[FitProgressCallback]:
+    """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
+    with show_progress(silent) as show:
+
+        def report(progress: FitProgress) -> None:
+            interrupt.pass_on()
+            show(f"{title}: {describe_progress(progress)}", share_done(progress))
+
+        yield report
+
+
+def describe_progress(progress: FitProgress) -> str:
+    """Where a fit is."""
+    return (
+        f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
+        f" misfit {progress.noise_ratio:.4g} x noise"
+    )
+
+
+def share_done(progress: FitProgress) -> float:
+    """Share of a fit that is done, from the usual duration of each stage; the number of iterations left is unknown."""
+    within = expected_share(max(progress.iteration, 0), PROGRESS.usual_iterations)
+    return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
+
+
+def expected_share(done: int, usual: int) -> float:
+    """Share that is done of what takes ``usual`` steps as a rule, and may take more."""
+    return done / (done + max(usual - done, done / PROGRESS.overtime))
+
+
+@contextmanager
+def show_search_progress() -> Iterator[tuple[Callable[[str], None], Callable[[int], None]]]:
+    """For a discovery: what to say, a line at a time, and what to tell after each refit; the line below them is gone at the end."""
+    last = ""
+    with show_progress() as show:
+
+        def say(text: str) -> None:
+            nonlocal last
+            last = text.strip()
+            print_note(text)
+            show(last)
+
+        def report(done: int) -> None:
+            show(f"{last}; refit {done}", expected_share(done, PROGRESS.usual_refits))
+
+        yield say, report
+
+
+def time_left(elapsed: float, share: float | None) -> float | None:
+    """Seconds to go, if the rest goes on as the share that took ``elapsed`` seconds; None where too little is done to say."""
+    if share is None or not PROGRESS.minimum_share <= share <= 1:
+        return None
+    return elapsed * (1 - share) / share
+
+
+def format_duration(seconds: float) -> str:
+    """``8 s``, ``3 min``, ``1 h 20 min``."""
+    if seconds < 90:
+        return f"{max(1, round(seconds))} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

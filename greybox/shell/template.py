@@ -1,0 +1,129 @@
+"""A new project: the shipped models, studies and notebook, written out as files of one's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from greybox.base.errors import GreyboxError, nearest
+from greybox.base.files import write_file
+from greybox.shell.project import template_root
+
+FOLDERS = ("models", "fits", "notebooks")
+# Of the studies those that show how one is written; the others are about this library, and no user's rig needs them.
+STUDIES = ("__init__.py", "cascaded_tanks_base.py", "emps_dry_friction.py", "silverbox_hardening.py")
+README = """# {name}
+
+A greybox project: from measured records to physical parameters with intervals.
+
+- `models/` plants, one a file: balances of named terms, and parameters with unit, bounds and source
+- `fits/` studies to copy from, one a file: question, data (public records), fit, verdict
+- `notebooks/first_hour.ipynb` from a record to what the model lacks, to run in Jupyter
+
+Inside this folder a model is called by its name, and its file is yours to change:
+
+    greybox models                                   the models there are
+    greybox models micro_actuator                    its equations and parameters
+    greybox check micro_actuator                     is it right, and what can a record tell
+    greybox simulate micro_actuator --multisine 2 --band 5:800 --duration 1.5 --sampling-time 2.5e-4 \\
+        --noise x=2e-7 --noise i=5e-3 --output record.csv
+    greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8
+
+In Python, from this folder:
+
+    import greybox as gb
+    from models.micro_actuator import micro_actuator
+
+    print(gb.fit(micro_actuator.fix("M", "Ra"), gb.read_csv("record.csv", micro_actuator)))
+"""
+
+
+PLANT_README = """# {name}
+
+A greybox project around one plant:
+
+- `models/{model}.py` the equations, constants with units, bounds and sources; yours to change
+- `twin.py` a simulated plant that does a little more than the model says; writes `train.csv` and `test.csv`
+- `study.toml` model, records and noise: what a fit and a discovery need to know
+
+Inside this folder:
+
+    python twin.py                   records to try things on; later, put your own in their place
+    greybox check study.toml         units, roles, and what the record can tell
+    greybox fit study.toml           constants with intervals, and how well the model explains the record
+    greybox discover study.toml      what the model lacks
+"""
+
+
+def plant_names() -> list[str]:
+    """Names of the plants that a project can start from, in alphabetical order."""
+    folders = (template_root() / "plants").iterdir()
+    return sorted(folder.name.replace("_", "-") for folder in folders if (folder / "study.toml").is_file())
+
+
+def write_project(directory: str | Path, *, plant: str = "", force: bool = False) -> list[Path]:
+    """Write a project to start from: ``models/``, ``fits/``, ``notebooks/`` and a README, or one plant with a twin and a study file.
+
+    Parameters
+    ----------
+    directory
+        Folder for the project; made if it does not exist.
+    plant
+        One of `plant_names`: the project holds this plant alone.
+    force
+        Overwrite files of the template that exist already.
+
+    Returns
+    -------
+    list of Path
+        The files that were written.
+
+    Raises
+    ------
+    GreyboxError
+        For an unknown plant, or if one of the files exists and ``force`` is not given. Nothing is written then.
+    """
+    target = Path(directory)
+    if target.exists() and not target.is_dir():
+        raise GreyboxError(f"{target} is a file; give a folder for the project")
+    sources = _plant_files(plant) if plant else _template_files()
+    readme = PLANT_README if plant else README
+    written = [target / name for name in (*sources, Path("README.md"))]
+    present = [path for path in written if path.exists()]
+    if present and not force:
+        listed = ", ".join(str(path.relative_to(target)) for path in present[:5])
+        more = f" and {len(present) - 5} more" if len(present) > 5 else ""
+        raise GreyboxError(
+            f"{target} already holds {listed}{more}; give another folder, or --force to overwrite these files"
+        )
+    for name, source in sources.items():
+        write_file(target / name, source.read_bytes())
+    write_file(target / "README.md", readme.format(name=target.resolve().name, model=plant.replace("-", "_")))
+    return written
+
+
+def _plant_files(plant: str) -> dict[Path, Path]:
+    """Path inside a project -> file of the template for one plant."""
+    if plant not in plant_names():
+        raise GreyboxError(f"unknown plant {plant!r}; {nearest(plant, plant_names())}")
+    name, root = plant.replace("-", "_"), template_root()
+    folder = root / "plants" / name
+    return {
+        Path("models") / f"{name}.py": folder / f"{name}.py",
+        Path("twin.py"): folder / "twin.py",
+        Path("rk4.py"): root / "plants" / "rk4.py",
+        Path("study.toml"): folder / "study.toml",
+    }
+
+
+def _template_files() -> dict[Path, Path]:
+    """Path inside a project -> file of the template; what a run left behind does not count."""
+    root = template_root()
+    files = [path for folder in FOLDERS for path in sorted((root / folder).rglob("*")) if path.is_file()]
+    inside = {path.relative_to(root): path for path in files}
+    return {name: path for name, path in inside.items() if _belongs(name)}
+
+
+def _belongs(name: Path) -> bool:
+    if "__pycache__" in name.parts or name.suffix == ".pyc":
+        return False
+    return name.parts[0] != "fits" or name.parts[1:] in [(study,) for study in STUDIES]

@@ -1,0 +1,320 @@
+"""How a command ends: the codes that scripts rely on."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import math
+import re
+import shlex
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import typer
+from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
+
+from greybox.base.errors import GreyboxError, OutputError, WorkersLostError, nearest
+
+if TYPE_CHECKING:
+    from greybox.base.findings import Finding
+
+
+class ExitCode(IntEnum):
+    """How a command ended: a contract with whoever runs it from a script."""
+
+    SUCCESS = 0
+    UNSUCCESSFUL = 1
+    """The computation ran and did not succeed, for instance a fit that did not converge."""
+    BAD_INPUT = 2
+    """Something that was typed or read cannot be used; nothing was computed or written."""
+    INTERRUPTED = 130
+    """Ctrl-C, as shells report it: 128 plus the number of the signal."""
+
+
+# What the command line has to say about a study beside the result itself.
+
+
+class CommandCode(StrEnum):
+    """Codes of the findings of the command line."""
+
+    SPLIT_WITHOUT_EFFECT = "split_without_effect"
+    RECORD_SPLIT = "record_split"
+    PIECES_AT_REST = "pieces_at_rest"
+    SUBSTEPS_WITHOUT_EFFECT = "substeps_without_effect"
+    FILE_OVERWRITTEN = "file_overwritten"
+    STUDY_FIELDS_UNUSED = "study_fields_unused"
+    UNUSED_PARAMETER = "unused_parameter"
+
+
+# Ctrl-C during a command: the search ends where it is, and what it has found is kept.
+
+
+@dataclass
+class Interrupt:
+    """Whether Ctrl-C was ``requested`` for, and whether it still ``waits`` for the search to come by."""
+
+    requested: bool = False
+    waits: bool = False
+
+    def pass_on(self) -> None:
+        """Called from inside the search, which handles the signal itself: it stops after the present iteration."""
+        if self.waits:
+            self.waits = False
+            signal.raise_signal(signal.SIGINT)
+
+
+def treat_as_interrupts() -> None:
+    """Take a request to end, as batch systems and ``kill`` send it, for Ctrl-C: what is finished is kept, workers end.
+
+    A signal that is ignored stays ignored (``nohup``).
+    """
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
+
+
+@contextmanager
+def hold_interrupts() -> Iterator[Interrupt]:
+    """Between two searches there is only work to lose, so Ctrl-C waits there. A second one ends at once."""
+    state = Interrupt()
+    if threading.current_thread() is not threading.main_thread():
+        yield state
+        return
+
+    def ask(*_: object) -> None:
+        if state.requested:
+            raise KeyboardInterrupt
+        state.requested = state.waits = True
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield state
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+# Errors and warnings of the library as a person at a terminal gets them: one message, an exit code, no traceback.
+
+
+def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
+    """``command`` with bad input as exit code 2 and Ctrl-C as 130, each with a message on stderr."""
+
+    @functools.wraps(command)
+    def run(*args: Any, **options: Any) -> None:
+        with warnings.catch_warnings():
+            warnings.showwarning = _print_warning
+            if threading.current_thread() is threading.main_thread():
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+                treat_as_interrupts()
+            try:
+                command(*args, **options)
+            except OutputError as error:  # the computation is done, and its result has no place
+                exit_with_error(str(error), ExitCode.UNSUCCESSFUL)
+            except WorkersLostError as error:
+                exit_with_error(f"{error}; the same command goes on from them", ExitCode.UNSUCCESSFUL)
+            except GreyboxError as error:
+                exit_with_error(str(error), ExitCode.BAD_INPUT)
+            except MemoryError:
+                exit_with_error(
+                    "not enough memory for this; give shorter or fewer records, fewer --workers, or a machine with more",
+                    ExitCode.UNSUCCESSFUL,
+                )
+            except BrokenPipeError:  # the reader of the pipe has closed it: nobody is left to read a message
+                raise
+            except OSError as error:
+                exit_with_error(f"{error.filename or 'a file'}: {error.strerror or error}", ExitCode.BAD_INPUT)
+            except KeyboardInterrupt:
+                exit_with_error("interrupted", ExitCode.INTERRUPTED)
+
+    return run
+
+
+def exit_with_error(message: str, code: ExitCode) -> NoReturn:
+    """End with ``message`` on stderr."""
+    typer.echo(f"error: {message}", err=True)
+    raise typer.Exit(code)
+
+
+def print_note(message: str) -> None:
+    """A line on stderr, so that stdout stays what was asked for."""
+    typer.echo(message, err=True)
+
+
+def print_findings(findings: Iterable[Finding]) -> None:
+    """A line on stderr for each finding, with its severity in front."""
+    from greybox.show.sentences.registry import sentence
+
+    for finding in findings:
+        print_note(f"{finding.severity}: {sentence(finding)}")
+
+
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print_note(f"warning: {message}")
+
+
+# The page that every command leaves for those who would rather look than read.
+
+
+def write_report(value: Any, target: Path, **more: Any) -> Path:
+    """Write the report of a result as ``target``; ``more`` goes to the builder of the page."""
+    from greybox.show.pages.report import report
+
+    return report(value, target, command=typed_command(), **more)
+
+
+def typed_command() -> str:
+    """The command as it was typed, for repeating it; empty where the program was not called as a command."""
+    name = Path(sys.argv[0])
+    called = name.stem == "greybox" or (name.name == "__main__.py" and "greybox" in name.parts)
+    return shlex.join(["greybox", *sys.argv[1:]]) if called else ""
+
+
+# What was typed wrongly, told as the program's other errors are: subject, value, rule, remedy, the nearest name.
+
+UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # the common base; typer has no public name for it
+CHOICE = re.compile(r"'(.*)' is not one of (.*?)\.?$")
+# What the reader of options says of a number, and what to do.
+NUMBERS = (
+    (re.compile(r"greater than or equal to (\S+)$|is not in the range x>=(\S+)\.$"), "give {} or more"),
+    (re.compile(r"valid integer"), "write a whole number"),
+    (re.compile(r"valid number|valid float"), "write a number without a unit"),
+)
+
+
+class PlainCommand(TyperCommand):
+    """A command whose help names no types of Python, and whose errors are one line that says what to do."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        for parameter in self.params:
+            if isinstance(parameter, TyperArgument):
+                vars(parameter)["display_type_rich"] = lambda ctx: None
+            elif isinstance(parameter, TyperOption) and callable(parameter.default):  # an empty list
+                parameter.show_default = False
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The arguments by parameter; ends with exit code 2 where they cannot be understood."""
+        typed = list(args)
+        try:
+            rest = super().parse_args(ctx, args)
+        except UsageError as error:
+            exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
+        if not ctx.resilient_parsing:  # while Tab completes, words are unfinished
+            self._refuse_empty_words(ctx, typed)
+            self._refuse_infinite_numbers(ctx)
+        return rest
+
+    def _refuse_empty_words(self, ctx: Any, typed: Sequence[str]) -> None:
+        """An unset variable of the shell gives an empty word, and as a path that would be the working folder."""
+        if not all(typed):
+            place = typed.index("")
+            before = typed[place - 1] if place else ctx.command_path
+            exit_with_error(
+                f"an empty word stands after {before}; give a value, or leave it out; see {ctx.command_path} --help",
+                ExitCode.BAD_INPUT,
+            )
+
+    def _refuse_infinite_numbers(self, ctx: Any) -> None:
+        for parameter in self.params:
+            value = ctx.params.get(parameter.name)
+            if isinstance(value, float) and not math.isfinite(value):
+                exit_with_error(
+                    f"{max(parameter.opts, key=len)} {value:g}: give a finite number; see {ctx.command_path} --help",
+                    ExitCode.BAD_INPUT,
+                )
+
+
+class CommandGroup(TyperGroup):
+    """The main command; for an unknown sub-command it names the nearest one."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The options before the sub-command; ends with exit code 2 where they cannot be understood."""
+        if not args:  # then the help is shown
+            return super().parse_args(ctx, args)
+        typed = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The sub-command that the first of ``args`` names; ends with exit code 2 where there is none."""
+        name = args[0]
+        if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
+            exit_with_error(
+                f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", ExitCode.BAD_INPUT
+            )
+        return super().resolve_command(ctx, args)
+
+
+def describe_usage_error(error: Any, ctx: Any, typed: Sequence[str]) -> str:
+    """One line on what cannot be understood of the words ``typed`` after the command of ``ctx``."""
+    command, message = ctx.command_path, error.message
+    parameter, option = getattr(error, "param", None), getattr(error, "option_name", "")
+    if isinstance(parameter, TyperArgument) and not message:
+        return _missing(parameter, ctx, typed)
+    if parameter is not None:
+        name = max(parameter.opts, key=len) if isinstance(parameter, TyperOption) else _place(parameter)
+        return f"{_value(name, message, typed) if message else f'{name} is missing'}; see {command} --help"
+    if "o such option" in message:
+        return f"{option}: {command} has no such option; {_nearest_option(option, ctx)}see {command} --help"
+    if "requires an argument" in message:
+        return f"{option}: a value must follow; see {command} --help"
+    return f"{command}: {message[:1].lower()}{message[1:].rstrip('.')}; see {command} --help"
+
+
+def _nearest_option(option: str, ctx: Any) -> str:
+    known = [name for p in ctx.command.params if isinstance(p, TyperOption) for name in p.opts]
+    close = difflib.get_close_matches(option, known, n=3, cutoff=0.5)
+    return f"did you mean {' or '.join(close)}? Or " if close else ""
+
+
+def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
+    order = [_place(p) for p in ctx.command.params if isinstance(p, TyperArgument)]
+    return describe_missing_argument(ctx.command_path, order, _place(parameter), typed)
+
+
+def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
+    """Which argument is missing, and in which order they come; a record in the place of the model is named as such."""
+    from greybox.data.formats import SUFFIXES
+
+    usage = f"write {command} {' '.join(order)}; see {command} --help"
+    first = next((word for word in typed if not word.startswith("-")), "")
+    if order[0] == "MODEL" and Path(first).suffix.lower() in SUFFIXES:
+        return f"{first}: a record, not a model; MODEL comes first: {usage}"
+    return f"{command}: {missing} is missing; {usage}"
+
+
+def _place(argument: TyperArgument) -> str:
+    return str(argument.metavar or argument.name)
+
+
+def _value(name: str, message: str, typed: Sequence[str]) -> str:
+    """What is wrong with the value of an option: the nearest choice, or which number to give."""
+    choice = CHOICE.search(message)
+    if choice:
+        known = re.findall("'(.*?)'", choice[2])
+        return f"{name} {choice[1]}: there is no such choice; {nearest(choice[1], known)}"
+    value = _given(name, typed)
+    for pattern, remedy in NUMBERS:
+        match = pattern.search(message)
+        if match:
+            return f"{name} {value}: {remedy.format(*filter(None, match.groups()))}"
+    return f"{name} {value}: {message[:1].lower()}{message[1:].rstrip('.')}"
+
+
+def _given(name: str, typed: Sequence[str]) -> str:
+    """The value that was typed last for an option."""
+    values = [word.partition("=")[2] for word in typed if word.startswith(f"{name}=")]
+    values += [after for word, after in pairwise(typed) if word == name]
+    return values[-1] if values else "(not given)"

@@ -1,0 +1,187 @@
+"""Models side by side in figures: their errors, their runs over each record, and the errors of these."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.show.figures.figure import (
+    MODELS,
+    Axis,
+    Curve,
+    Figure,
+    Height,
+    Panel,
+    Points,
+    Role,
+    Scale,
+    Symbol,
+    Thinning,
+    draw_sizes,
+    root_mean_square,
+    scale_to_prefix,
+    size_axis,
+)
+from greybox.show.figures.policy import DRAWING
+from greybox.show.figures.records import TIME
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
+
+
+def model_roles(entries: Sequence[ComparisonEntry]) -> dict[str, Role]:
+    """A role for each model: grey boxes first."""
+    ordered = sorted(entries, key=lambda e: e.kind != "grey")
+    return {e.name: MODELS[k % len(MODELS)] for k, e in enumerate(ordered)}
+
+
+def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figure:
+    """Free-run error of each model, best on top, and its error one sample ahead; a panel for each output.
+
+    On all judging records, or on one ``record``.
+    """
+    roles, panels, description = model_roles(comparison.entries), [], []
+    for output, unit in comparison.outputs.items():
+        scores = {e.name: s for e in comparison.entries if (s := _score(comparison, e, output, record)) is not None}
+        factor, text = scale_to_prefix(unit, np.array([_usable(s.rmse) for s in scores.values()] or [np.nan]))
+        ranked = sorted(scores, key=lambda name: scores[name].rmse if np.isfinite(scores[name].rmse) else np.inf)
+        free_run = np.array([factor * _usable(scores[name].rmse) for name in ranked])
+        one_step = np.array([factor * _usable(scores[name].one_step_rmse) for name in ranked])
+        fits = [
+            f"{s.best_fit_percent:.1f} %" if np.isfinite(s.rmse) else "diverges" for s in (scores[n] for n in ranked)
+        ]
+        # A text stands behind the bar, or behind the mark where that lies further out.
+        beyond = one_step > free_run
+        behind_bars, behind_marks = (
+            ["" if is_beyond is hidden else text for text, is_beyond in zip(fits, beyond.tolist(), strict=True)]
+            for hidden in (True, False)
+        )
+        x = size_axis(f"rms error of {output}", text, np.concatenate([free_run, one_step]))
+        sizes = draw_sizes(ranked, free_run, [roles[n] for n in ranked], x, "free run", behind_bars)
+        is_on_log = x.scale is Scale.LOG
+        ahead = Points(
+            one_step,
+            ranked,
+            Role.REFERENCE,
+            "one sample ahead",
+            size=DRAWING.mark_beside_size if is_on_log else DRAWING.mark_on_bar,
+            symbol=Symbol.DIAMOND,
+            texts=behind_marks if beyond.any() else (),
+            hollow=True,
+        )
+        # On a bar in front of it; around a point behind it.
+        series = (ahead, *sizes) if is_on_log else (*sizes, ahead)
+        panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))
+        errors = dict(zip(ranked, free_run.tolist(), strict=True))
+        description.append(phrase(FigureText.MODEL_ERROR_RANKING, output, errors=errors, unit=text))
+    return Figure("errors", tuple(panels), phrase(FigureText.MODEL_ERRORS), tuple(description))
+
+
+def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
+    """Measured outputs and the free run of every model over one record, a panel for each output."""
+    roles, panels = model_roles(comparison.entries), []
+    for output, runs in _runs_by_output(comparison, record).items():
+        first = next(iter(runs.values()))
+        factor, unit = scale_to_prefix(comparison.outputs[output], first.measured)
+        measured = Curve(
+            first.time, factor * first.measured, Role.MEASURED, "measured", 3.0, thinning=Thinning.ENVELOPE
+        )
+        curves = [
+            Curve(run.time, factor * _cut(run.simulated, run.measured), roles[n], n, 1.4, thinning=Thinning.ENVELOPE)
+            for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
+        ]
+        panels.append(
+            Panel(
+                output,
+                (measured, *curves),
+                TIME,
+                Axis(output, unit),
+                height=Height.TALL,
+                listing=("measured", *runs),
+            )
+        )
+    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
+
+
+def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
+    """Measured minus simulated of every model over one record, a panel for each output."""
+    roles, panels = model_roles(comparison.entries), []
+    for output, runs in _runs_by_output(comparison, record).items():
+        typical = np.array([_error_size(run) for run in runs.values()])
+        factor, unit = scale_to_prefix(comparison.outputs[output], typical)
+        curves = [
+            Curve(
+                run.time,
+                factor * _cut(run.measured - run.simulated, run.measured),
+                roles[n],
+                n,
+                1.0,
+                thinning=Thinning.ENVELOPE,
+            )
+            for n, run in reversed(runs.items())
+        ]
+        reach = DRAWING.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
+        axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
+        panels.append(Panel(output, tuple(curves), TIME, axis, listing=tuple(runs)))
+    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
+
+
+def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[ComparisonRun, ...]:
+    """A model's runs over one judging record."""
+    runs = entry.validation_runs if comparison.validation else entry.training_runs
+    return tuple(run for run in runs if run.record == record)
+
+
+def judging_records(comparison: Comparison) -> list[str]:
+    """Names of the validation records, of the fitted ones where there are no others."""
+    return list(dict.fromkeys(comparison.validation or comparison.training))
+
+
+def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: str | None) -> ComparisonScore | None:
+    scores: Mapping[str, ComparisonScore] = (
+        comparison.deciding_scores(entry) if record is None else entry.records.get(record, {})
+    )
+    return scores.get(output)
+
+
+def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, ComparisonRun]]:
+    """Output -> model -> its run over the record, where there is one."""
+    runs = {
+        output: {
+            e.name: run for e in comparison.entries for run in runs_over(comparison, e, record) if run.output == output
+        }
+        for output in comparison.outputs
+    }
+    return {output: by_model for output, by_model in runs.items() if by_model}
+
+
+def _error_sizes(comparison: Comparison, record: str) -> tuple[Finding, ...]:
+    description = []
+    for output, runs in _runs_by_output(comparison, record).items():
+        sizes = {n: _error_size(run) for n, run in runs.items()}
+        factor, unit = scale_to_prefix(comparison.outputs[output], np.array(list(sizes.values())))
+        errors = {n: factor * size for n, size in sizes.items()}
+        description.append(phrase(FigureText.MODEL_RESIDUAL_SIZES, output, errors=errors, unit=unit))
+    return tuple(description)
+
+
+def _error_size(run: ComparisonRun) -> float:
+    """Root mean square error; NaN where the run leaves all bounds."""
+    if not (np.abs(run.simulated) < DRAWING.overflow).all():
+        return np.nan
+    return _usable(root_mean_square(run.measured - run.simulated))
+
+
+def _cut(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """A run (N,) without what lies far outside the measured signal."""
+    low, high = np.nanmin(measured), np.nanmax(measured)
+    reach = DRAWING.ranges_from_measured * (high - low) or 1.0
+    inside = np.isfinite(values) & (values > low - reach) & (values < high + reach)
+    return np.where(inside, values, np.nan)
+
+
+def _usable(error: float) -> float:
+    """An error that can be drawn: NaN where a run left all bounds, and where it is exact."""
+    return error if np.isfinite(error) and 0 < error < DRAWING.overflow else np.nan

@@ -1,0 +1,256 @@
+"""Sheets as pictures: PNG to look at, SVG to print and to edit. The only module that imports matplotlib."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from textwrap import fill
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis as NumberedAxis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure as Picture
+from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+from greybox.base.files import write_file
+from greybox.base.findings import Severity
+from greybox.base.texts import to_line
+from greybox.show.figures.figure import (
+    Area,
+    Axis,
+    Band,
+    Bars,
+    Curve,
+    Dash,
+    Heatmap,
+    Panel,
+    Points,
+    Reference,
+    Role,
+    Scale,
+    Series,
+    Symbol,
+    thin_curve,
+    typeset_exponents,
+    write_cell,
+)
+from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
+from greybox.show.sentences.registry import sentence
+
+MARKERS = {Symbol.CIRCLE: "o", Symbol.DIAMOND: "D", Symbol.SQUARE: "s", Symbol.CROSS: "x"}
+LINES = {Dash.SOLID: "-", Dash.DASHED: "--", Dash.DOTTED: ":"}
+
+
+def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
+    """Write a sheet as ``png`` and, with the same name, as SVG; equal sheets give equal files."""
+    picture = draw_sheet(sheet, style)
+    engine = picture.get_layout_engine()
+    if engine is not None:  # once for both files
+        engine.execute(picture)
+        picture.set_layout_engine(None)
+    compression = {"compress_level": style.compression}
+    write_file(png, lambda file: picture.savefig(file, format="png", dpi=style.dots_per_inch, pil_kwargs=compression))
+    with rc_context({"svg.hashsalt": "greybox"}):
+        write_file(png.with_suffix(".svg"), lambda file: picture.savefig(file, format="svg", metadata={"Date": None}))
+
+
+def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
+    """A sheet as a figure of matplotlib. Texts are shown as they are: a dollar sign in a name begins no formula."""
+    with rc_context({"text.parse_math": False}):
+        picture = _draw_cells(sheet, style)
+    for text in picture.findobj(Text):
+        text.set_text(_as_lines(text.get_text()))
+    return picture
+
+
+def _as_lines(text: str) -> str:
+    """What fonts can show: without control characters and halves of characters (a file name that is not UTF-8)."""
+    return "\n".join(map(to_line, text.split("\n")))
+
+
+def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
+    picture = Picture(figsize=sheet.size, dpi=style.dots_per_inch, layout="constrained")
+    FigureCanvasAgg(picture)
+    picture.suptitle(sentence(sheet.heading), fontsize=style.heading)
+    grid = picture.add_gridspec(
+        len(sheet.heights), len(sheet.widths), height_ratios=sheet.heights, width_ratios=sheet.widths
+    )
+    entries: dict[str, Artist] = {}
+    for cell in sheet.cells:
+        axes = picture.add_subplot(grid[cell.row : cell.row + cell.rows, cell.column])
+        _draw_panel(axes, cell, style)
+        handles, labels = axes.get_legend_handles_labels()
+        drawn = dict(zip(labels, handles, strict=True))
+        entries |= {label: drawn[label] for label in cell.panel.labels if label in drawn and label not in entries}
+    if entries:
+        picture.legend(
+            entries.values(),
+            entries.keys(),
+            loc="outside lower center",
+            ncols=len(entries),
+            fontsize=style.numbers,
+            frameon=False,
+        )
+    picture.align_ylabels()
+    return picture
+
+
+def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
+    panel = cell.panel if cell.window is None else cell.panel.between(*cell.window)
+    axes.set_xscale("log" if panel.x.scale is Scale.LOG else "linear")
+    axes.set_yscale("log" if panel.y.scale is Scale.LOG else "linear")
+    for series in panel.series:
+        _draw(axes, series, panel, style)
+    if all(isinstance(s, (Curve, Area, Band, Reference)) for s in panel.series):
+        axes.margins(x=style.margin)
+    if panel.equal_scales:
+        axes.set_aspect("equal", adjustable="datalim")
+    _set_up(axes.xaxis, axes.set_xlim, panel.x, panel.columns, style)
+    _set_up(axes.yaxis, axes.set_ylim, panel.y, panel.categories, style)
+    axes.grid(axis="x" if panel.categories else "both", alpha=style.grid_opacity, lw=style.grid_width)
+    axes.set_axisbelow(True)
+    if cell.above_another:
+        axes.set_xlabel("")
+        axes.tick_params(labelbottom=False)
+    titles = cell.titles or panel.titles
+    if titles:
+        loud = any(title.severity is not Severity.NOTE for title in titles)
+        text = "\n".join(fill(sentence(title), style.title_width) for title in titles)
+        colour = _colour(Role.SIMULATED if loud else Role.REFERENCE)
+        axes.set_title(text, loc="left", fontsize=style.names, color=colour)
+
+
+def _set_up(
+    axis: NumberedAxis, set_limits: Callable[..., object], spec: Axis, categories: Sequence[str], style: PictureStyle
+) -> None:
+    """Name, numbers and limits of one axis."""
+    axis.set_label_text(spec.label, fontsize=style.names)
+    axis.set_tick_params(labelsize=style.numbers)
+    limits = spec.limits or spec.still_limits
+    if limits is not None:
+        set_limits(*limits)
+    if categories:
+        axis.set_ticks(range(len(categories)), list(map(_as_lines, categories)))
+    if spec.scale is Scale.LOG:
+        _number_decades(axis)
+    if spec.reversed:
+        axis.set_inverted(True)
+
+
+def _number_decades(axis: NumberedAxis) -> None:
+    """Numbers on a logarithmic axis: 1, 2, 5 and their powers of ten; round numbers where it spans less than a decade."""
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low)
+    round_numbers = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
+    axis.set_major_locator(
+        round_numbers if decades < 1 else LogLocator(subs=(1.0, 2.0, 5.0) if decades < 3 else (1.0,))
+    )
+    axis.set_major_formatter(FuncFormatter(lambda v, _: typeset_exponents(f"{v:.6g}").replace("-", "−")))
+    axis.set_minor_locator(NullLocator() if decades < 1 else LogLocator(subs=tuple(range(2, 10))))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _draw(axes: Axes, series: Series, panel: Panel, style: PictureStyle) -> None:
+    match series:
+        case Curve():
+            _draw_curve(axes, series, style)
+        case Points():
+            _draw_points(axes, series, panel, style)
+        case Bars():
+            _draw_bars(axes, series, panel, style)
+        case Band():
+            _draw_band(axes, series)
+        case Area():
+            _draw_area(axes, series)
+        case Reference():
+            _draw_reference(axes, series, style)
+        case Heatmap():
+            _draw_heatmap(axes, series, style)
+
+
+def _draw_curve(axes: Axes, curve: Curve, style: PictureStyle) -> None:
+    x, y = thin_curve(curve.x, curve.y, curve.thinning, style.stretches)
+    axes.plot(
+        x,
+        y,
+        color=_colour(curve.role),
+        lw=style.line * curve.width,
+        ls=LINES[curve.dash],
+        label=curve.label or None,
+        drawstyle="steps-post" if curve.held else "default",
+    )
+
+
+def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) -> None:
+    colour = _colour(points.role)
+    x, y = _places(points.x, panel.columns), _places(points.y, panel.categories)
+    if points.half_bars is not None:
+        axes.errorbar(x, y, points.half_bars, fmt="none", ecolor=colour, elinewidth=style.line)
+    axes.plot(
+        x,
+        y,
+        color=colour,
+        ls="-" if points.joined else "none",
+        lw=style.line,
+        marker=MARKERS[points.symbol],
+        ms=style.mark * points.size,
+        mfc="white" if points.hollow else colour,
+        mec=colour,
+        mew=style.line * points.hollow,
+        alpha=points.opacity,
+        label=points.label or None,
+    )
+    for place, text in zip(zip(x, y, strict=True), points.texts, strict=bool(points.texts)):
+        axes.annotate(f"  {text}", place, va="center", fontsize=style.numbers)
+
+
+def _draw_bars(axes: Axes, bars: Bars, panel: Panel, style: PictureStyle) -> None:
+    places, colours = _places(bars.places, panel.categories), [_colour(role) for role in bars.roles]
+    if bars.horizontal:
+        axes.barh(places, bars.lengths, height=bars.width, color=colours)
+    else:
+        axes.bar(places, bars.lengths, width=bars.width, color=colours)
+    for place, length, text in zip(places, bars.lengths, bars.texts, strict=False):
+        axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=style.numbers)
+
+
+def _draw_band(axes: Axes, band: Band) -> None:
+    axes.axhspan(band.low, band.high, color=_colour(band.role), lw=0, label=band.label or None)
+
+
+def _draw_area(axes: Axes, area: Area) -> None:
+    axes.fill_between(area.x, area.low, area.high, color=_colour(area.role), lw=0, label=area.label or None)
+
+
+def _draw_reference(axes: Axes, line: Reference, style: PictureStyle) -> None:
+    draw = axes.axvline if line.upright else axes.axhline
+    draw(
+        line.value, color=_colour(line.role), lw=style.line * line.width, ls=LINES[line.dash], label=line.label or None
+    )
+
+
+def _draw_heatmap(axes: Axes, heatmap: Heatmap, style: PictureStyle) -> None:
+    ends = [_colour(Role.RESIDUAL), "white", _colour(Role.SIMULATED)]
+    axes.imshow(heatmap.values, cmap=LinearSegmentedColormap.from_list("correlation", ends), vmin=-1, vmax=1)
+    axes.set_xticks(range(len(heatmap.names)), heatmap.names)
+    for (row, column), value in np.ndenumerate(heatmap.values):
+        if np.isfinite(value):
+            axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=style.numbers)
+
+
+def _places(values: np.ndarray | Sequence[str], names: Sequence[str]) -> np.ndarray:
+    """Where numbers or the ``names`` of an axis are drawn."""
+    if isinstance(values, np.ndarray):
+        return values
+    place = {name: k for k, name in enumerate(names)}
+    return np.array([place[name] for name in values], dtype=float)
+
+
+def _colour(role: Role) -> str:
+    return PALETTE[role].light

@@ -1,0 +1,77 @@
+"""Fitted parameters in figures: how well each is known, and which ones the records cannot tell apart."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Estimate
+from greybox.show.figures.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
+from greybox.show.figures.policy import DRAWING
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
+
+
+def plot_intervals(percent: Mapping[str, float], caption: Finding) -> Figure | None:
+    """A mark for each parameter at half the width of its 95 % interval, in ``percent`` of the value; None for fewer than two."""
+    if len(percent) < 2:
+        return None
+    ranked = dict(sorted(percent.items(), key=lambda item: item[1]))
+    sizes = np.array(list(ranked.values()))
+    marks = Points(sizes, list(ranked), Role.RESIDUAL, size=11, texts=[f"{p:.2g} %" for p in sizes])
+    limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
+    x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits)
+    panel = Panel("intervals", (marks,), x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
+    return Figure("intervals", (panel,), caption, (phrase(FigureText.INTERVAL_WIDTHS, percent=ranked),))
+
+
+def relative_half_widths(fit: Fit) -> dict[str, float]:
+    """Half the 95 % interval of each parameter that has one, in percent of the value."""
+    return {name: half for name, e in fit.parameters.items() if (half := relative_half_width(e)) is not None}
+
+
+def relative_half_width(e: Estimate) -> float | None:
+    """Half the 95 % interval in percent of the value; None where there is no interval."""
+    if e.interval is None or not e.value or not all(map(math.isfinite, e.interval)):
+        return None
+    return 100 * (e.interval[1] - e.interval[0]) / 2 / abs(e.value) or None
+
+
+def plot_correlation(fit: Fit) -> Figure | None:
+    """Which parameters the records move together; None for fewer than two."""
+    names = list(fit.uncertainty.free)
+    if len(names) < 2 or not np.isfinite(fit.uncertainty.covariance).any():
+        return None
+    category = Axis(scale=Scale.CATEGORY)
+    heatmap = Heatmap(parameter_correlation(fit), names)
+    panel = Panel(
+        "correlation", (heatmap,), category, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY
+    )
+    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=DRAWING.correlated),)
+    return Figure("correlation", (panel,), phrase(FigureText.CORRELATION), tuple(description))
+
+
+def parameter_correlation(fit: Fit) -> np.ndarray:
+    """Correlation (nf, nf) of the free parameters; NaN where one is not determined."""
+    std = np.sqrt(np.maximum(np.diag(fit.uncertainty.covariance), 0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(fit.uncertainty.covariance / np.outer(std, std))
+
+
+def strongly_correlated_pairs(fit: Fit) -> tuple[Finding, ...]:
+    """Pairs of parameters that the records hardly tell apart, the closest first."""
+    rho, names = parameter_correlation(fit), fit.uncertainty.free
+    pairs = [
+        (abs(rho[i, j]), i, j)
+        for i in range(len(names))
+        for j in range(i)
+        if np.isfinite(rho[i, j]) and abs(rho[i, j]) > DRAWING.correlated
+    ]
+    return tuple(
+        phrase(FigureText.CORRELATED, first=names[j], second=names[i], correlation=float(rho[i, j]))
+        for _, i, j in sorted(pairs, reverse=True)
+    )

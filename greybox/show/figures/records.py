@@ -1,0 +1,310 @@
+"""One record in figures: its signals, the model's run, the residual and its spectrum."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.data.experiment import Experiment
+from greybox.estimation.result_parts import Trace
+from greybox.show.figures.figure import (
+    Axis,
+    Band,
+    Curve,
+    Dash,
+    Figure,
+    Height,
+    Panel,
+    Role,
+    SampledSignal,
+    Scale,
+    Series,
+    Thinning,
+    root_mean_square,
+    scale_to_prefix,
+    value_range,
+)
+from greybox.show.figures.policy import DRAWING
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
+
+# The spectrum of a residual, as pages draw it and take it anew over the stretch that a reader zooms into.
+
+
+def amplitude_density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """One-sided amplitude density by a Hann window.
+
+    Gaps count as the mean of the rest, and not as rows: white noise has the same density with gaps and without.
+
+    Parameters
+    ----------
+    values
+        Evenly sampled (N,), NaN in gaps.
+    step
+        Between them, in s.
+
+    Returns
+    -------
+    frequency, density
+        In Hz and in the unit of ``values`` per root hertz, (N // 2,); empty for fewer than four values.
+    """
+    known = np.isfinite(values)
+    if len(values) < 4 or not known.any():
+        return np.array([]), np.array([])
+    window = np.hanning(len(values) + 1)[:-1]
+    centred = np.where(known, values - values[known].mean(), 0.0)
+    spectrum = np.fft.rfft(window * centred)
+    frequency = np.fft.rfftfreq(len(values), step)
+    return frequency[1:], np.sqrt(2 * step * np.abs(spectrum[1:]) ** 2 / np.sum(window[known] ** 2))
+
+
+def uniform_sampling_time(time: np.ndarray) -> float | None:
+    """Seconds between rows, None where they are not evenly spaced."""
+    steps = np.diff(time)
+    even = len(steps) > 0 and float(np.ptp(steps)) < DRAWING.uneven * float(steps.mean())
+    return float(steps.mean()) if even else None
+
+
+TIME = Axis("time", "s")
+FREQUENCY = Axis("frequency", "Hz", Scale.LOG)
+
+
+def plot_signals(
+    name: str,
+    time: np.ndarray,
+    signals: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    role: Role,
+    caption: Finding,
+    *,
+    held: bool = False,
+) -> Figure:
+    """Signals (N,) over ``time`` (N,), a panel for each; ``held``: as steps."""
+    panels, description = [], []
+    for signal, given in signals.items():
+        values = np.asarray(given)
+        factor, unit = scale_to_prefix(units[signal], values)
+        curve = Curve(time, factor * values, role, signal, thinning=Thinning.ENVELOPE, held=held)
+        panels.append(Panel(signal, (curve,), TIME, Axis(signal, unit), height=Height.LOW))
+        low, high = value_range(factor * values)
+        missing = int((~np.isfinite(values)).sum())
+        description.append(phrase(FigureText.SIGNAL_RANGE, signal, low=low, high=high, unit=unit, missing=missing))
+    return Figure(name, tuple(panels), caption, tuple(description))
+
+
+def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str) -> Figure | None:
+    """What drove a record, a panel for each input; None where nothing did."""
+    if not record.inputs:
+        return None
+    caption = phrase(FigureText.INPUTS, record.name)
+    return plot_signals(name, record.time, record.inputs, units, Role.INPUT, caption, held=record.hold == "zero")
+
+
+def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> Figure | None:
+    """What the sensors show, a panel for each output; None where nothing was measured."""
+    if not record.outputs:
+        return None
+    caption = phrase(FigureText.OUTPUTS, record.name)
+    return plot_signals(name, record.time, record.outputs, units, Role.OUTPUT, caption)
+
+
+def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
+    """Measured outputs and the model's free run over one record, a panel for each output."""
+    panels, description = [], []
+    for output, measured in trace.measured.items():
+        simulated = trace.simulated[output]
+        factor, unit = scale_to_prefix(units[output], measured, simulated)
+        curves = (
+            _over_time(trace.time, factor * measured, Role.MEASURED, "measured", 2.4),
+            _over_time(trace.time, factor * simulated, Role.SIMULATED, "simulated", 1.2),
+        )
+        panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
+        (low, high), (simulated_low, simulated_high) = (
+            value_range(factor * measured),
+            value_range(factor * simulated),
+        )
+        description.append(
+            phrase(
+                FigureText.RUN_RANGE,
+                output,
+                duration=float(trace.time[-1] - trace.time[0]),
+                low=low,
+                high=high,
+                simulated_low=simulated_low,
+                simulated_high=simulated_high,
+                unit=unit,
+                missing=int(np.isnan(measured).sum()),
+                rows=len(measured),
+            )
+        )
+    return Figure(name, tuple(panels), phrase(FigureText.RUN, trace.name), tuple(description))
+
+
+def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str) -> Figure:
+    """Measured minus simulated over one record with a band of two standard deviations of the noise, a panel for each output."""
+    panels, description = [], []
+    for output in trace.measured:
+        residual, std = trace.residual(output), known_noise(noise.get(output))
+        factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
+        band = 2 * factor * std
+        curve = _over_time(trace.time, factor * residual, Role.RESIDUAL, "residual", 1.0)
+        axis = Axis(f"residual of {output}", unit, still_limits=_robust_limits(factor * residual, band))
+        panels.append(Panel(output, (*_noise_band(band), curve), TIME, axis))
+        known = residual[np.isfinite(residual)]
+        inside = float(np.mean(np.abs(known) <= 2 * std)) if std > 0 and len(known) else None
+        description.append(
+            phrase(
+                FigureText.RESIDUAL_SIZE,
+                output,
+                rms=factor * root_mean_square(residual),
+                unit=unit,
+                inside=inside,
+                band=band,
+            )
+        )
+    caption = phrase(FigureText.RESIDUAL, trace.name, band=any(map(known_noise, noise.values())))
+    return Figure(name, tuple(panels), caption, tuple(description))
+
+
+def plot_spectrum(
+    trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str, *, follows: str = ""
+) -> Figure:
+    """Amplitude density of the residual and of white noise, a panel for each output.
+
+    ``follows`` names the figure with the residual: the spectrum is taken anew over the stretch that the reader zooms into there.
+    """
+    step = uniform_sampling_time(trace.time) or float(np.median(np.diff(trace.time)))
+    panels, description = [], []
+    for output in trace.measured:
+        residual, std = trace.residual(output), known_noise(noise.get(output))
+        factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
+        curve = _spectrum(trace.time, factor * residual, step, Role.RESIDUAL, "residual", follows)
+        series = (curve, *_noise_floor(curve.x, factor * std * np.sqrt(2 * step)))
+        panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
+        if len(curve.x):
+            peak = float(curve.x[int(np.argmax(curve.y))])
+            description.append(phrase(FigureText.SPECTRUM_PEAK, output, frequency=peak))
+    caption = phrase(FigureText.SPECTRUM, trace.name, line=any(map(known_noise, noise.values())))
+    return Figure(name, tuple(panels), caption, tuple(description))
+
+
+def plot_residuals_before_after(
+    before: Trace, after: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str, extended: str
+) -> Figure:
+    """The residual of one record with the plain model and with the extended one, a panel for each output."""
+    panels, description = [], []
+    for output in before.measured:
+        std, pair = known_noise(noise.get(output)), (before.residual(output), after.residual(output))
+        factor, unit = scale_to_prefix(units[output], pair[0], np.array([2 * std]))
+        curves = (
+            _over_time(before.time, factor * pair[0], Role.BASELINE, "plain model", 1.0),
+            _over_time(after.time, factor * pair[1], Role.EXTENDED, extended, 1.0),
+        )
+        series = (*_noise_band(2 * factor * std), *curves)
+        panels.append(Panel(output, series, TIME, Axis(f"residual of {output}", unit)))
+        rms_before, rms_after = (factor * root_mean_square(r) for r in pair)
+        description.append(
+            phrase(FigureText.RESIDUAL_BEFORE_AFTER, output, before=rms_before, after=rms_after, unit=unit)
+        )
+    return Figure(
+        name,
+        tuple(panels),
+        phrase(FigureText.RESIDUALS_BEFORE_AFTER, before.name, band=any(map(known_noise, noise.values()))),
+        tuple(description),
+    )
+
+
+def plot_spectra_before_after(
+    before: Trace,
+    after: Trace,
+    units: Mapping[str, str],
+    noise: Mapping[str, float],
+    name: str,
+    extended: str,
+    *,
+    follows: str = "",
+) -> Figure:
+    """Amplitude densities of both residuals of `plot_residuals_before_after`."""
+    step = uniform_sampling_time(before.time) or float(np.median(np.diff(before.time)))
+    panels, description = [], []
+    for output in before.measured:
+        std, pair = known_noise(noise.get(output)), (before.residual(output), after.residual(output))
+        factor, unit = scale_to_prefix(units[output], pair[0], np.array([2 * std]))
+        curves = (
+            _spectrum(before.time, factor * pair[0], step, Role.BASELINE, "plain model", follows),
+            _spectrum(before.time, factor * pair[1], step, Role.EXTENDED, extended, follows),
+        )
+        series = (*curves, *_noise_floor(curves[0].x, factor * std * np.sqrt(2 * step)))
+        panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
+        rms_before, rms_after = (factor * root_mean_square(r) for r in pair)
+        description.append(
+            phrase(FigureText.RESIDUAL_BEFORE_AFTER, output, before=rms_before, after=rms_after, unit=unit)
+        )
+    return Figure(name, tuple(panels), phrase(FigureText.SPECTRA_BEFORE_AFTER, before.name), tuple(description))
+
+
+def plot_runs_before_after(
+    before: Trace, after: Trace, units: Mapping[str, str], name: str, labels: tuple[str, str]
+) -> Figure:
+    """Measured outputs and the free runs of two models over one record, a panel for each output."""
+    panels = []
+    for output, measured in before.measured.items():
+        factor, unit = scale_to_prefix(units[output], measured, before.simulated[output])
+        curves = (
+            _over_time(before.time, factor * measured, Role.MEASURED, "measured", 3.0),
+            _over_time(before.time, factor * before.simulated[output], Role.BASELINE, labels[0], 1.3),
+            _over_time(after.time, factor * after.simulated[output], Role.EXTENDED, labels[1], 1.3),
+        )
+        panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
+    return Figure(name, tuple(panels), phrase(FigureText.RUNS_BEFORE_AFTER, before.name))
+
+
+def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
+    """From when to when ``values`` (N,) lie furthest from their mean, for a closer look; None where the record is short."""
+    rows = DRAWING.closer_look
+    if len(time) <= 2 * rows:
+        return None
+    deviation = np.abs(np.where(np.isfinite(values), values, np.nan) - np.nanmean(values))
+    middle = int(np.nanargmax(deviation))
+    first = min(max(0, middle - rows // 2), len(time) - rows)
+    return float(time[first]), float(time[first + rows - 1])
+
+
+def known_noise(std: float | None) -> float:
+    """The standard deviation of a noise, 0 where it is not known."""
+    return std if std is not None and np.isfinite(std) else 0.0
+
+
+def _over_time(time: np.ndarray, values: np.ndarray, role: Role, label: str, width: float) -> Curve:
+    return Curve(time, values, role, label, width, thinning=Thinning.ENVELOPE)
+
+
+def _noise_band(half: float) -> Sequence[Series]:
+    return [Band(-half, half, label="noise, 95 %")] if half > 0 else []
+
+
+def _noise_floor(frequency: np.ndarray, density: float) -> Sequence[Series]:
+    """The density of white noise, a straight line over the ``frequency`` (F,) of a spectrum."""
+    if not (density > 0 and len(frequency)):
+        return []
+    return [Curve(frequency[[0, -1]], np.array([density, density]), Role.NOISE, "noise", 1.4, Dash.DASHED)]
+
+
+def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, label: str, follows: str) -> Curve:
+    """The spectrum of a residual (N,), with the residual itself where a page is to take it anew."""
+    even = uniform_sampling_time(time)
+    signal = None
+    if follows and even is not None and len(time) <= DRAWING.signal_on_page:
+        signal = SampledSignal(follows, float(time[0]), even, residual)
+    frequency, density = amplitude_density(residual, step)
+    return Curve(frequency, density, role, label, 1.0, thinning=Thinning.PEAKS, signal=signal)
+
+
+def _robust_limits(residual: np.ndarray, band: float) -> tuple[float, float]:
+    """The residual's range, not blown up by a single outlier, and never less than the noise band."""
+    known = residual[np.isfinite(residual)]
+    largest = float(np.quantile(np.abs(known), DRAWING.shown_share)) if len(known) else 0.0
+    reach = 1.1 * max(1.2 * band, largest)
+    return (-reach, reach) if reach > 0 else (-1.0, 1.0)

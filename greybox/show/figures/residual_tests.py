@@ -1,0 +1,198 @@
+"""What the residual of a fit says: one figure for each output, one panel for each kind of test."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import ndtri
+
+from greybox.base.findings import Finding, Severity
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.show.figures.figure import (
+    Axis,
+    Band,
+    Bars,
+    Curve,
+    Dash,
+    Figure,
+    Panel,
+    Points,
+    Reference,
+    Role,
+    Series,
+    Symbol,
+    Thinning,
+    choose_evenly,
+)
+from greybox.show.figures.policy import DRAWING
+from greybox.show.sentences.estimation import name_test
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.wording import phrase
+
+
+def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
+    """The tests of one output.
+
+    Panels: the autocorrelation with the 95 % band of white noise; the correlation with each input that moves, later and earlier, with a
+    band that the residual's own colour widens; the residual against a normal one; its mean and spread along the records. Above each
+    stands what its tests say.
+    """
+    series = tests.residuals[output]
+    of_output = [t for t in tests.tests if t.output == output]
+    moving = [u for u, records in series.inputs.items() if any(np.ptp(record) > 0 for record in records)]
+    panels = (
+        _autocorrelation(series, _of_kind(of_output, ResidualTestKind.WHITENESS)),
+        *(
+            _input_correlation(
+                series, u, [t for t in _of_kind(of_output, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]
+            )
+            for u in moving
+        ),
+        _normal_plot(series, _of_kind(of_output, ResidualTestKind.NORMALITY)),
+        _along_records(series, _of_kind(of_output, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
+    )
+    return Figure(
+        name,
+        panels,
+        phrase(FigureText.RESIDUAL_TESTS, output),
+        tuple(title for panel in panels for title in panel.titles),
+    )
+
+
+def cross_correlation(first: Sequence[np.ndarray], second: Sequence[np.ndarray], lags: int) -> tuple[np.ndarray, int]:
+    """Correlation of ``second`` with what ``first`` was some samples before, over all records.
+
+    Parameters
+    ----------
+    first, second
+        Of each record (N,), NaN in gaps; pairs that touch a gap are left out, means are taken off.
+    lags
+        The largest number of samples.
+
+    Returns
+    -------
+    correlation, count
+        (lags + 1,) from lag 0 on, and the samples of ``second``.
+    """
+    pairs = [(a - np.nanmean(a), b - np.nanmean(b)) for a, b in zip(first, second, strict=True)]
+    sizes = [np.sqrt(np.nanmean(np.concatenate([p[k] for p in pairs]) ** 2)) or 1.0 for k in (0, 1)]
+    correlation = np.zeros(lags + 1)
+    for k in range(lags + 1):
+        products = np.concatenate([a[: max(len(a) - k, 0)] * b[k:] for a, b in pairs])
+        known = np.isfinite(products)
+        correlation[k] = products[known].mean() / (sizes[0] * sizes[1]) if known.any() else 0.0
+    return correlation, int(sum(np.isfinite(b).sum() for _, b in pairs))
+
+
+def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[ResidualTest]:
+    return [t for t in tests if t.kind in kinds]
+
+
+def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+    rho, count = cross_correlation(series.series, series.series, DRAWING.lags)
+    band = float(_quantile() / np.sqrt(max(count, 1)))
+    lags = np.arange(1, DRAWING.lags + 1)
+    return _correlation_panel("autocorrelation", lags, rho[1:], band, Axis("lag", "samples"), tests)
+
+
+def _input_correlation(series: ResidualSeries, name: str, tests: Sequence[ResidualTest]) -> Panel:
+    inputs = series.inputs[name]
+    after, count = cross_correlation(inputs, series.series, DRAWING.input_lags)
+    before, _ = cross_correlation(series.series, inputs, DRAWING.input_lags)
+    lags = np.arange(-DRAWING.input_lags, DRAWING.input_lags + 1)
+    values = np.concatenate([before[:0:-1], after])
+    axis = Axis(f"lag of the residual behind {name}", "samples")
+    return _correlation_panel(
+        f"correlation with {name}", lags, values, _band(inputs, series.colour, count), axis, tests
+    )
+
+
+def _correlation_panel(
+    name: str, lags: np.ndarray, values: np.ndarray, band: float, x: Axis, tests: Sequence[ResidualTest]
+) -> Panel:
+    reach = 1.15 * max(float(np.abs(values).max(initial=0.0)), 2 * band)
+    bars = Bars(lags, values, [Role.RESIDUAL] * len(lags), name, width=0.3)
+    series = (Band(-band, band, label="95 % of white noise"), Reference(0.0, width=0.6), bars)
+    return Panel(name, series, x, Axis(name, limits=(-reach, reach)), _titles(tests))
+
+
+def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+    values = np.concatenate(series.raw)
+    values = np.sort(values[np.isfinite(values)])
+    expected, ordered = expect_normal_order(len(values)), values
+    slope, middle = np.polyfit(expected, ordered, 1)
+    shown, ends = choose_evenly(len(values), DRAWING.normal_points), expected[[0, -1]]
+    drawn = (
+        Points(expected[shown], ordered[shown], Role.RESIDUAL, size=4.0),
+        Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
+    )
+    axes = Axis("quantile of a normal distribution"), Axis("residual / noise")
+    return Panel("normal distribution", drawn, *axes, _titles(tests))
+
+
+def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+    """The residual along all records, and mean and spread of its stretches."""
+    every = np.concatenate(series.series)
+    total = float(np.sqrt(np.nanmean(every**2))) or 1.0
+    behind: list[Series] = []
+    front: list[Series] = []
+    start = 0.0
+    for time, residual in zip(series.time, series.series, strict=True):
+        since = start + time - time[0]
+        behind.append(Curve(since, residual, Role.BAND, width=0.9, thinning=Thinning.ENVELOPE))
+        count = max(2, round(DRAWING.parts * len(residual) / len(every)))
+        edges = np.linspace(0, len(residual), count + 1).astype(int)
+        stretches = [np.flatnonzero(np.isfinite(residual[a:b])) + a for a, b in pairwise(edges)]
+        stretches = [rows for rows in stretches if len(rows) > 1]
+        middle = np.array([since[rows].mean() for rows in stretches])
+        mean, spread = (np.array([f(residual[rows]) for rows in stretches]) for f in (np.mean, np.std))
+        first = start == 0.0
+        front += [
+            Points(middle, mean, Role.SIMULATED, "mean" if first else "", joined=True),
+            Points(middle, spread, Role.RESIDUAL, "spread" if first else "", symbol=Symbol.SQUARE, joined=True),
+        ]
+        start = float(since[-1])
+    lines = (Reference(0.0, width=0.6), Reference(total, width=0.6, dash=Dash.DASHED))
+    reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING.residual_share)), total)
+    time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
+    axis = Axis("residual / noise", limits=(-reach, reach))
+    return Panel("mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests))
+
+
+def _titles(tests: Sequence[ResidualTest]) -> tuple[Finding, ...]:
+    """What the tests say: of those that raise an alarm the clearest of each kind, else the least comfortable one."""
+    ordered = sorted(tests, key=lambda t: t.p_value)
+    alarms = list({(t.kind, t.input): t for t in reversed(ordered) if t.alarm}.values())
+    return tuple(
+        Finding(
+            FigureText.RESIDUAL_TEST,
+            Severity.WARNING if t.alarm else Severity.NOTE,
+            t.output,
+            {"test": name_test(t), "p_value": t.p_value, "statement": str(t)},
+        )
+        for t in alarms or ordered[:1]
+    )
+
+
+def _band(inputs: Sequence[np.ndarray], colour: AutoRegression, count: int) -> float:
+    """95 % band of the correlation with an input: ``1.96 sqrt(sum rho_r rho_u / N)``, both colours allowed for (Bartlett)."""
+    lags = min(max(len(u) for u in inputs) - 1, DRAWING.band_lags)
+    of_input, _ = cross_correlation(inputs, inputs, lags)
+    of_residual = colour.autocorrelation(lags + 1)
+    both = max(1.0 + 2 * float(of_input[1:] @ of_residual[1:]), 1.0 / max(count, 1))
+    return float(_quantile() * np.sqrt(both / max(count, 1)))
+
+
+def _quantile() -> float:
+    return float(ndtri((1 + DRAWING.confidence) / 2))
+
+
+def expect_normal_order(count: int) -> np.ndarray:
+    """Medians (N,) of the ordered values of a normal sample (Filliben 1975). `scipy.stats` has them, and takes half a second to load."""
+    medians = (np.arange(1, count + 1) - 0.3175) / (count + 0.365)
+    medians[-1] = 0.5 ** (1 / count)
+    medians[0] = 1 - medians[-1]
+    return ndtri(medians)

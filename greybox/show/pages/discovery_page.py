@@ -1,0 +1,259 @@
+"""The page of a discovery: the missing effect, its certainty, and the error before and after."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from greybox.discovery.certainty import Grade
+from greybox.discovery.decision import Verdict
+from greybox.discovery.holdout import HoldoutError
+from greybox.discovery.refinement import Refinement
+from greybox.discovery.result import Discovery
+from greybox.estimation.result import Fit
+from greybox.show.figures.discovery import (
+    errors_to_judge,
+    explained_share,
+    plot_candidates,
+    plot_effect_signal,
+    plot_holdout_error,
+    plot_misfit_windows,
+    plot_surrogate,
+    plot_unexplained_signal,
+)
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
+from greybox.show.figures.sheet import PAGE
+from greybox.show.pages.equations import typeset_equations
+from greybox.show.pages.fit_page import parameters_table, statements
+from greybox.show.pages.page import (
+    Block,
+    BulletList,
+    Details,
+    FigureBlock,
+    Page,
+    PageTable,
+    Paragraphs,
+    Section,
+    Subheading,
+    Text,
+    Tone,
+    typeset_number,
+)
+from greybox.show.pages.policy import REPORT
+from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
+from greybox.show.sentences.discovery import refinement_text, surrogate_title
+from greybox.show.sentences.estimation import to_constant_cells
+from greybox.show.sentences.pages import PageText
+from greybox.show.sentences.registry import sentences
+from greybox.show.sentences.wording import format_number, phrase
+
+TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
+"""How the answer is marked; every other verdict asks for caution."""
+
+
+def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
+    """The page of a discovery; ``command`` is what was typed."""
+    best, plain = discovery.best, discovery.base.model.title
+    sections = [
+        *discovery_sections(discovery, beside_verdict=True),
+        Section("parameters-before-after", [_parameters_before_after(discovery)]),
+        Section("extended" if best.model.effects else "model", [typeset_equations(best.model)]),
+        records_section([*best.traces], [*best.validation.traces], best),
+        fit_provenance_section(best, command),
+    ]
+    title, question = phrase(PageText.DISCOVERY_TITLE, plain), phrase(PageText.DISCOVERY_QUESTION, plain)
+    evidence = FigureBlock(plot_holdout_error(discovery))
+    return Page(title, question, discovery_verdict(discovery), sections, "discovery", evidence)
+
+
+def discovery_verdict(discovery: Discovery) -> Paragraphs:
+    """The answer, the summary, the effects with their parameters, the next steps and the findings."""
+    items: list[Text] = [*statements(sentences(discovery.conclusion))]
+    for effect in discovery.effects if discovery.verdict != "complete" else []:
+        values = [
+            f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
+            for name, c in effect["parameters"].items()
+        ]
+        look_alike = effect["grade"] == Grade.STAND_IN
+        items.append(
+            phrase(
+                PageText.DISCOVERY_EFFECT, effect["name"], site=effect["site"], parameters=values, look_alike=look_alike
+            )
+        )
+        items += statements(str(e) for e in discovery.evidence if e.effect == effect["name"])
+    items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
+    tone = TONES.get(discovery.verdict, Tone.CAUTION)
+    return Paragraphs([*items, *statements(discovery.findings)], tone)
+
+
+def _std(std: float | None) -> str:
+    return f" +- {std:.2g}" if std else ""
+
+
+def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
+    """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
+    figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
+    yield Section("gap", [*figure, *_holdout(discovery)])
+    signals: list[Block] = [
+        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
+    ]
+    if discovery.surrogate is not None:
+        signals += [
+            Paragraphs(statements([str(discovery.surrogate)])),
+            FigureBlock(plot_surrogate(discovery.surrogate)),
+        ]
+    if signals:
+        yield Section("missing", signals)
+    if discovery.refinement is not None:
+        yield Section("further", list(_refinement(discovery.refinement)))
+    if discovery.localisation.is_missing:
+        yield Section("localisation", list(_localisation(discovery)))
+    if discovery.ranking:
+        yield Section("candidates", list(_candidates(discovery)))
+
+
+def _holdout(discovery: Discovery) -> Iterator[Block]:
+    name, extended, errors = extended_model(discovery)
+    rows = [
+        [
+            output,
+            *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after)),
+            typeset_number(f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip()) if e.is_floor_known else "not known",
+            _explained(e),
+        ]
+        for output, e in errors.items()
+    ]
+    head = ["output", "plain model", name, "noise", "error taken away"]
+    yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
+    path = selection_path(discovery)
+    if len(path) > 2:
+        steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
+        yield PageTable(phrase(PageText.DISCOVERY_PATH), ["model", "misfit"], steps)
+    pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
+    pairs = pairs[: REPORT.records_of_discovery]
+    stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
+    for k, (before, after) in enumerate(pairs):
+        shared = before, after, signal_units(discovery.base.model), extended.noise.levels
+        residuals = plot_residuals_before_after(*shared, f"left-{k}", name)
+        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", name, follows=residuals.name)
+        together = f"judged-{k}"
+        figures: list[Block] = [
+            FigureBlock(residuals, stretches, group=together, switch=together),
+            FigureBlock(spectra, stretches, switch=together),
+        ]
+        title = phrase(PageText.RECORD, before.name)
+        yield from [Subheading(title), *figures] if k < REPORT.open_records else [Details(title, figures)]
+
+
+def _explained(error: HoldoutError) -> str:
+    share = explained_share(error)
+    if share is None:
+        return "only noise"
+    return f"{100 * share:.0f} %" if share >= 0 else "error grew"
+
+
+def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
+    """The models on the way to the best one, one effect after the other, with their misfit over noise where they were fitted."""
+    wanted = {e.name for e in discovery.best.model.effects}
+    path = [("plain model", max((m.noise_ratio for m in discovery.base.misfit.values()), default=math.nan))]
+    held: set[str] = set()
+    while held != wanted:
+        nearer = [r for r in discovery.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]
+        if not nearer:
+            break
+        step = min(nearer, key=lambda r: r.misfit)
+        added = set(step.effects) - held
+        held |= added
+        path.append((f"+ {', '.join(sorted(added))}", step.misfit))
+    return path
+
+
+def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, HoldoutError]]:
+    """What stands beside the plain model: its name, its fit and its errors; where no effect came near, the surrogate."""
+    surrogate = discovery.surrogate
+    if surrogate is not None and not discovery.best.model.effects:
+        return f"with {surrogate_title(surrogate)}", surrogate.fit, errors_to_judge(discovery)
+    return extended_name(discovery), discovery.best, discovery.holdout
+
+
+def extended_name(discovery: Discovery) -> str:
+    """What to call the best model of the catalogue."""
+    is_look_alike = all(e["grade"] == Grade.STAND_IN for e in discovery.effects)
+    return "nearest look-alike" if discovery.verdict == Verdict.UNKNOWN and is_look_alike else "extended model"
+
+
+def _refinement(refinement: Refinement) -> Iterator[Block]:
+    """The effects beyond the answer, and what they leave."""
+    yield Paragraphs(statements([refinement_text(refinement)]))
+    if not refinement.steps:
+        return
+    rows = [
+        [
+            s.name,
+            _percent(s.estimation_share),
+            _percent(s.validation_share),
+            ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items()),
+        ]
+        for s in refinement.steps
+    ]
+    head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
+    yield PageTable(phrase(PageText.DISCOVERY_REFINEMENT), head, rows)
+    yield parameters_table(refinement.fit)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _localisation(discovery: Discovery) -> Iterator[Block]:
+    localisation = discovery.localisation
+    yield BulletList(statements(line.strip() for line in str(localisation).splitlines()))
+    unexplained = plot_unexplained_signal(localisation)
+    if unexplained is not None:
+        yield FigureBlock(unexplained)
+    sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
+    rows = [
+        [
+            s.label,
+            str(sets[s.label]),
+            typeset_number(f"{s.gain:.4g}"),
+            typeset_number(f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()),
+        ]
+        for s in localisation.sites
+    ]
+    if rows:
+        head = ["site", "set", "gain", "signal (rms)"]
+        yield PageTable(phrase(PageText.DISCOVERY_SITES), head, rows, phrase(PageText.DISCOVERY_SITES_NOTE))
+    windows = plot_misfit_windows(localisation)
+    if windows is not None:
+        yield FigureBlock(windows)
+
+
+def _candidates(discovery: Discovery) -> Iterator[Block]:
+    figure = plot_candidates(discovery)
+    if figure is not None:
+        yield FigureBlock(figure)
+    if discovery.alternatives:
+        yield BulletList([phrase(PageText.DISCOVERY_RIVAL, " + ".join(names)) for names in discovery.alternatives])
+    rows = [
+        [" + ".join(r.effects), typeset_number(f"{r.misfit:.4g} × noise"), typeset_number(f"{r.behind:.4g}")]
+        for r in discovery.ranking
+    ]
+    note = phrase(PageText.DISCOVERY_CANDIDATES_NOTE)
+    table = PageTable(phrase(PageText.DISCOVERY_CANDIDATES), ["effects", "misfit", "behind"], rows, note)
+    yield Details(phrase(PageText.DISCOVERY_ALL_CANDIDATES, count=len(rows)), [table])
+
+
+def _parameters_before_after(discovery: Discovery) -> PageTable:
+    """Each parameter with the plain model and with the extended one."""
+    if not discovery.best.model.effects:
+        return parameters_table(discovery.best)
+    rows = []
+    for name, e in discovery.best.parameters.items():
+        plain = discovery.base.parameters.get(name)
+        _, after, limits, _, remark = map(typeset_number, to_constant_cells(name, e))
+        before = typeset_number(to_constant_cells(name, plain)[1]) if plain is not None else "–"
+        rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
+    head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
+    return PageTable(phrase(PageText.DISCOVERY_PARAMETERS), head, rows)

@@ -1,0 +1,311 @@
+"""The page of a fit: what came out, whether to believe it, what it was made from, how to repeat it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.base.findings import Finding
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.identifiability.practical import recommend_after_fit
+from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.residuals import ResidualTests, residual_tests
+from greybox.estimation.restore import has_free_run
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import FitNoise, Misfit, Trace
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.parameters import (
+    plot_correlation,
+    plot_intervals,
+    relative_half_width,
+    relative_half_widths,
+    strongly_correlated_pairs,
+)
+from greybox.show.figures.policy import DRAWING
+from greybox.show.figures.records import plot_inputs, plot_residual, plot_run, plot_spectrum
+from greybox.show.figures.residual_tests import plot_residual_tests
+from greybox.show.figures.sheet import PAGE
+from greybox.show.pages.equations import typeset_equations
+from greybox.show.pages.page import (
+    Block,
+    BulletList,
+    Details,
+    FigureBlock,
+    Page,
+    PageTable,
+    Paragraphs,
+    Section,
+    Subheading,
+    Text,
+    Tone,
+    typeset_number,
+)
+from greybox.show.pages.policy import REPORT
+from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
+from greybox.show.sentences.estimation import MISFIT_HEADS, name_test, to_constant_rows, to_misfit_cells
+from greybox.show.sentences.figures import FigureText
+from greybox.show.sentences.pages import PageText
+from greybox.show.sentences.wording import phrase
+
+# What several pages say of a fit: whether to believe it, and its parameters.
+
+UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
+
+
+def fit_verdict(fit: Fit) -> Paragraphs:
+    """Whether the fit succeeded, and what to know before trusting it."""
+    leading = REPORT.leading_findings
+    if not fit.success:
+        failure = (
+            phrase(PageText.FIT_FAILED, reason=fit.solver.status_message),
+            phrase(PageText.FIT_NUMBERS_OF_FAILURE),
+        )
+        return Paragraphs([*failure, *fit.findings[:leading]], Tone.BAD)
+    free = [name for name in fit.uncertainty.free if name in fit.parameters]
+    undetermined = [name for name in free if not fit.parameters[name].determined]
+    known = [m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)]
+    is_good = bool(known) and max(known) <= REPORT.good_misfit and not undetermined
+    return Paragraphs(
+        [_misfit_note(fit), _determined(fit, undetermined), *_validated(fit), *_further(fit)[:leading]],
+        Tone.GOOD if is_good else Tone.CAUTION,
+    )
+
+
+def findings_below(fit: Fit) -> list[Finding]:
+    """What the page says of a fit beside its residual: findings that neither the verdict nor the parameters say already."""
+    # The verdict of a fit that failed has the first ones already, of any kind.
+    return [*(_further(fit) if fit.success else fit.findings)[REPORT.leading_findings :]]
+
+
+def _further(fit: Fit) -> list[Finding]:
+    """Findings that say something else than sentences of the page: what is above the noise, open, or widened stands there once."""
+    known = {EstimationCode.MISFIT_ABOVE_NOISE} if _misfit_note(fit).code is PageText.RESIDUAL_EXCEEDS_NOISE else set()
+    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
+        known.add(EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
+    return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
+
+
+def statements(texts: Iterable[Text]) -> list[Text]:
+    """Sentences of other packages, findings or strings, as texts of a page."""
+    return [text if isinstance(text, Finding) else phrase(PageText.STATEMENT, text=text) for text in texts]
+
+
+def _misfit_note(fit: Fit) -> Finding:
+    known = [ratio for m in fit.misfit.values() if math.isfinite(ratio := m.noise_ratio)]
+    if not known:
+        return phrase(PageText.NOISE_UNKNOWN)
+    good = max(known) <= REPORT.good_misfit
+    return phrase(
+        PageText.RESIDUAL_IS_NOISE if good else PageText.RESIDUAL_EXCEEDS_NOISE, **_over_noise(fit, fit.misfit)
+    )
+
+
+def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, Any]:
+    """Residual over noise by output, and the outputs whose noise is only bounded: there it is at least that."""
+    ceilings = {
+        name: bound.level
+        for name in misfit
+        if (bound := fit.noise.bound(name)) is not None and bound.floor is None and bound.ceiling
+    }
+    ratios = {name: m.rmse / ceilings[name] if name in ceilings else m.noise_ratio for name, m in misfit.items()}
+    return {"ratios": ratios, "at_least": list(ceilings)}
+
+
+def _determined(fit: Fit, undetermined: list[str]) -> Finding:
+    free = list(fit.uncertainty.free)
+    if not free:
+        return phrase(PageText.NOTHING_FITTED)
+    if undetermined:
+        return phrase(PageText.PARAMETERS_OPEN, open=undetermined)
+    widths = [half for name in free if (half := relative_half_width(fit.parameters[name])) is not None]
+    return phrase(PageText.PARAMETERS_DETERMINED, free=free, widest=max(widths, default=None))
+
+
+def _validated(fit: Fit) -> list[Finding]:
+    if not fit.validation:
+        return [phrase(PageText.NOT_VALIDATED)]
+    over_noise = _over_noise(fit, fit.validation.misfit)
+    return [phrase(PageText.VALIDATED, records=len(fit.validation.traces), **over_noise)]
+
+
+def parameters_table(fit: Fit, note: Text = "") -> PageTable:
+    """The parameters of a fit as a table."""
+    rows = [
+        [name, typeset_number(value), typeset_number(limits), typeset_unit(unit) if unit else "", remark]
+        for name, value, limits, unit, remark in to_constant_rows(fit)
+    ]
+    return PageTable(phrase(PageText.PARAMETERS), ["parameter", "value", "95 % interval", "unit", "remark"], rows, note)
+
+
+@dataclass(frozen=True)
+class RecordRun:
+    """A model's run over one record, for validation or fitted; the first ``skip`` rows do not count."""
+
+    trace: Trace
+    validation: bool
+    skip: int = 0
+
+    @property
+    def title(self) -> Finding:
+        """``Validation record b``."""
+        return phrase(PageText.RECORD_USE, self.trace.name, validation=self.validation)
+
+
+def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
+    """The page of a fit.
+
+    Parameters
+    ----------
+    fit
+        The result of `greybox.fit`.
+    command
+        What was typed, for repeating it.
+    tests
+        Those of the residual; made here where left out.
+    skip
+        Rows at the start of validation records that do not count.
+    """
+    sections = [
+        Section("parameters", list(_parameters(fit))),
+        Section("misfit", list(_misfit(fit, skip))),
+        Section("residual", list(_residual(fit, tests))),
+        Section("model", [typeset_equations(fit.model)]),
+        records_section([*fit.traces], [*fit.validation.traces], fit),
+        fit_provenance_section(fit, command),
+    ]
+    question = phrase(
+        PageText.FIT_QUESTION,
+        free=list(fit.uncertainty.free),
+        records=len(fit.traces),
+        rows=sum(len(t.time) for t in fit.traces),
+        fixed=[name for name, e in fit.parameters.items() if e.fixed],
+    )
+    title = phrase(PageText.FIT_TITLE, fit.model.title)
+    return Page(title, question, fit_verdict(fit), sections, "fit", _evidence(fit))
+
+
+def _evidence(fit: Fit) -> FigureBlock | None:
+    """What convinces of a fit: its run over a record that it has not seen, else over one that it has."""
+    traces = [*fit.validation.traces, *fit.traces]
+    if not (fit.success and traces):
+        return None
+    stretches = PAGE.stretches(2 * len(traces[0].measured))
+    return FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
+
+
+def _parameters(fit: Fit) -> Iterator[Block]:
+    yield parameters_table(fit, _interval_note(fit))
+    # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
+    recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
+    if recommendations:
+        yield Subheading(phrase(PageText.WOULD_DETERMINE))
+        yield BulletList(statements(recommendations))
+    intervals = plot_intervals(relative_half_widths(fit), phrase(FigureText.INTERVALS))
+    if intervals is not None:
+        yield FigureBlock(intervals)
+    correlation = plot_correlation(fit)
+    if correlation is not None:
+        pairs = strongly_correlated_pairs(fit)
+        if pairs:
+            yield BulletList(pairs)
+        yield Details(phrase(PageText.MOVE_TOGETHER), [FigureBlock(correlation)])
+
+
+def _interval_note(fit: Fit) -> Text:
+    if not any(fit.parameters[name].interval for name in fit.uncertainty.free):
+        return ""
+    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
+        return phrase(PageText.INTERVALS_SANDWICH, widening=fit.uncertainty.largest_inflation)
+    likelihood = bool(fit.prediction.process_noise)
+    return phrase(PageText.INTERVALS_LIKELIHOOD if likelihood else PageText.INTERVALS_GAUSS_NEWTON)
+
+
+def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
+    yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit, fit.noise)
+    if fit.prediction.one_step:
+        yield misfit_table(phrase(PageText.MISFIT_ONE_STEP), fit.prediction.one_step, fit.noise)
+    if fit.validation:
+        yield misfit_table(phrase(PageText.MISFIT_VALIDATION), fit.validation.misfit, fit.noise)
+    runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
+    if len(runs) > 2:
+        yield _by_record(fit, runs)
+    drawn = runs[: REPORT.records_of_fit]
+    stretches = PAGE.stretches(sum(3 * len(r.trace.measured) + len(r.trace.inputs) for r in drawn))
+    signals = sum(len(r.trace.measured) * min(len(r.trace.time), DRAWING.signal_on_page) for r in drawn)
+    for k, run in enumerate(drawn):
+        blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= DRAWING.all_signals_on_page)
+        first_for_validation = run.validation and not runs[k - 1].validation
+        if k < REPORT.open_records or first_for_validation:
+            yield Subheading(run.title)
+            yield from blocks
+        else:
+            yield Details(run.title, blocks)
+    if len(runs) > len(drawn):
+        yield Paragraphs([phrase(PageText.NOT_DRAWN, records=len(runs) - len(drawn))])
+
+
+def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[Block]:
+    """Run, residual, spectrum and inputs of one record, which zoom together and switch their outputs together."""
+    units, noise, together = signal_units(fit.model), fit.noise.levels, f"{k}"
+    residual = plot_residual(trace, units, noise, f"residual-{k}")
+    spectrum = plot_spectrum(trace, units, noise, f"spectrum-{k}", follows=residual.name if follow else "")
+    inputs = plot_inputs(trace, units, f"inputs-{k}")
+    blocks: list[Block] = [
+        FigureBlock(plot_run(trace, units, f"run-{k}"), stretches, group=together, switch=together),
+        FigureBlock(residual, stretches, group=together, switch=together),
+        FigureBlock(spectrum, stretches, switch=together),
+    ]
+    return blocks if inputs is None else [*blocks, FigureBlock(inputs, stretches, group=together)]
+
+
+def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
+    rows = [
+        [
+            run.trace.name,
+            "validation" if run.validation else "fitted",
+            output,
+            *map(typeset_number, to_misfit_cells(m, fit.noise.bound(output))),
+        ]
+        for run in runs
+        for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
+    ]
+    return PageTable(phrase(PageText.MISFIT_BY_RECORD), ["record", "use", "output", *MISFIT_HEADS], rows)
+
+
+def misfit_table(title: Text, misfit: Mapping[str, Misfit], noise: FitNoise) -> PageTable:
+    """Misfits by output as a table; over a noise that is only bounded they are at least so large."""
+    rows = [[name, *map(typeset_number, to_misfit_cells(m, noise.bound(name)))] for name, m in misfit.items()]
+    return PageTable(title, ["output", *MISFIT_HEADS], rows)
+
+
+def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
+    findings = findings_below(fit)
+    if findings:
+        yield BulletList(findings)
+    if not fit.success:
+        yield Paragraphs([phrase(PageText.FIT_NOT_TESTED)], Tone.CAUTION)
+        return
+    if not (has_free_run(fit) or fit.prediction.process_noise):
+        yield Paragraphs([phrase(PageText.STATES_NOT_TESTED)], Tone.CAUTION)
+        return
+    tests = tests or residual_tests(fit)
+    if tests.alarms:
+        alarms = phrase(PageText.TESTS_ALARM, alarms=len(tests.alarms), tests=len(tests.tests))
+        yield Paragraphs([alarms], Tone.CAUTION)
+    else:
+        yield Paragraphs([phrase(PageText.TESTS_CLEAR, tests=len(tests.tests))], Tone.GOOD)
+    rows = [
+        [
+            f"{t.output}: {name_test(t)}",
+            f"alarm: {t}" if t.alarm else str(t),
+            typeset_number(f"{t.p_value:.2g}"),
+            typeset_number(f"{t.statistic:.4g}"),
+        ]
+        for t in tests.tests
+    ]
+    head = ["test", "result", "p", "statistic"]
+    yield PageTable(phrase(PageText.TESTS), head, rows, phrase(PageText.TESTS_NOTE, level=tests.policy.alarm_level))
+    for output in tests.residuals:
+        yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

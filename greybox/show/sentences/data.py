@@ -1,0 +1,308 @@
+"""Sentences about records, and a record in plain text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.data.findings import RecordCode
+from greybox.data.noise.noise_model import BoundDirection, NoiseSource
+from greybox.show.sentences.registry import register, renders, sentences
+from greybox.show.sentences.wording import count_noun, format_table
+
+if TYPE_CHECKING:
+    from greybox.data.experiment import Experiment
+    from greybox.data.noise.noise_model import AutoRegression, NoiseModel
+    from greybox.data.survey import FileSurvey, SignalSurvey
+
+HOLDS = {
+    "zero": "input held between samples",
+    "first": "input linear between samples",
+    "band-limited": "band-limited input between samples",
+}
+_LEAVE_EMPTY = "leave these fields empty"
+
+
+def _enumerate(names: list[str], total: int) -> str:
+    """``a, b and 40 more`` of ``total`` things."""
+    return ", ".join(names) + (f" and {total - len(names)} more" if total > len(names) else "")
+
+
+def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Finding], str]:
+    """The sentence of a finding, after the names of the records that it holds for (`collect_record_findings`)."""
+
+    def write(finding: Finding) -> str:
+        values = {"subject": finding.subject, "kind": "output", **finding.values}
+        text = template.format_map(values) if isinstance(template, str) else template(finding)
+        records = finding.values.get("records", ())
+        return f"{', '.join(records)}: {text}" if records else text
+
+    return write
+
+
+def _gaps(finding: Finding) -> str:
+    gaps = finding.values["gaps"]
+    return f"output {finding.subject!r} has {gaps} gap{'s' * (gaps != 1)} in {finding.values['rows']} rows"
+
+
+def _spikes(finding: Finding) -> str:
+    count, times = finding.values["count"], finding.values["times"]
+    places = _enumerate([f"{t:.6g} s" for t in times], count)
+    return (
+        f"{finding.values.get('kind', 'output')} {finding.subject!r} jumps away and back within one row, {count}"
+        f" time{'s' * (count != 1)} (at {places}): if this is"
+        f" a fault of the sensor and not the motion of the plant, {_LEAVE_EMPTY}, or fit with a robust loss (shell: --loss huber)"
+    )
+
+
+def _time_gap(finding: Finding) -> str:
+    v = finding.values
+    what = f"{v['gaps']} gaps, the longest" if v["gaps"] > 1 else "a gap"
+    return (
+        f"time has {what} from {v['start']:.6g} to {v['stop']:.6g} s (usual step {v['usual_step']:.6g} s): the input is assumed to"
+        " continue through it"
+    )
+
+
+def _pieces_left_out(finding: Finding) -> str:
+    pieces = finding.values["pieces"]
+    named = [f"{start:.6g} to {stop:.6g} s ({rows} rows)" for start, stop, rows in pieces[:5]]
+    return f"excluded, too few rows between two gaps in time: {_enumerate(named, len(pieces))}"
+
+
+def _units_assumed(finding: Finding) -> str:
+    units = finding.values["units"]
+    return f"the header gives no unit for {', '.join(units)}: {', '.join(units.values())} assumed"
+
+
+def _columns_ignored(finding: Finding) -> str:
+    columns = finding.values["columns"]
+    return f"columns ignored: {_enumerate([repr(c) for c in columns[:8]], len(columns))}"
+
+
+def _write_rate(step: float) -> str:
+    """``1000 Hz``, or ``every 20 s``."""
+    return f"{1 / step:.4g} Hz" if 0 < step <= 1 else f"every {step:.4g} s"
+
+
+_COURSES = {"zero": "held", "first": "straight", "band-limited": "band-limited", "measured": "at the nearest rows"}
+
+
+def _brought_to_one_time(finding: Finding) -> str:
+    v = finding.values
+    base = f"the stamps of {v['base']!r}" if v["base"] else "a uniform grid"
+    signals = ", ".join(
+        f"{name!r} ({_write_rate(step)}) {_COURSES[course]}"
+        for name, _, step, course in v["signals"]
+        if name != v["base"]
+    )
+    return (
+        f"signals have stamps of their own; brought to {base} ({_write_rate(v['step'])}, {v['rows']} rows from {v['start']:.6g} to"
+        f" {v['stop']:.6g} s): {signals}"
+    )
+
+
+def _clock_offset(finding: Finding) -> str:
+    v = finding.values
+    drift = f", and gains {1e6 * v['drift']:.3g} us every second" if v["drift"] else ""
+    return (
+        f"clock {finding.subject!r} is {abs(v['offset']):.6g} s {'behind' if v['offset'] > 0 else 'ahead of'} clock"
+        f" {v['reference']!r} (standard deviation {v['std']:.2g} s{drift}), as {v['signal']!r} on both shows; its stamps are corrected"
+    )
+
+
+_SOURCES = {"column": "mean of its column", "comment": "from a comment of the file"}
+
+_TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
+    RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
+    RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
+    " it out",
+    RecordCode.OUTPUT_GAPS: _gaps,
+    RecordCode.OUTPUT_UNWRAPPED: "{kind} '{subject}' starts anew every {period:.6g} {unit}: {jumps} jumps taken out",
+    RecordCode.SENSOR_FROZEN: "{kind} '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
+    " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
+    RecordCode.SENSOR_DEAD: "{kind} '{subject}' stays at exactly {value:g} from {start:.6g} s to the end ({rows} rows) while the"
+    " input keeps moving: if the sensor or the logger failed, " + _LEAVE_EMPTY,
+    RecordCode.SENSOR_SPIKES: _spikes,
+    RecordCode.SENSOR_SATURATED: "{kind} '{subject}' reads exactly its {end} value, {value:g}, in {rows} rows and stays there"
+    " {stays} times: if the sensor or the converter saturates, "
+    + _LEAVE_EMPTY
+    + " (an end stop of the plant looks the same)",
+    RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last"
+    " digit; a uniform step of {sampling_time:.6g} s is assumed",
+    RecordCode.TIME_GAP: lambda f: (
+        f"{_time_gap(f)}; split the record there with split_at_time_gaps() (shell: --split-holes)"
+    ),
+    RecordCode.INPUT_HELD_THROUGH_GAP: _time_gap,
+    RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed"
+    " to continue through each, which is wrong if it moved there",
+    RecordCode.TIME_IRREGULAR: "time is irregular: steps from {shortest:.6g} to {longest:.6g} s; each interval is used as it is",
+    RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
+    RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
+    RecordCode.UNITS_ASSUMED: _units_assumed,
+    RecordCode.COLUMNS_IGNORED: _columns_ignored,
+    RecordCode.CONDITION_READ: lambda f: (
+        f"condition {f.subject}: {f.values['value']:.6g} {f.values['unit']}, {_SOURCES[f.values['source']]}"
+    ),
+    RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
+    RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
+    RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",
+    RecordCode.TIME_UNUSABLE: lambda f: f"{f.subject + ': ' if f.subject else ''}{f.values['reason']}",
+    RecordCode.BROUGHT_TO_ONE_TIME: _brought_to_one_time,
+    RecordCode.CLOCK_OFFSET: _clock_offset,
+    RecordCode.CLOCK_OFFSET_BY_RECORDER: "clocks '{reference}' and '{subject}' differ by {offset:.3g} s, by when their messages reached the"
+    " recorder; the stamps of the second are corrected, to a few milliseconds",
+    RecordCode.CLOCK_START: "clock '{subject}' was started {start:.6g} s after the first, as the file says; its stamps are shifted by that",
+    RecordCode.CLOCKS_NOT_COMPARED: "clocks '{reference}' and '{subject}' have no signal in common: an offset between them cannot be told"
+    " from a delay of the plant; record one signal on both, or fit a delay (shell: --effect transport_delay)",
+    RecordCode.ALSO_FITTED: "the same data as the estimation record {record}: it cannot validate the model; use a record that was"
+    " not fitted",
+}
+register({code: _about_records(template) for code, template in _TEMPLATES.items()})
+
+
+def describe_range(values: np.ndarray) -> str:
+    """Smallest and largest value, and how many are missing."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return "no value"
+    return f"{known.min():.6g} to {known.max():.6g}, {count_noun(len(values) - len(known), 'gap')}"
+
+
+@renders("Experiment")
+def write_experiment(experiment: Experiment) -> str:
+    """Rows, sampling, signals with their ranges, conditions and findings."""
+    pace = f"every {experiment.sampling_time:.6g} s" if experiment.regular else "at irregular times"
+    lines = [
+        f"{experiment.name}: {experiment.rows} rows {pace}, {experiment.duration:.6g} s, {HOLDS[experiment.hold]},"
+        f" data {experiment.fingerprint}"
+    ]
+    for kind, signals in (("input", experiment.inputs), ("output", experiment.outputs)):
+        lines += [f"  {kind:<9} {name}: {describe_range(values)}" for name, values in signals.items()]
+    lines += [f"  condition {name}: {value:g}" for name, value in experiment.conditions.items()]
+    return "\n".join([*lines, *(f"  note      {text}" for text in sentences(experiment.findings))])
+
+
+@renders("FileSurvey")
+def write_survey(survey: FileSurvey) -> str:
+    """The signals as a table, what is doubtful, and the columns to name."""
+    clocks = any(s.clock for s in survey.signals)
+    head = [
+        "signal",
+        "unit",
+        *(["clock"] if clocks else []),
+        "samples",
+        "rate",
+        "from - to",
+        "range",
+        "holes",
+        "may be",
+    ]
+    rows = [_write_signal(signal, clocks) for signal in survey.signals]
+    lines = [f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}", "", *format_table(head, rows)]
+    if survey.findings:
+        lines += [
+            "",
+            *(f"{f.severity}: {text}" for f, text in zip(survey.findings, sentences(survey.findings), strict=True)),
+        ]
+    inputs, outputs = ([s for s in survey.signals if s.use == use] for use in ("input", "output"))
+    if inputs or outputs:
+        lines += ["", "for a model (which signal is an input is a guess from names and from how they move):"]
+        lines += [f'  gb.Input("{s.name}", "{s.unit or "1"}")' for s in inputs]
+        lines += [f'  gb.Output("{s.name}", "{s.unit or "1"}")' for s in outputs]
+    renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
+    if renamed:
+        lines += [
+            "",
+            "columns for it: " + " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items()),
+        ]
+    return "\n".join(lines)
+
+
+def _bare(header: str) -> str:
+    return header.partition(" [")[0]
+
+
+def _quote(text: str) -> str:
+    return text if text.replace("_", "").replace(".", "").replace("/", "").isalnum() else f"'{text}'"
+
+
+def _write_signal(signal: SignalSurvey, clocks: bool) -> list[str]:
+    holes = [count_noun(signal.gaps, "gap")] if signal.gaps else []
+    holes += [f"{signal.missing} empty"] if signal.missing else []
+    rate = "" if signal.step is None else _write_rate(signal.step) + ("" if signal.regular else ", irregular")
+    span = "" if signal.start is None else f"{signal.start:.6g} - {signal.stop:.6g} s"
+    values = "" if signal.lowest is None else f"{signal.lowest:.4g} to {signal.highest:.4g}"
+    use = f"{signal.use}, held" if signal.held and signal.use == "input" else signal.use
+    clock = [signal.clock] if clocks else []
+    return [
+        _bare(signal.header),
+        signal.unit,
+        *clock,
+        str(signal.rows),
+        rate,
+        span,
+        values,
+        ", ".join(holes) or "-",
+        use,
+    ]
+
+
+# Where the noise is known from, and its colour, in a few words.
+
+SOURCES: Mapping[NoiseSource, str] = {
+    NoiseSource.GIVEN: "given",
+    NoiseSource.QUIET_RECORD: "a quiet record",
+    NoiseSource.REPEATED_PERIODS: "repeated periods",
+    NoiseSource.REPEATED_EXPERIMENTS: "repeated experiments",
+    NoiseSource.FLAT_PIECES: "flat pieces of the records",
+    NoiseSource.SPECTRUM: "the frequencies without signal",
+    NoiseSource.DIFFERENCES: "differences of the records",
+    NoiseSource.RESIDUAL: "the residual of the fit",
+    NoiseSource.INNOVATIONS: "the innovations",
+}
+# What a level bounds, and why it may be larger than the noise.
+_AT_MOST = {
+    NoiseSource.FLAT_PIECES: "the loudest flat pieces of the records",
+    NoiseSource.SPECTRUM: "what no linear response explains of the records, nonlinear motion included",
+    NoiseSource.DIFFERENCES: "differences of the records, if the noise is white",
+    NoiseSource.RESIDUAL: "the residual of the fit, which holds what the model lacks (too few samples for another source)",
+}
+
+
+@renders("AutoRegression")
+def write_autoregression(process: AutoRegression) -> str:
+    """``white``, or order and correlation."""
+    if not process.order:
+        return "white"
+    return f"AR({process.order}), correlation {process.autocorrelation(2)[1]:.2g} from sample to sample"
+
+
+@renders("NoiseModel")
+def write_noise_model(noise: NoiseModel) -> str:
+    """``given``, or ``x: estimated from a quiet record (AR(2), ...); i: ...``."""
+    colours = dict(zip(noise.outputs, noise.colour, strict=True))
+    groups: dict[str, list[str]] = {}
+    for name, source in noise.sources.items():
+        bound = noise.bound(name)
+        text = describe_source(source, colours[name], source.direction if bound is None else bound.direction)
+        groups.setdefault(text, []).append(name)
+    if len(groups) == 1:
+        return next(iter(groups))
+    return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+
+
+def describe_source(source: NoiseSource, colour: AutoRegression, direction: BoundDirection | None = None) -> str:
+    """Where the noise of one output is known from, with its colour, or what it is at most."""
+    direction = direction or source.direction
+    if direction is BoundDirection.AT_MOST:
+        return f"at most {_AT_MOST.get(source, SOURCES[source])}"
+    says_colour = source not in (NoiseSource.GIVEN, NoiseSource.DIFFERENCES, NoiseSource.RESIDUAL)
+    with_colour = f" ({colour})" if says_colour or colour.order else ""
+    if source is NoiseSource.GIVEN:
+        return f"given{with_colour}"
+    kind = "at least that of" if direction is BoundDirection.AT_LEAST else "estimated from"
+    return f"{kind} {SOURCES[source]}{with_colour}"

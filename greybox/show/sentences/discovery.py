@@ -1,0 +1,684 @@
+"""The sentences of a discovery."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from greybox.base.findings import Check, Finding
+from greybox.base.units import format_unit
+from greybox.discovery.certainty import Grade
+from greybox.discovery.curve_shape import Parity, ShapeKind
+from greybox.discovery.disturbance_sites import SiteKind
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.laws.terms import LikenessKind
+from greybox.discovery.proposals import InputKind
+from greybox.show.sentences.registry import register, renders, sentence, sentences
+from greybox.show.sentences.wording import TEXT_LIMITS, change_text, quantity_text
+
+if TYPE_CHECKING:
+    from greybox.discovery.curve_shape import Dependence
+    from greybox.discovery.effect_signal import RemainingError
+    from greybox.discovery.effect_test import EffectTest
+    from greybox.discovery.evidence import EffectEvidence
+    from greybox.discovery.holdout import HoldoutError
+    from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
+    from greybox.discovery.refinement import Refinement, RefinementStep
+    from greybox.discovery.result import Discovery
+    from greybox.discovery.surrogate import Surrogate
+
+
+def _quantity(value: float, unit: str, digits: int = 3) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _percent(share: float, digits: int = 3) -> str:
+    """A share in percent with so many digits, more where the whole percents need them: never as a power of ten."""
+    whole = len(f"{abs(100 * share):.0f}")
+    return f"{100 * share:.{max(digits, whole)}g} %"
+
+
+# Shapes and dependences
+
+
+def shape_text(values: Mapping[str, Any]) -> str:
+    """A shape in words, from the values of a dependence or of a surrogate."""
+    kind, parity, position = values["shape"], values["parity"], values["position"]
+    unit = values.get("variable_unit", values["unit"])
+    if kind == ShapeKind.PERIODIC:
+        text = f"periodic, every {_quantity(values['period'], unit)}"
+        amplitude = values.get("amplitude")
+        return text if amplitude is None else f"{text}, with an amplitude of {_quantity(amplitude, values['unit'])}"
+    if kind == ShapeKind.BEND:
+        return f"a bend at {_quantity(position, unit)}"
+    if kind == ShapeKind.CURVED:
+        return "curving downwards" if values["downwards"] else "curving upwards"
+    if kind == ShapeKind.UNNAMED:
+        return f"{parity} in shape" if parity != Parity.NEITHER else "of no simple shape"
+    text = {
+        ShapeKind.TOO_FEW_VALUES: "too few values to tell its shape",
+        ShapeKind.STRAIGHT: "no shape beyond a straight line",
+        ShapeKind.STEP: "odd, a step at zero",
+        ShapeKind.FLAT_MIDDLE: "odd, with a flat middle",
+        ShapeKind.CUBIC: "odd, growing faster than proportionally",
+        ShapeKind.ODD_SQUARE: "odd, growing with the square",
+        ShapeKind.SQUARE: "even, growing with the square",
+        ShapeKind.KINK: "even, with a kink at zero",
+        ShapeKind.TONE: "a tone",
+    }[kind]
+    if kind == ShapeKind.FLAT_MIDDLE:
+        text += f" up to about {_quantity(position, unit)}"
+    return f"{text}, downwards" if values["downwards"] else text
+
+
+def dependence_text(values: Mapping[str, Any]) -> str:
+    """The dependence of a signal on a variable, from the values of a dependence."""
+    share = f"explains {100 * values['share']:.0f} %"
+    if values["tone"] is not None:
+        return f"a tone of {values['tone']:.4g} Hz that does not depend on the motion ({share})"
+    added = f"{100 * values['loop']:.0f} %"
+    if values["has_loop"] and round(100 * values["share"]) == 0:
+        return f"a loop over {values['variable']}: another value on its way up than on its way down (explains {added})"
+    loop = f", with a loop (direction adds {added})" if values["has_loop"] else ""
+    return f"a function of {values['variable']} ({share}): {shape_text(values)}{loop}"
+
+
+@renders("Dependence")
+def _dependence(dependence: Dependence) -> str:
+    return dependence_text(dependence.to_values())
+
+
+def timing_text(timing: MisfitTiming | None, listed: int = 4) -> str:
+    """When most of the misfit happens; ``listed`` stretches of time at most."""
+    if timing is None:
+        return "nowhere above the noise"
+    if not timing.stretches:
+        return "throughout the records"
+    shown = ", ".join(f"{start:.4g} to {end:.4g} s of {name}" for name, start, end in timing.stretches[:listed])
+    rest = len(timing.stretches) - listed
+    more = f" and {rest} more stretches" if rest > 0 else ""
+    return f"{100 * timing.share:.0f} % of it in {100 * timing.time_share:.0f} % of the time: {shown}{more}"
+
+
+def site_text(label: str) -> str:
+    """``the force balance``, ``the input u`` or ``the sensor of x``, from the label of a site."""
+    kind, _, name = label.partition(" ")
+    return f"the {name} balance" if kind == SiteKind.BALANCE else f"the {label}"
+
+
+def sites_text(labels: Sequence[str]) -> str:
+    """The likeliest sites."""
+    if len(labels) > 1:
+        return f"{' or '.join(map(site_text, labels))} (these sensors cannot distinguish them)"
+    return site_text(labels[0]) if labels else "no particular site"
+
+
+@renders("ResidualLocalisation")
+def _localisation(location: ResidualLocalisation) -> str:
+    lines = [f"misfit {location.misfit:.4g} times the noise; noise alone stays below {location.threshold:.4g}"]
+    if not location.is_missing:
+        return "\n".join([*lines, "no effect is missing"])
+    lines.append(f"when:  {timing_text(location.timing)}")
+    if location.likeliest:
+        site = location.sites[0]
+        size = f", {_quantity(site.size, site.unit)} rms" if site.unit else ""
+        lines.append(f"where: {sites_text(location.likeliest)}{size}")
+    relevant = [str(d) for d in location.dependences if d.is_relevant][:3]
+    lines.append(f"as:    {'; '.join(relevant) if relevant else 'no function of any one variable'}")
+    return "\n".join(lines)
+
+
+# Surrogates
+
+
+def tone_title(frequency: float) -> str:
+    """``a tone of 50.00 Hz``."""
+    return f"a tone of {f'{frequency:#.4g}'.rstrip('.')} Hz"
+
+
+def surrogate_title(surrogate: Surrogate) -> str:
+    """``a curve over x``, ``a sinusoid over x`` or ``a tone of 50.00 Hz``."""
+    return _surrogate_title(surrogate.to_values())
+
+
+def _surrogate_title(values: Mapping[str, Any]) -> str:
+    if values["tone"] is not None:
+        return tone_title(values["tone"]["frequency"])
+    return f"a {'curve' if values['period'] is None else 'sinusoid'} over {values['variable']}"
+
+
+def explained_share_text(share: float) -> str:
+    """``takes away 98.8 % of the error``; a model with a larger error than the plain one takes nothing."""
+    return f"takes away {_percent(share)} of the error" if share > 0 else "takes away none of the error"
+
+
+@renders("Surrogate")
+def _surrogate(surrogate: Surrogate) -> str:
+    return surrogate_text(surrogate.to_values())
+
+
+def surrogate_text(values: Mapping[str, Any]) -> str:
+    """What a surrogate is, where it acts and what it explains, from its values."""
+    title, tone = _surrogate_title(values), values["tone"]
+    explained = f"{explained_share_text(values['closed'])} on the validation records"
+    if tone is None:
+        title = title.replace("a curve", "a smooth curve")
+        beside = f", together with {' + '.join(values['beside'])}," if values["beside"] else ""
+        return f"{title} ({shape_text(values)}) at {site_text(values['site'])}{beside} {explained}"
+    sizes = sorted(tone["amplitude"].values())
+    size = f"{sizes[0]:.3g}" if sizes[-1] <= 1.05 * sizes[0] else f"{sizes[0]:.3g} to {sizes[-1]:.3g}"
+    others = " or ".join(map(site_text, tone["alike"]))
+    alike = f" (or {others}: these records cannot distinguish them)" if others else ""
+    amplitude = f"{size} {values['unit']}".rstrip()
+    return (
+        f"{title} at {site_text(values['site'])}{alike}, with an amplitude of {amplitude}, {explained} (amplitude and phase there are"
+        f" estimated from the first {tone['beginning']:.2g} s)"
+    )
+
+
+# Holdout errors and effects by hand
+
+
+@renders("HoldoutError")
+def _holdout_error(error: HoldoutError) -> str:
+    noise = f" (noise {error.floor:.4g})" if error.is_floor_known else ""
+    return f"{error.before:.4g} -> {error.after:.4g} {error.unit}".rstrip() + noise
+
+
+@renders("EffectTest")
+def _effect_test(test: EffectTest) -> str:
+    decision = "keep it: the records require it" if test.is_needed else "omit it: the records do not require it"
+    lines = [f"{test.name}: {decision}"]
+    lines += [f"  {sentence(check)}" for check in test.checks]
+    lines.append(f"  explains {_percent(test.explained_fraction)} of the misfit above the noise")
+    names = next(b.model_names for b in test.larger.model.bound_effects if b.effect.name == test.name)
+    for name, in_model in names.items():
+        estimate = test.larger.parameters.get(in_model)
+        if estimate is not None:
+            values = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
+            lines.append(f"  {_parameter(name, values)}")
+    lines += [f"  {output}: rms error on the validation records {error}" for output, error in test.holdout.items()]
+    return "\n".join(lines)
+
+
+@renders("RefinementStep")
+def _refinement_step(step: RefinementStep) -> str:
+    if step.dropped:
+        return (
+            f"{step.name} is out again: beside the others it removes {100 * step.estimation_share:.0f} % of the misfit, and"
+            f" {100 * step.validation_share:.0f} % on the validation records, which may be chance"
+        )
+    alike = ", ".join(f"{name} {100 * share:.0f} %" for name, share in step.alike.items())
+    replaces = f", in the place of {step.replaced}," if step.replaced else ""
+    return (
+        f"{step.name}{replaces} removes {100 * step.estimation_share:.0f} % of the misfit, and"
+        f" {100 * step.validation_share:.0f} % on the validation records"
+        + (f" (nearly as good: {alike})" if alike else "")
+    )
+
+
+def refinement_text(refinement: Refinement) -> str:
+    """What a refinement found, in a sentence."""
+    if not refinement.steps:
+        return "No further effect reduces the remaining misfit on records that were not fitted."
+    steps = "; ".join(map(str, refinement.steps))
+    return (
+        f"Further effects: {steps}. They were selected on the validation records: report the misfit on another record."
+    )
+
+
+@renders("Refinement")
+def _refinement(refinement: Refinement) -> str:
+    if not refinement.steps:
+        return f"no further effect\n{refinement.fit}"
+    return "\n".join([*map(str, refinement.steps), str(refinement.fit)])
+
+
+# Evidence for each effect, and what is left
+
+EFFECT_TITLES = {
+    "band_limited_input": "band-limited input",
+    "bouc_wen_hysteresis": "Bouc-Wen hysteresis",
+    "fitted_curve": "a fitted curve",
+}
+
+
+def effect_title(name: str) -> str:
+    """The name of an effect as words: ``cubic stiffness``."""
+    return EFFECT_TITLES.get(name, name.replace("_", " "))
+
+
+def list_text(names: Sequence[str]) -> str:
+    """``a, b and c``."""
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
+
+
+@renders("EffectEvidence")
+def _evidence(e: EffectEvidence) -> str:
+    most = TEXT_LIMITS.most_percent
+    probability = min(max(100 * e.probability, 100 - most), most)
+    text = f"{GRADES[e.grade]} ({probability:.0f} %)"
+    if e.share > 0:
+        low, high = e.share_interval
+        interval = f" ({100 * low:.0f} to {100 * high:.0f} %)" if math.isfinite(low) and math.isfinite(high) else ""
+        text += f", takes {100 * e.share:.0f} %{interval} of the error in {e.output} that the model has without it"
+    else:
+        text += f", takes nothing of the error in {e.output}"
+    if e.alike:
+        text += f"; {list_text([effect_title(name) for name in e.alike])} in its place would do the same"
+    if e.rival and math.isfinite(e.rival_error):
+        rest, with_rival = (quantity_text(v, e.unit, beside=e.without) for v in (e.error, e.rival_error))
+        # The outputs decide together, and this one need not tell the two apart.
+        is_same = rest == with_rival
+        text += f"; {effect_title(e.rival)} in its place leaves " + (
+            f"as much in {e.output}; all outputs together tell the two apart"
+            if is_same
+            else f"{with_rival} instead of {rest}"
+        )
+    doubts = [
+        *([] if e.survives_start else ["another start ends elsewhere"]),
+        *([] if e.survives_records else ["it does not help on every validation record"]),
+        *([f"its value changes by {100 * e.change:.0f} % between the halves of the records"] if e.change > 0.5 else []),
+    ]
+    return f"{text}; {'; '.join(doubts)}" if doubts else text
+
+
+@renders("RemainingError")
+def _remaining_error(error: RemainingError) -> str:
+    return _remaining_text(error.output, error.to_values())
+
+
+def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
+    text = f"{quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
+    if values["noise_ratio"] is not None:
+        text += f", {values['noise_ratio']:.2g} times the sensor noise"
+    parts = ["it grows with the amplitude"] if values["grows_with_amplitude"] else []
+    if values["dependence"] is not None:
+        place = f" at {sites_text(values['sites'])}" if values["sites"] else ""
+        parts.append(
+            f"on the estimation records it looks like a missing signal{place} that is {dependence_text(values['dependence'])}"
+        )
+    elif values["sites"]:
+        parts.append(f"on the estimation records it looks like a missing signal at {sites_text(values['sites'])}")
+    return f"{text}: {'; '.join(parts)}" if parts else text
+
+
+def _error_reduced(finding: Finding) -> str:
+    v = finding.values
+    effects = list_text([effect_title(name) for name in v["effects"]])
+    if not v["share"] > 0:
+        return f"The error in {finding.subject} on the validation records does not fall with {effects}."
+    return (
+        f"The error in {finding.subject} on the validation records falls from {change_text(v['before'], v['after'], v['unit'])}"
+        f" ({_percent(v['share'], 2)} less) with {effects}."
+    )
+
+
+def _effects_established(finding: Finding) -> str:
+    v = finding.values
+    names = [effect_title(name) for name in v["established"]]
+    text = f"{list_text(names)} {'are' if len(names) > 1 else 'is'} established"
+    text = text[0].upper() + text[1:]
+    for grade, words in ((Grade.PROBABLE, "probable"), (Grade.STAND_IN, "only a stand-in for something else")):
+        others = [effect_title(name) for name, given in v["others"].items() if given == grade]
+        if others:
+            text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} {words}"
+    return f"{text}. More than that is missing, or not certain."
+
+
+def _effects_probable(finding: Finding) -> str:
+    v = finding.values
+    names = [
+        f"{effect_title(name)} ({min(100 * p, TEXT_LIMITS.most_percent):.0f} %)"
+        for name, p in v["probabilities"].items()
+    ]
+    text = (
+        f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {list_text(names)}"
+    )
+    others = [effect_title(name) for name in v["others"]]
+    if others:
+        text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
+    return f"{text}."
+
+
+# The whole discovery
+
+# An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
+FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
+
+
+def conclusion_text(discovery: Discovery) -> str:
+    """The answer in one paragraph."""
+    return " ".join(sentences(discovery.conclusion))
+
+
+@renders("Discovery")
+def _discovery(d: Discovery) -> str:
+    lines = [conclusion_text(d)]
+    if d.refinement is not None and d.refinement.steps:
+        lines.append(refinement_text(d.refinement))
+    lines.append("")
+    if d.localisation.is_missing:
+        lines += [f"  the plain model: {line}" for line in str(d.localisation).splitlines()]
+    evidence = {e.effect: e for e in d.evidence}
+    for effect in d.effects:
+        values = ", ".join(_parameter(name, parameter) for name, parameter in effect["parameters"].items())
+        equation = f"{effect['equation']}, " if "equation" in effect else ""
+        lines.append(f"  {effect['name']} -> {effect['site']}: {equation}{values}")
+        if effect["name"] in evidence:
+            lines.append(f"    {evidence[effect['name']]}")
+    lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
+    if d.surrogate is not None:
+        lines.append(f"  surrogate: {d.surrogate}")
+    lines += _ranking(d)
+    lines += [f"next: {step}" for step in sentences(d.next_steps)]
+    failed = {n: f for n, f in d.not_tried.items() if f.code in FAILED_CODES}
+    lines += [f"note: {name} is out: {finding}" for name, finding in failed.items()]
+    lines += [f"note: {finding}" for finding in sentences(d.findings)]
+    return "\n".join(lines)
+
+
+def _ranking(d: Discovery) -> Iterator[str]:
+    if d.ranking:
+        yield ""
+        yield "  candidate                                misfit/noise   behind the best"
+        for rank in d.ranking[:10]:
+            yield f"  {' + '.join(rank.effects):40s} {rank.misfit:12.4g}   {rank.behind:15.4g}"
+
+
+def _parameter(name: str, values: Mapping[str, Any]) -> str:
+    std = "" if values["std"] is None else f" +- {values['std']:.2g}"
+    return f"{name} = {values['value']:.5g}{std} {values['unit']}".rstrip()
+
+
+# Findings
+
+
+def _effects_tied(finding: Finding) -> str:
+    equals = "; ".join((finding.subject, *finding.values["rivals"]))
+    return f"The plain model lacks one of these effects: {equals}. The records cannot distinguish them."
+
+
+def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
+    """``-0.6*a*b (1/s) in the prey balance``; several with ``and``."""
+    return list_text(
+        [
+            f"{law['equation']}{f' ({unit})' if (unit := law['unit']) not in ('', '-', '1') else ''} in the {law['site']} balance"
+            for law in laws
+        ]
+    )
+
+
+def _law_established(finding: Finding) -> str:
+    several = len(finding.values["laws"]) > 1
+    return (
+        f"The plain model lacks {'the terms' if several else 'the term'} {_laws_text(finding.values['laws'])}. No law that is simpler or"
+        " as simple does as well."
+    )
+
+
+def _laws_tied(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"The plain model lacks one of these laws: {'; '.join((_laws_text(v['laws']), *v['rivals']))}. The records cannot"
+        " distinguish them."
+    )
+
+
+LIKENESSES = {
+    LikenessKind.BIAS: "a constant bias of {size}",
+    LikenessKind.LINEAR: "a term proportional to {variable} with {size}",
+    LikenessKind.HARDENING: "a nonlinear spring or resistance with {size}",
+    LikenessKind.QUADRATIC_DRAG: "quadratic drag with {size}",
+    LikenessKind.DRY_FRICTION: "dry friction of {size}",
+    LikenessKind.STOP: "a stop or a threshold at {variable} = {place} with {size}",
+    LikenessKind.SATURATION: "a saturation over {variable}, at half of {size} where {variable} = {place}",
+    LikenessKind.SWITCH: "a switch over {variable}, at half of {size} where {variable} = {place}",
+    LikenessKind.MASS_ACTION: "mass action with {size}",
+    LikenessKind.CROWDING: "crowding with {size}",
+    LikenessKind.PERIODIC: "a periodic term of {size}",
+    LikenessKind.MEMORY: "a term with memory of {size}",
+}
+
+
+def _law_likeness(finding: Finding) -> str:
+    v = finding.values
+    place = "" if v["place"] is None else _quantity(v["place"], _shown_unit(v["place_unit"]))
+    words = LIKENESSES[LikenessKind(v["kind"])].format(
+        size=_quantity(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
+    )
+    return f"{finding.subject if v['several'] else 'It'} behaves as {words}."
+
+
+def _shown_unit(unit: str) -> str:
+    return "" if unit in ("", "-", "1") else format_unit(unit)
+
+
+def _law_range(finding: Finding) -> str:
+    v = finding.values
+    ranges = [
+        f"{name} from {low:.3g} to {_quantity(high, _shown_unit(v['units'].get(name, '')))}"
+        for name, (low, high) in v["range"].items()
+    ]
+    return f"{finding.subject} was seen with {list_text(ranges)}: beyond that it is a guess"
+
+
+def _missing_signal(finding: Finding) -> str:
+    values = finding.values
+    if values["dependence"] is not None:
+        dependence = dependence_text(values["dependence"])
+    elif values["variable"]:
+        dependence = f"a function of {values['variable']}"
+    else:
+        dependence = "no function of any one variable"
+    size = _quantity(values["size"], values["unit"])
+    return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'])}. The signal is {dependence}."
+
+
+def _check_noise(finding: Finding) -> str:
+    values = finding.values
+    each = zip(values["std"], values["units"], values["outputs"], strict=True)
+    sizes = ", ".join(f"{_quantity(std, unit)} in {output}" for std, unit, output in each)
+    return (
+        f"check that the sensor noise is {sizes}: it was estimated from these records, and a smaller noise would mean that an effect is"
+        " missing; give the noise as a number or as a quiet record"
+    )
+
+
+def _cover_validation_range(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"use estimation records that cover the whole range: the validation records reach from {v['least']:.3g} to"
+        f" {_quantity(v['most'], v['unit'])} in {finding.subject}, the estimation records only from {v['low']:.3g} to"
+        f" {_quantity(v['high'], v['unit'])}"
+    )
+
+
+_INPUTS = {
+    InputKind.FULL_SWEEP: "a sweep at full amplitude",
+    InputKind.SMALL_SWEEP: "a sweep at a fifth of the amplitude",
+    InputKind.MULTISINE: "a multisine",
+    InputKind.STEPS: "steps up and down",
+    InputKind.SLOW_TRIANGLE: "a slow triangle",
+    InputKind.SAME_INPUT: "the same input",
+    InputKind.SAME_INPUT_SMALL: "the same input at a third of the amplitude",
+    InputKind.SAME_INPUT_DOUBLED: "the same input doubled",
+}
+
+
+def _discriminating_experiment(finding: Finding) -> str:
+    values = finding.values
+    return (
+        f"{_INPUTS[values['experiment']]}, with {' and '.join(values['measured'])} measured, would separate {finding.subject} (expected"
+        f" chi-square {values['cost']:.3g})"
+    )
+
+
+def _noise_from_residual(finding: Finding) -> str:
+    shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
+    return f"noise estimated from the residual of {finding.subject}: {shown}"
+
+
+def _first_effect(finding: Finding) -> str:
+    v = finding.values
+    return f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise"
+
+
+def _detection_limit(finding: Finding) -> str:
+    v = finding.values
+    return f"{finding.subject} is not detectable below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
+
+
+register(
+    {
+        # The answer.
+        DiscoveryCode.NOTHING_MISSING: "No effect is missing: the plain model explains the records down to the noise.",
+        DiscoveryCode.EFFECT_NAMED: "The plain model lacks {subject}: with it, only noise is left.",
+        DiscoveryCode.EFFECTS_ESTABLISHED: _effects_established,
+        DiscoveryCode.ERROR_REDUCED: _error_reduced,
+        DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
+        DiscoveryCode.EFFECTS_TIED: _effects_tied,
+        DiscoveryCode.EFFECTS_PROBABLE: _effects_probable,
+        DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
+        DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
+        " records is {subject}.",
+        DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
+        DiscoveryCode.HARDLY_VISIBLE: "The estimation records hardly show it: the misfit of the plain model there is {misfit:.3g}"
+        " times the noise.",
+        DiscoveryCode.MISSING_SIGNAL: _missing_signal,
+        DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
+        DiscoveryCode.LAW_ESTABLISHED: _law_established,
+        DiscoveryCode.LAW_PROBABLE: lambda f: (
+            f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established, as it leaves"
+            " too much."
+        ),
+        DiscoveryCode.LAWS_TIED: _laws_tied,
+        DiscoveryCode.LAW_STAND_IN: lambda f: (
+            f"The law {' + '.join(f.values['equations'])} follows the records, but a free curve in its place does better: it only stands in"
+            " for something else."
+        ),
+        DiscoveryCode.LAW_LIKENESS: _law_likeness,
+        DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
+        # What a reader should know.
+        DiscoveryCode.LAW_RANGE: _law_range,
+        DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
+        " the validation records",
+        DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
+        " and nothing in it is established; repeat the command to continue with its finished refits, or give it more time",
+        DiscoveryCode.SHAPE_CORRECTED: lambda f: (
+            f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
+        ),
+        DiscoveryCode.DISCRIMINATING_EXPERIMENT: _discriminating_experiment,
+        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} with these"
+        " sensors (chi-square {cost:.2g} at best)",
+        DiscoveryCode.DETECTION_LIMIT: _detection_limit,
+        # Why an effect was not tried.
+        DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
+        DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
+        DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
+        DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
+        DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
+        DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",
+        DiscoveryCode.CANDIDATE_NOT_SIMULATED: "the model with it cannot be simulated from any starting point",
+        # What to do next.
+        DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
+            f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
+            " speed or direction): these records do not separate them"
+        ),
+        DiscoveryCode.FIT_HALVES_ALONE: lambda f: (
+            f"fit {effect_title(f.subject)} to each half of the records alone: its constants differ by {_percent(f.values['change'], 2)}"
+            " between them, so it has another form or the plant changes"
+        ),
+        DiscoveryCode.QUOTE_THIRD_RECORD: "quote the error on a third record: the validation records chose some of these effects",
+        DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"
+        " waveform",
+        DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE: "continue with {subject}, which follows the records better, but do not read its parameters"
+        " as physics",
+        DiscoveryCode.STATE_NOISE: "give the noise of {subject} (a number or a quiet record): these records show only what it is at"
+        " most, and below that an effect may hide",
+        DiscoveryCode.CHECK_NOISE: _check_noise,
+        DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
+        " these hardly show the missing effect",
+        DiscoveryCode.COVER_VALIDATION_RANGE: _cover_validation_range,
+        DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
+        " {mains:.0f} Hz or a multiple of it",
+        DiscoveryCode.SUSPECT_MACHINE: "look for a rotating or switching machine at {frequency:.4g} Hz near the rig; a record with zero"
+        " input shows the tone alone",
+        DiscoveryCode.USE_TONE_MODEL: "if the tone remains, reject it with a notch filter, or with an observer that contains the model"
+        " and its tone generator",
+        DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
+        " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
+        DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
+        " missing signal is periodic in {subject}",
+        DiscoveryCode.SUSPECT_CONTACT: "inspect the rig where {subject} is about {position:.3g} {unit}: the curve bends there, as with"
+        " a stop, a contact or the end of a guide",
+        DiscoveryCode.USE_CURVE_MODEL: "continue with the model that contains the curve, or take its law from the figure and write your"
+        " own effect",
+        DiscoveryCode.VARY_SPEED_AND_AMPLITUDE: "record the same motion slowly and fast, and at two amplitudes: the curve explains a part,"
+        " and the rest depends on more than {subject}",
+        DiscoveryCode.MEASURE_MORE: lambda f: (
+            f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
+        ),
+        # Steps of the search.
+        DiscoveryCode.LAW_TERMS_RANKED: "{terms} terms of equations ranked",
+        DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
+        DiscoveryCode.NOISE_WHITE: "noise: white, as the best effect leaves it",
+        DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
+        DiscoveryCode.FIRST_EFFECT: _first_effect,
+        DiscoveryCode.FURTHER_EFFECT: "{subject}: misfit {after:.3g} times the noise",
+        DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "the remaining misfit is due to the shape of {subject}: no further effect",
+        DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails only on the validation records: the search uses their first half",
+        DiscoveryCode.REFINEMENT_STARTED: "{subject}: misfit on the validation records {misfit:.3g} times that of the fit",
+    }
+)
+
+
+# Checks
+
+
+def _check(what: str, relation: str) -> Callable[[Check], str]:
+    def write(check: Check) -> str:
+        subject = f"{check.subject}: " if check.subject else ""
+        outcome = "yes" if check.passed else "no"
+        return f"{subject}{what} {check.value:.4g} {relation} {check.limit:.4g}: {outcome}"
+
+    return write
+
+
+register(
+    {
+        DiscoveryRule.BASELINE_ABOVE_NOISE: _check("cost per sample of the plain model", ">"),
+        DiscoveryRule.VALIDATION_ABOVE_NOISE: _check("validation error over noise", ">"),
+        DiscoveryRule.VALIDATION_ONLY: _check("excess of the validation error over noise", ">="),
+        DiscoveryRule.CRITERION_GAIN: _check("decrease of Schwarz's criterion", ">"),
+        DiscoveryRule.EXPLAINED_EXCESS: _check("decrease of the cost", ">="),
+        DiscoveryRule.ONLY_NOISE_LEFT: _check("cost per sample, reduced to the noise", "<="),
+        DiscoveryRule.SIMPLER_MEMBER: _check("increase of the cost over the richer member of the family", "<="),
+        DiscoveryRule.SHAPE_CORRECTION: _check("criterion with a corrected shape, against a further effect", "<="),
+        DiscoveryRule.SWAP: _check("criterion with the effect replaced by a better one", "<"),
+        DiscoveryRule.TIE: _check("criterion above that of the selected model", "<"),
+        DiscoveryRule.CLEAN_RESIDUAL: _check("cost per sample", "<="),
+        DiscoveryRule.SMALL_REMAINDER: _check("remaining excess cost", "<="),
+        DiscoveryRule.WHITE_RESIDUAL: _check("excess autocorrelation of the residual", "<="),
+        DiscoveryRule.HOLDOUT_GAP: _check("validation error of the plain model over noise", ">"),
+        DiscoveryRule.HOLDOUT_EXPLAINED: _check("share of the excess validation error explained", ">="),
+        DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED: _check(
+            "share of the excess validation error explained, down to the noise", ">="
+        ),
+        DiscoveryRule.HOLDOUT_NOISE: _check("validation error of the extended model over noise", "<="),
+        DiscoveryRule.ESTIMATION_DECREASE: _check("share of the rms misfit removed", ">="),
+        DiscoveryRule.VALIDATION_DECREASE: _check("validation misfit", "<="),
+        DiscoveryRule.CONSISTENT_DECREASE: _check(
+            "decrease over blocks of the validation records, in standard errors", ">="
+        ),
+        DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
+        DiscoveryRule.LAW_CURVE: _check(
+            "share of the law's validation error that a free curve in its place takes away", "<="
+        ),
+        DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
+    }
+)

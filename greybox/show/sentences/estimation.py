@@ -1,0 +1,657 @@
+"""Sentences about fits: how a search ended, what the parameters and the residual say, what was asked for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.base.units import format_unit
+from greybox.data.noise.noise_model import AutoRegression, BoundDirection
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.residuals import ResidualTestKind
+from greybox.estimation.result import ResultCode
+from greybox.estimation.transcription.solution import SolutionCode, TranscriptionReason
+from greybox.show.sentences.data import describe_source
+from greybox.show.sentences.registry import register, renders, sentence, sentences
+from greybox.show.sentences.wording import (
+    TEXT_LIMITS,
+    capitalise,
+    format_number,
+    format_shares,
+    format_table,
+    format_with_std,
+    make_formatter,
+)
+
+if TYPE_CHECKING:
+    from greybox.data.noise.noise_model import NoiseBound
+    from greybox.estimation.multistart import MultiStartResult
+    from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
+    from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
+    from greybox.estimation.result import Fit
+    from greybox.estimation.result_parts import Estimate, FitNoise, Misfit, SolverReport
+    from greybox.estimation.uncertainty.profile import Profile
+
+STATUS = {
+    "converged": "converged",
+    "kink": "converged at a kink of the cost, as dry friction causes: no small step lowers the cost",
+    "acceptable": "converged to a looser tolerance: the last digits may change",
+    "iteration_limit": "stopped at the iteration limit before convergence",
+    "interrupted": "interrupted: the result is the best point so far",
+    "stuck": "no further progress: the search stopped before it met the convergence test",
+    "no_start": "the model cannot be simulated from the start values",
+    "failed": "the solver failed",
+}
+CAUSES = {
+    "no_start": (
+        "start values far from physical ones",
+        "an unstable model over a long record",
+        "a missing bound (for example on a level, which cannot be negative)",
+    ),
+    "iteration_limit": (
+        "parameters that the data do not determine: fix one",
+        "start values far from the solution: set others with start",
+        "too few iterations",
+    ),
+    "stuck": (
+        "parameters that the data do not determine: fix one",
+        "an effect that is not smooth in its parameters",
+        "bounds that exclude the optimum",
+    ),
+    "failed": (
+        "start values far from physical ones",
+        "an unstable model over a long record",
+        "bounds that exclude the optimum",
+    ),
+}
+PARTS = {
+    "first_half": "the first half of the record",
+    "second_half": "the second half of the record",
+    "small_motion": "small motion",
+    "large_motion": "large motion",
+}
+
+
+def status_text(status: str) -> str:
+    """How a search ended, without causes and details."""
+    return STATUS.get(status, status)
+
+
+@renders("SolverReport")
+def write_status(report: SolverReport) -> str:
+    """How a search ended, with its likely causes if it failed, and what its residual says."""
+    text = status_text(report.status)
+    if report.status in CAUSES:
+        causes = "; ".join(f"({k + 1}) {cause}" for k, cause in enumerate(CAUSES[report.status]))
+        text += f". Likely causes, most likely first: {causes}"
+    for finding, words in zip(report.details, sentences(report.details), strict=True):
+        ratio = finding.code in (EstimationCode.MISFIT_RATIO, EstimationCode.PREDICTION_RATIO)
+        text += f"; {words}" if ratio else f". {capitalise(words)}"
+    return text
+
+
+def write_direction(direction: dict[str, float]) -> str:
+    """An undetermined direction: ``Kf, La, Ra can change together ...``."""
+    names = list(direction)
+    if len(names) == 1:
+        return f"{names[0]} has no influence on the measured outputs"
+    return f"{', '.join(names)} can change together without changing the outputs: fix one of them, or measure another output"
+
+
+def _write_misfit_ratio(finding: Finding) -> str:
+    outliers = ", outliers excluded" if finding.values["without_outliers"] else ""
+    ratio, least = finding.values["ratio"], finding.values.get("least_ratio")
+    size = f"{ratio:.3g}" if least is None else f"at least {least:.3g}"
+    return f"misfit {size} times the noise in {finding.subject}{outliers}"
+
+
+def _write_term_not_finite(finding: Finding) -> str:
+    v = finding.values
+    if v["kind"] == "start":
+        what = f"the initial value of state {v['name']!r} is {v['value']}"
+    else:
+        named = {
+            "term": f"the term {v['name']!r} of balance {v['balance']!r}",
+            "storage": f"the inverse storage of balance {v['balance']!r}",
+            "output": f"the output {v['name']!r}",
+        }[v["kind"]]
+        formula = f" ({v['formula']})" if len(v["formula"]) <= TEXT_LIMITS.longest_formula else ""
+        what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
+    return f"{_write_place(finding)}: {what} at {_write_point(finding)}"
+
+
+def _write_place(finding: Finding) -> str:
+    v = finding.values
+    return f"the simulation of experiment {v['experiment']} fails at t = {v['time']:.6g} s (row {v['row']})"
+
+
+def _write_point(finding: Finding) -> str:
+    return ", ".join(f"{q['name']} = {q['value']} {q['unit']}".rstrip() for q in finding.values["point"])
+
+
+def _write_other_plant(finding: Finding) -> str:
+    listed = ", ".join(f"{percent:.2g} % of {name}" for name, percent in finding.values["best_fit"].items())
+    return (
+        f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters; check the units and signs"
+        " of the columns, the fixed parameters, and whether this is the right model"
+    )
+
+
+def _write_part(label: str) -> str:
+    kind, _, subject = label.partition(":")
+    if kind == "experiment":
+        return f"experiment {subject}"
+    return PARTS[kind].replace("half of the record", "half of the record" if subject == "1" else "half of each record")
+
+
+def _write_shifts(finding: Finding) -> str:
+    by_parts: dict[tuple[str, ...], list[str]] = {}
+    for s in finding.values["shifts"]:
+        change = f"{s['name']} changes from {s['before']:.4g} to {s['after']:.4g} {s['unit']}"
+        deviations = float(f"{s['deviations']:.2g}")
+        by_parts.setdefault(tuple(s["parts"]), []).append(f"{change} ({deviations:g} standard deviations of the noise)")
+    shifts = "; ".join(
+        f"between {_write_part(first)} and {_write_part(second)}, {', '.join(changes)}"
+        for (first, second), changes in by_parts.items()
+    )
+    several = len(finding.values["shifts"]) > 1
+    words = "they compensate" if several else "it compensates"
+    return f"not constant: {shifts}; {words} for an effect that the model lacks, or the plant changes"
+
+
+def _write_residual_correlated(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"the residual of {', '.join(v['outputs'])} is correlated from sample to sample: the intervals allow for it and are up to"
+        f" {v['inflation']:.2g} times as wide as for white noise"
+    )
+
+
+def _write_step_shifts(finding: Finding) -> str:
+    shifts = ", ".join(f"{name} by {shift:.2g}" for name, shift in finding.values["shifts"].items())
+    return (
+        "with half the integration step the parameters change by more than a tenth of their standard deviation"
+        f" ({shifts} standard deviations): increase the number of substeps"
+    )
+
+
+def _write_held_by_prior(finding: Finding) -> str:
+    names = finding.values["parameters"]
+    return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
+
+
+def _write_tied_outside(finding: Finding) -> str:
+    v, unit = finding.values, format_unit(finding.values["unit"])
+    return f"the tied parameter {finding.subject} is outside its bounds: {v['value']:.5g} {unit}, bounds [{v['low']}, {v['high']}] {unit}"
+
+
+def _write_outliers(finding: Finding) -> str:
+    shares = finding.values["shares"]
+    counted = f"{format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
+    return f"robust loss ({finding.values['loss']}): {counted}"
+
+
+def _write_excluded(finding: Finding) -> str:
+    names = finding.values["outputs"]
+    verb, noise, sensors, them = (
+        ("is", "its", "sensor", "it") if len(names) == 1 else ("are", "their", "sensors", "them")
+    )
+    return (
+        f"excluded: {', '.join(names)} {verb} constant, so {noise} noise cannot be estimated (the {sensors} may be dead); give {noise}"
+        f" noise to include {them}"
+    )
+
+
+def _write_process_noise(finding: Finding) -> str:
+    v = finding.values
+    unit = format_unit(v["unit"])
+    balances = " and ".join(f"the balance {b!r}" for b in v["balances"])
+    where = f"process noise on {', '.join(v['states'])}"
+    upper = "" if v["upper_limit"] is None else f", below {v['upper_limit']:.3g} {unit} at 95 %"
+    if finding.code == EstimationCode.PROCESS_NOISE_ZERO:
+        return f"{where} ({finding.subject}): zero{upper}; these records show no deviation from {balances}"
+    if finding.code == EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT:
+        return (
+            f"{where} ({finding.subject}): not significant (p = {v['p_value']:.2g}){upper}; these records show no certain deviation"
+            f" from {balances}"
+        )
+    sizes = " and ".join(
+        f"{s['size']:.3g} {format_unit(s['unit'])} averaged over one sample of {v['period']:.3g} s" for s in v["sizes"]
+    )
+    return (
+        f"{where} ({finding.subject} = {v['intensity']:.3g} {unit}): significant (likelihood ratio {v['ratio']:.3g}); {balances}"
+        f" {'lacks' if len(v['balances']) == 1 else 'lack'} an effect, or a random disturbance acts there, of {sizes}"
+    )
+
+
+def _write_starts(finding: Finding) -> str:
+    """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
+    counts, ratios, nowhere = finding.values["counts"], finding.values["ratios"], finding.values["without_result"]
+    total = sum(counts) + nowhere
+    parts = [f"{counts[0]} of {total} starts ended at the best optimum (misfit {ratios[0]:.3g} x noise)"]
+    parts += [f"{n} at a worse one ({ratio:.3g} x)" for n, ratio in zip(counts[1:4], ratios[1:4], strict=True)]
+    if len(counts) > 4:
+        parts.append(f"{sum(counts[4:])} at still worse ones (from {ratios[4]:.3g} x)")
+    return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
+
+
+register(
+    {
+        EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
+        EstimationCode.PREDICTION_RATIO: (
+            "prediction error {one_step:.3g} times the noise in {subject} one step ahead, simulation error {free_run:.3g} times"
+        ),
+        EstimationCode.FILTER_NOT_FINITE: "the Kalman filter diverges in experiment {experiment}: its values are not finite",
+        EstimationCode.TERM_NOT_FINITE: _write_term_not_finite,
+        EstimationCode.STATES_DIVERGE: lambda f: (
+            f"{_write_place(f)}: the states diverge, although every term is finite; the largest is {f.subject!r}, at {_write_point(f)}"
+        ),
+        EstimationCode.SENSITIVITY_NOT_FINITE: (
+            "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
+            " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
+        ),
+        EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
+        EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
+            f"not determined by these data: {write_direction(f.values['direction'])}"
+        ),
+        EstimationCode.STOPPED_BY_BOUND: lambda f: (
+            f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
+        ),
+        EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
+            f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
+        ),
+        EstimationCode.MISFIT_ABOVE_NOISE: (
+            "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased"
+        ),
+        EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE: (
+            "the misfit exceeds the noise estimated from differences of the records: the model is incomplete, or the noise is"
+            " coloured (a quiet record shows which)"
+        ),
+        EstimationCode.PARAMETER_NOT_CONSTANT: _write_shifts,
+        EstimationCode.RESIDUAL_CORRELATED: _write_residual_correlated,
+        EstimationCode.INNOVATIONS_CORRELATED: (
+            "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
+            " for it and are up to {inflation:.2g} times as wide as for white innovations"
+        ),
+        EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
+            f"the integration error exceeds a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
+        ),
+        EstimationCode.RELATION_NOT_MET: (
+            "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
+            " the right size, and bounds"
+        ),
+        EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
+        EstimationCode.VALIDATION_ERROR_LARGER: (
+            "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"
+            " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
+            " records as well"
+        ),
+        EstimationCode.PRIOR_CONFLICT: (
+            "the prior of {subject} and the data disagree by {deviations:.2g} standard deviations: one of them, or the model, is wrong"
+        ),
+        EstimationCode.HELD_BY_PRIOR: _write_held_by_prior,
+        EstimationCode.TIED_OUTSIDE_BOUNDS: _write_tied_outside,
+        EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
+            f"each experiment has its own value of {', '.join(f.values['parameters'])}: the fitted model has the mean, and a validation"
+            " uses the mean"
+        ),
+        EstimationCode.ROBUST_LOSS_OUTLIERS: _write_outliers,
+        EstimationCode.TOO_MANY_OUTLIERS: lambda f: (
+            f"too many samples of {', '.join(f.values['outputs'])} count as outliers: the model is incomplete, or the noise is"
+            " larger than assumed"
+        ),
+        EstimationCode.CONSTANT_OUTPUT_EXCLUDED: _write_excluded,
+        EstimationCode.PROCESS_NOISE_ZERO: _write_process_noise,
+        EstimationCode.PROCESS_NOISE_NOT_SIGNIFICANT: _write_process_noise,
+        EstimationCode.PROCESS_NOISE_SIGNIFICANT: _write_process_noise,
+        EstimationCode.NOISE_COLOUR_IGNORED: (
+            "the noise is coloured, but a fit with process noise assumes white noise"
+        ),
+        EstimationCode.STARTS: _write_starts,
+        EstimationCode.STARTS_NOT_BEGUN: (
+            "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to continue with them"
+        ),
+    }
+)
+
+
+@renders("MultiStartResult")
+def write_multistart(result: MultiStartResult) -> str:
+    """Where the starts ended, then the best fit."""
+    return f"{result.summary}\n{result.best}"
+
+
+@renders("SmoothedStates")
+def write_smoothed_states(states: SmoothedStates) -> str:
+    """Range and standard deviation of each state, mean and standard deviation of each innovation."""
+    lines = [f"{states.experiment}: {len(states.time)} rows smoothed, {states.discretisation}"]
+    for name, mean in states.mean.items():
+        size = np.sqrt(np.mean(states.std[name] ** 2))
+        unit = format_unit(states.units[name])
+        lines.append(f"  {name}: {mean.min():.4g} to {mean.max():.4g} {unit}, standard deviation {size:.2g} {unit}")
+    for name, e in states.innovations.items():
+        lines.append(
+            f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is correct)"
+        )
+    return "\n".join(lines)
+
+
+@renders("PredictionCorrection")
+def write_correction(correction: PredictionCorrection) -> str:
+    """How measurements correct a prediction."""
+    if correction.kind == "none_white":
+        return "none: the simulation error is white"
+    if correction.kind == "none_zero":
+        return "none: the process noise is zero"
+    if correction.kind == "autoregression":
+        orders = ", ".join(f"{name} AR({c.order})" for name, c in correction.colours.items() if c.order)
+        return f"autoregression of the simulation error ({orders})"
+    estimated = " estimated" if correction.kind == "estimated_kalman_filter" else ""
+    return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
+
+
+# A fit in plain text: what a person reads first.
+
+MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
+
+
+@renders("Fit")
+def write_fit(fit: Fit) -> str:
+    """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
+    lines = [f"{fit.model.title}: {fit.solver}", ""]
+    lines += format_table(["parameter", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
+    if fit.constraints.priors:
+        lines += ["", *_write_priors(fit)]
+    lines += ["", *_write_misfits("misfit (free run)", fit.misfit, fit.noise)]
+    if fit.prediction.one_step:
+        lines += ["", *_write_misfits("prediction (1 step ahead)", fit.prediction.one_step, fit.noise)]
+    if fit.validation:
+        lines += ["", *_write_misfits("on validation records (free run)", fit.validation.misfit, fit.noise)]
+    intervals = _write_interval_kind(fit)
+    if intervals:
+        lines += ["", f"intervals: {intervals}"]
+    lines += ["", f"noise: {fit.noise}", f"discretisation: {fit.discretisation.label}{_write_step_error(fit)}"]
+    if fit.solver.strategy is not None:
+        lines.append(f"search: {fit.solver.strategy}")
+    lines += [f"note: {note}" for note in sentences(fit.findings)]
+    return "\n".join(lines)
+
+
+def _write_interval_kind(fit: Fit) -> str:
+    sandwich = fit.uncertainty.kind == "sandwich"
+    if fit.prediction.process_noise and not sandwich:
+        return "information matrix of the likelihood; the innovations are white"
+    if sandwich and fit.uncertainty.inflation:
+        widest = fit.uncertainty.largest_inflation
+        return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
+    if any(e.std is not None for e in fit.parameters.values()):
+        return "Gauss-Newton covariance; the residual is white"
+    return ""
+
+
+def _write_step_error(fit: Fit) -> str:
+    """What is left of the integrator's error; nothing where the discretisation is exact."""
+    error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
+    shift = max((s for s in fit.discretisation.shift.values() if math.isfinite(s)), default=0.0)
+    if not error and not shift:
+        return ""
+    return f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
+
+
+register(
+    {
+        ResultCode.FOREIGN_FINDING: lambda f: (
+            f"{f.subject + ': ' if f.subject else ''}the file holds a finding that this version has no sentence for"
+            f" ({f.values['code']})"
+        ),
+    }
+)
+
+
+def to_constant_rows(fit: Fit) -> list[list[str]]:
+    """Rows of the table of parameters: each one, its values in experiments that have their own, then those that are tied."""
+    rows = []
+    for name, e in fit.parameters.items():
+        rows.append(to_constant_cells(name, e))
+        if name in fit.constraints.per_experiment:
+            rows[-1][-1] = "mean"
+            each = fit.constraints.per_experiment[name].items()
+            rows += [to_constant_cells(f"{name} ({title})", estimate) for title, estimate in each]
+    for name, e in fit.constraints.tied.items():
+        rows.append(to_constant_cells(name, e))
+        rows[-1][-1] = f"= {fit.constraints.ties[name]}"
+    return rows
+
+
+def to_constant_cells(name: str, e: Estimate) -> list[str]:
+    """Name, value, interval, unit and remark of one parameter, as tables show them."""
+    if e.fixed:
+        return [name, format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
+    remark = "at its bound" if e.at_bound else ""
+    if e.std is None or e.interval is None:
+        limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
+        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined by these data"]
+    if not remark and not e.determined:
+        remark = "not determined: interval over 50 %"
+    low, high = map(make_formatter(e.value, e.std), e.interval)
+    return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
+
+
+def to_misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
+    """rmse, best fit and rmse over noise, as tables show them; over noise that is only bounded it is at least that."""
+    ratio = f"{format_number(m.noise_ratio, 4)} x noise"
+    if bound is not None and bound.direction is BoundDirection.AT_MOST and bound.level > 0:
+        ratio = f"at least {format_number(m.rmse / bound.level, 4)} x noise"
+    return [
+        f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
+        f"{m.best_fit_percent:.2f} %",
+        ratio,
+    ]
+
+
+def _write_priors(fit: Fit) -> list[str]:
+    rows = []
+    for name, c in fit.constraints.priors.items():
+        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
+        reduction = f"{100 * c.variance_reduction:.3g} %"
+        rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
+    return format_table(["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
+
+
+def _write_misfits(title: str, misfit: Mapping[str, Misfit], noise: FitNoise) -> list[str]:
+    rows = [[name, *to_misfit_cells(m, noise.bound(name))] for name, m in misfit.items()]
+    return format_table([title, *MISFIT_HEADS], rows)
+
+
+@renders("FitNoise")
+def write_noise(noise: FitNoise) -> str:
+    """Where the noise of each output is known from; levels that a likelihood estimated with their 95 % interval."""
+    groups: dict[str, list[str]] = {}
+    for name, source in noise.sources.items():
+        if name in noise.log_std:
+            text = _write_estimated_level(noise, name)
+        else:
+            bound = noise.bound(name)
+            direction = source.direction if bound is None else bound.direction
+            text = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))), direction)
+        groups.setdefault(text, []).append(name)
+    if len(groups) == 1 and not noise.log_std:
+        return next(iter(groups))
+    return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+
+
+def _write_estimated_level(noise: FitNoise, output: str) -> str:
+    low, high = noise.interval(output)
+    known = math.log(high / noise.std[output]) < TEXT_LIMITS.noise_reach
+    ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
+    return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"
+
+
+# Sentences of the transcriptions: how a solution was searched for, and why so (goes on after "chosen because").
+
+_STIFF = "the model is stiff: its fastest mode has a time constant of {fastest:.2g} s and needs {substeps:.0f} explicit steps a sample"
+
+
+def _write_integrating(ending: str) -> Callable[[Finding], str]:
+    def write(finding: Finding) -> str:
+        duration, number = finding.values["duration"], finding.values["time_constants"]
+        length = f"{duration:.4g} s"
+        if number is not None:
+            length = f"{length} are {number:.2g} time constants of its slowest other mode"
+        return f"the model integrates ({length}); {ending}"
+
+    return write
+
+
+def _write_strategy(finding: Finding) -> str:
+    """What was searched, how it was completed, and why it was chosen."""
+    v = finding.values
+    text = _write_transcription(finding.subject, v) + (", as requested" if v.get("reason") == "" else "")
+    if v.get("held_samples"):
+        text += f"; {v['held_samples']} samples lie at a bound of a state"
+    text += {
+        "free_run": "; then a free run from that result, as the noise model or the cost requires",
+        "white_noise": (
+            "; the noise is assumed to be white, because a free run does not follow this plant; the intervals allow for its colour"
+        ),
+    }.get(v.get("completion", ""), "")
+    if not v.get("reason"):
+        return text
+    return f"{text}; chosen because {sentence(Finding(v['reason'], values=v.get('reason_values', {})))}"
+
+
+def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
+    if name == "single":
+        parts = ", ".join(f"{100 * share:.3g} %" for share in (*(s for s in v["shares"] if s < 1), 1.0))
+        growing = any(share < 1 for share in v["shares"])
+        return f"single shooting on a growing record ({parts})" if growing else "single shooting on the whole record"
+    if name == "multiple":
+        segments = "one segment" if v["segments"] == 1 else f"{v['segments']} segments"
+        return f"multiple shooting over {segments}"
+    if name == "arcs":
+        if v["whole"]:
+            return (
+                f"arcs of {v['arc_length']:g} s; no record is divided (a second arc would be shorter than half an arc)"
+            )
+        return f"{v['arcs']} arcs of {v['arc_length']:g} s, each with its own initial state"
+    if name == "prediction":
+        kind = "exact" if v["exact"] else "extended"
+        return f"prediction error with the {kind} Kalman filter, started from the free-run fit or the start values"
+    return "direct collocation"
+
+
+register(
+    {
+        SolutionCode.SEARCH_STRATEGY: _write_strategy,
+        TranscriptionReason.STABLE: "the model is stable and not stiff",
+        TranscriptionReason.UNSTABLE: (
+            "the model is unstable: errors grow at {rate:.3g} 1/s, by e^{exponent:.3g} over the record of {duration:.4g} s, too far for"
+            " a free run"
+        ),
+        TranscriptionReason.STIFF_IMPLICIT: f"{_STIFF}; a few implicit steps suffice",
+        TranscriptionReason.STIFF_NOT_SMOOTH: (
+            f"{_STIFF}; collocation does not handle sticking, switching or delays, so the fit takes these steps"
+        ),
+        TranscriptionReason.STIFF_LONG: (
+            f"{_STIFF}; {{samples}} samples are too many for collocation, so the fit takes these steps"
+        ),
+        TranscriptionReason.STIFF_COLLOCATION: f"{_STIFF}; collocation at Radau points needs one",
+        TranscriptionReason.INTEGRATING_SHORT: _write_integrating(
+            "a free run stays near the data over this short time"
+        ),
+        TranscriptionReason.INTEGRATING_GROWING: _write_integrating(
+            "a growing part of the record keeps the free run near the data"
+        ),
+    }
+)
+
+
+# Profiles in plain text.
+
+
+@renders("Profile")
+def write_profile(profile: Profile) -> str:
+    """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]``; sides that the data leave open are marked."""
+    sides = [
+        f"{v:.5g}{' (open)' if is_open else ''}"
+        for v, is_open in zip(profile.interval, profile.open_sides, strict=True)
+    ]
+    return f"{profile.name}: {profile.best:.5g} {profile.unit}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]"
+
+
+# What a residual test says, and the tables of tests and scores.
+
+# Kind of test -> the sentence without and with an alarm.
+_SENTENCES: dict[ResidualTestKind, tuple[Callable[[ResidualTest], str], Callable[[ResidualTest], str]]] = {
+    ResidualTestKind.WHITENESS: (
+        lambda t: f"no correlation over {t.lags} samples",
+        lambda t: f"correlated over {t.lags} samples ({t.colour})",
+    ),
+    ResidualTestKind.INPUT_INDEPENDENCE: (
+        lambda t: f"independent of the input {t.input}",
+        lambda t: f"correlated with the input {t.input}: the model lacks part of its effect",
+    ),
+    ResidualTestKind.NORMALITY: (
+        lambda t: "normally distributed",
+        lambda t: "not normal: look for outliers, quantisation or two regimes",
+    ),
+    ResidualTestKind.EQUAL_VARIANCE: (
+        lambda t: "equally large throughout",
+        lambda t: "larger in some parts of the record than in others",
+    ),
+    ResidualTestKind.EQUAL_MEAN: (
+        lambda t: "no drift",
+        lambda t: "its mean drifts, or an offset changes",
+    ),
+}
+
+
+def name_test(test: ResidualTest) -> str:
+    """``whiteness, 5 lags`` or ``independence of u``: what tables and figures call a test."""
+    if test.kind is ResidualTestKind.WHITENESS:
+        return f"whiteness, {test.lags} lags"
+    if test.kind is ResidualTestKind.INPUT_INDEPENDENCE:
+        return f"independence of {test.input}"
+    return test.kind.value.replace("_", " ")
+
+
+@renders("ResidualTest")
+def write_residual_test(test: ResidualTest) -> str:
+    """What the test says."""
+    return _SENTENCES[test.kind][test.alarm](test)
+
+
+@renders("ResidualTests")
+def write_residual_tests(tests: ResidualTests) -> str:
+    """A table with a row for each test."""
+    rows = [
+        ("output", "test", "statistic", "p", ""),
+        *((t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)) for t in tests.tests),
+    ]
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    lines = [
+        "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[4]]).rstrip() for row in rows
+    ]
+    if tests.whitened:
+        outputs = ", ".join(tests.whitened)
+        lines.append(f"the residual of {outputs} was whitened with the noise model before the tests")
+    return "\n".join(lines)
+
+
+@renders("PredictionScores")
+def write_prediction_scores(scores: PredictionScores) -> str:
+    """A table with a row for each output: errors of the free run and of predictions; infinite where a run overflows."""
+    ahead = sorted({k for s in scores.outputs.values() for k in s.prediction})
+    head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
+    rows = [
+        [name, *(f"{v:.4g}" for v in (s.free_run, *(s.prediction[k] for k in ahead), s.movement)), s.unit]
+        for name, s in scores.outputs.items()
+    ]
+    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
+    corrections = dict.fromkeys(s.predictor for s in scores.outputs.values())
+    return "\n".join([*lines, *(f"corrected by: {text}" for text in corrections)])

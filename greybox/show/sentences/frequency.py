@@ -1,0 +1,93 @@
+"""Frequency responses, their fits, and best linear approximations in plain text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from greybox.base.units import format_unit
+from greybox.show.sentences.registry import register, renders, sentences
+from greybox.show.sentences.wording import format_number, format_table, format_with_std
+
+if TYPE_CHECKING:
+    from greybox.base.findings import Check
+    from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation
+    from greybox.comparison.frequency.fit_response import FrequencyFit
+    from greybox.comparison.frequency.response import FrequencyResponse
+
+_VERDICTS = {True: "noise alone", False: "the system is nonlinear"}
+
+
+def _linearity(what: str) -> Callable[[Check], str]:
+    def write(check: Check) -> str:
+        return f"{what} {check.value:.3g} times the noise (limit {check.limit:.3g}): {_VERDICTS[check.passed]}"
+
+    return write
+
+
+# The codes are those of greybox.comparison.frequency.best_linear_approximation, a later package.
+register(
+    {
+        "realisations_agree": _linearity("the spread of the response over realisations is"),
+        "even_lines_are_noise": _linearity("even lines that are not excited hold"),
+        "odd_lines_are_noise": _linearity("odd lines that are not excited hold"),
+    }
+)
+
+
+@renders("FrequencyResponse")
+def write_response(response: FrequencyResponse) -> str:
+    """Points, band, channels, and whether their noise is known."""
+    low, high = response.frequency[[0, -1]]
+    noise = "without variance" if response.variance is None else "with variance"
+    return (
+        f"{response.name}: {response.points} points from {low:.4g} to {high:.4g} Hz, {', '.join(response.inputs)} to"
+        f" {', '.join(response.outputs)}, {noise}"
+    )
+
+
+@renders("FrequencyFit")
+def write_fit(result: FrequencyFit) -> str:
+    """The parameters as a table, and how well the responses are met."""
+    rows = []
+    for name in result.names:
+        estimate = result.parameters[name]
+        low, high = estimate.interval or (np.nan, np.nan)
+        value = format_with_std(estimate.value, estimate.std or 0.0)
+        note = "at its bound" if estimate.at_bound else ""
+        rows.append([name, value, format_unit(estimate.unit) or "-", f"{low:.5g} .. {high:.5g}", note])
+    records = "" if result.time_fit is None else f" and {len(result.time_fit.traces)} records over time"
+    head = f"{result.model.title}, fitted to {'; '.join(map(str, result.responses))}{records}: {result.status}"
+    error = (
+        f"error of the response: {format_number(result.noise_ratio, 3)} times its noise"
+        if result.weighted
+        else "the response states no noise: intervals are scaled by its error"
+    )
+    table = format_table(["parameter", "value", "unit", "95 % interval", ""], rows)
+    return "\n".join([head, "", *table, "", error, *(f"note: {text}" for text in sentences(result.findings))])
+
+
+@renders("BestLinearApproximation")
+def write_approximation(result: BestLinearApproximation) -> str:
+    """Lines, noise and distortion in decibels of the response, and what the tests say."""
+    size = np.mean(np.abs(result.response) ** 2)
+
+    def decibels(variance: np.ndarray | None) -> str:
+        power = 0.0 if variance is None else float(np.mean(variance))
+        return f"{10 * np.log10(power / size):.1f} dB" if power > 0 else "none seen"
+
+    lines = [
+        f"best linear approximation, {result.input} to {result.output}: {len(result.frequency)} lines from"
+        f" {result.frequency[0]:.4g} to {result.frequency[-1]:.4g} Hz, {result.realisations} realisations of {result.periods} periods",
+        f"  noise of the response: {decibels(result.noise_variance)} of its power",
+    ]
+    if result.total_variance is not None:
+        lines.append(f"  nonlinear distortion of one realisation: {decibels(result.distortion_variance)}")
+    lines += [f"  {check}" for check in result.checks]
+    if not result.checks:
+        lines.append(
+            "  nothing tells distortion from noise: give a second realisation, or leave lines of the input out"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,269 @@
+"""Linear models and families of them in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from greybox.base.findings import Finding
+from greybox.base.units import format_unit
+from greybox.estimation.linear.findings import ExportFinding
+from greybox.show.sentences.estimation import status_text
+from greybox.show.sentences.registry import register, renders, sentences
+from greybox.show.sentences.wording import format_table
+
+if TYPE_CHECKING:
+    from greybox.estimation.linear.linearisation import Linearisation
+    from greybox.estimation.linear.model_family import ModelFamily
+    from greybox.estimation.linear.transfer_channel import LinearBehaviour, TransferChannel
+
+
+def _amount(value: float, unit: str, digits: int = 4) -> str:
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def _no_equilibrium(finding: Finding) -> str:
+    imbalance = ", ".join(f"{r['balance']} by {_amount(r['value'], r['unit'])}" for r in finding.values["imbalance"])
+    return (
+        f"{finding.values['point']} is not an equilibrium (out of balance: {imbalance}): the linear model holds for deviations from the"
+        " motion through this point"
+    )
+
+
+def _steady_motion(finding: Finding) -> str:
+    others = (
+        "all other states are at rest"
+        if finding.values["others_rest"]
+        else "the other states are constant only for a moment"
+    )
+    speed = _amount(finding.values["speed"], finding.values["unit"])
+    return f"the operating point is a steady motion, not an equilibrium: {finding.subject} moves at {speed}, {others}"
+
+
+def _outside_records(finding: Finding) -> str:
+    signals = ", ".join(
+        f"{_amount_of(s['name'], s['value'], s['unit'])} (records: {s['low']:.4g} to {_amount(s['high'], s['unit'])})"
+        for s in finding.values["signals"]
+    )
+    return (
+        f"the operating point is far outside the estimation records: {signals}; the parameters may not be valid there"
+    )
+
+
+def _amount_of(name: str, value: float, unit: str) -> str:
+    return f"{name} = {value:.6g} {unit}".rstrip()
+
+
+def _friction_left_out(finding: Finding) -> str:
+    values = finding.values
+    level = _amount(values["level"], values["unit"])
+    used = f", of which {_amount(values['held'], values['unit'])} are used" if values["held"] else ""
+    return (
+        f"{finding.subject} cannot be linearised at {values['state']} = 0, where it holds up to {level}{used}; the matrices describe the"
+        f" sliding body without friction; treat friction as a disturbance of up to {level}, or compensate it"
+    )
+
+
+def _kink(finding: Finding) -> str:
+    values = finding.values
+    who = " and ".join(values["effects"]) or f"the equations of {values['model']}"
+    return (
+        f"{who} cannot be linearised at {_amount_of(values['variable'], values['value'], values['unit'])}: the derivative is"
+        f" discontinuous there; the derivative {values['side']} this point is used"
+    )
+
+
+def _input_without_effect(finding: Finding) -> str:
+    values = finding.values
+    cause = f" ({', '.join(values['effects'])})" if values["effects"] else ""
+    point = _amount_of(finding.subject, values["value"], values["unit"])
+    return (
+        f"input {finding.subject!r} has no effect at {point}{cause}, so its gain is zero; choose an operating point with another"
+        f" {finding.subject}"
+    )
+
+
+def _states_removed(finding: Finding) -> str:
+    values = finding.values
+    reasons = (("unreached", "not controllable"), ("unobserved", "not observable"))
+    removed = "; ".join(f"{', '.join(values[key])} ({reason})" for key, reason in reasons if values[key])
+    return f"the minimal realisation has {values['states']} of {values['of']} states; removed: {removed}"
+
+
+def _mode_undersampled(finding: Finding) -> str:
+    values = finding.values
+    if values["samples"] <= 2:
+        effect = "the mode lies above half the sampling rate"
+    else:
+        effect = f"one period has only {values['samples']:.2g} samples"
+    return (
+        f"the sampling time {values['dt']:g} s is too long for the mode at {values['frequency']:.4g} rad/s: {effect}; use"
+        f" {values['proposed']:.2g} s or less"
+    )
+
+
+register(
+    {
+        ExportFinding.FIT_FAILED: lambda finding: (
+            f"the fit failed ({status_text(finding.values['status'])}): do not use its parameters"
+        ),
+        ExportFinding.NO_EQUILIBRIUM: _no_equilibrium,
+        ExportFinding.STEADY_MOTION: _steady_motion,
+        ExportFinding.OUTSIDE_RECORDS: _outside_records,
+        ExportFinding.FRICTION_LEFT_OUT: _friction_left_out,
+        ExportFinding.KINK: _kink,
+        ExportFinding.PLAY_CLOSED: (
+            "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
+            " large motion in one direction"
+        ),
+        ExportFinding.INPUT_WITHOUT_EFFECT: _input_without_effect,
+        ExportFinding.DELAY_APPROXIMATED: (
+            "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"
+            " use a sampled model (dt) for the exact delay"
+        ),
+        ExportFinding.STATES_REMOVED: _states_removed,
+        ExportFinding.MODE_UNDERSAMPLED: _mode_undersampled,
+        ExportFinding.DECAY_UNDERSAMPLED: (
+            "the sampling time {dt:g} s is too long: every mode decays within one sample (the slowest in {time_constant:.2g} s); use"
+            " {proposed:.2g} s or less"
+        ),
+        ExportFinding.TUSTIN_RINGS: (
+            "Tustin's method at {dt:g} s maps the pole at {pole:.4g} 1/s to one that alternates from sample to sample; use zoh, or"
+            " {proposed:.2g} s or less"
+        ),
+        ExportFinding.PARAMETERS_NOT_DRAWN: lambda finding: (
+            f"{', '.join(finding.values['parameters'])}: no covariance (at a bound, or not determined by the records); kept at the"
+            " fitted value"
+        ),
+    }
+)
+
+
+@renders("Linearisation")
+def linearisation_text(model: Linearisation) -> str:
+    """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
+    from greybox.estimation.linear.transfer_channel import describe_behaviour
+
+    lines = [*_operating_point(model), "", *_matrices(model), "", behaviour_text(describe_behaviour(model))]
+    notes = [f"note: {sentence}" for sentence in sentences(model.findings)]
+    return "\n".join([*lines, *(["", *notes] if notes else [])])
+
+
+@renders("LinearBehaviour")
+def behaviour_text(behaviour: LinearBehaviour) -> str:
+    """Poles, then zeros, gain and bandwidth of each channel."""
+    lines = pole_table(behaviour.poles, behaviour.dt)
+    for channel in behaviour.channels:
+        lines += ["", *channel_lines(channel)]
+    return "\n".join(lines)
+
+
+@renders("TransferChannel")
+def channel_text(channel: TransferChannel) -> str:
+    """Zeros, gain, bandwidth of one channel."""
+    return "\n".join(channel_lines(channel))
+
+
+@renders("ModelFamily")
+def model_family_text(family: ModelFamily) -> str:
+    """How far poles, gains and frequency responses spread."""
+    from greybox.estimation.linear.transfer_channel import extract_channel
+
+    poles, (real, imag) = family.nominal.poles, family.pole_bounds()
+    rows = [
+        [
+            f"{poles[k].real:.6g}{poles[k].imag:+.6g}j" if poles[k].imag else f"{poles[k].real:.6g}",
+            f"[{real[k][0]:.6g}, {real[k][1]:.6g}]",
+            f"[{imag[k][0]:.6g}, {imag[k][1]:.6g}]" if poles[k].imag else "",
+        ]
+        for k in np.flatnonzero(poles.imag >= 0)
+    ]
+    errors = []
+    for row, output in enumerate(family.nominal.output_names):
+        for column, name in enumerate(family.nominal.input_names):
+            gains = [extract_channel(member, output, name).gain for member in family.members]
+            low, high = np.quantile(gains, [0.025, 0.975])
+            rows.append([f"gain {name} -> {output}", f"[{low:.6g}, {high:.6g}]", ""])
+            bandwidth = extract_channel(family.nominal, output, name).bandwidth
+            if np.isfinite(bandwidth):
+                largest = family.relative_error(bandwidth * np.geomspace(1e-3, 1, 200))[:, row, column].max()
+                errors.append(
+                    f"  response {name} -> {output} up to {bandwidth:.6g} rad/s: within {100 * largest:.3g} % of the nominal one"
+                )
+    drawn = ", ".join(family.distribution.names)
+    head = f"{len(family.members)} models drawn from the covariance of {drawn} (seed {family.seed})"
+    table = format_table(["pole", "real part, 95 %", "imaginary part, 95 %"], rows)
+    return "\n".join([head, *table, *errors, *(f"note: {sentence}" for sentence in sentences(family.findings))])
+
+
+def pole_table(poles: np.ndarray, dt: float) -> list[str]:
+    """Lines with pole, natural frequency, damping ratio, time constant."""
+    rows = []
+    for pole in poles[poles.imag >= 0]:
+        if dt and abs(pole) < 1e-12:
+            rows.append([complex_text(pole), "decays within one sample", "", ""])
+            continue
+        s = np.log(pole) / dt if dt else pole
+        speed = abs(s)
+        rows.append(
+            [
+                complex_text(pole) + " and conjugate" * bool(pole.imag),
+                f"{speed:.6g} rad/s" if speed else "integrates",
+                f"{-s.real / speed:.4g}" if speed else "",
+                f"{-1 / s.real:.4g} s" if s.real < 0 else "unstable" * bool(s.real > 0),
+            ]
+        )
+    return format_table(["poles (z)" if dt else "poles", "natural frequency", "damping", "time constant"], rows)
+
+
+def channel_lines(channel: TransferChannel) -> list[str]:
+    """Lines about one channel."""
+    per_second = f"/s**{channel.integrators}" if channel.integrators else ""
+    unit = format_unit(f"({channel.unit}){per_second}")
+    kind = "integrator gain" if channel.integrators else "gain"
+    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g} {unit}"]
+    lines.append("    zeros " + (", ".join(map(complex_text, channel.zeros)) or "none"))
+    bandwidth, (frequency, gain) = channel.bandwidth, channel.peak
+    if np.isfinite(bandwidth):
+        lines.append(f"    bandwidth (-3 dB) {bandwidth:.6g} rad/s, {bandwidth / (2 * np.pi):.6g} Hz")
+    elif np.isinf(bandwidth):
+        lines.append("    bandwidth: the gain never falls 3 dB below its static value")
+    if np.isfinite(gain) and gain > 1.01 * abs(channel.gain):
+        lines.append(f"    largest gain {gain:.6g} {format_unit(channel.unit)} at {frequency:.6g} rad/s")
+    return lines
+
+
+def complex_text(value: complex) -> str:
+    """``-25.6``, ``-25.6+767.98j`` with ten digits."""
+    if abs(value.imag) <= 1e-12 * abs(value):
+        return f"{value.real:.10g}"
+    return f"{value.real:.10g}{value.imag:+.10g}j"
+
+
+def _operating_point(model: Linearisation) -> list[str]:
+    from greybox.estimation.linear.plant import format_signals
+
+    timing = f"sampled every {model.dt:g} s ({model.method})" if model.dt else "continuous"
+    lines = [f"{model.name}: linear model, {timing}", ""]
+    lines += [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
+    if model.input_names:
+        lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"]
+    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
+    lines += [
+        f"  delay of {name} {seconds:.6g} s, not in the matrices"
+        for name, seconds in zip(model.input_names, model.delay, strict=True)
+        if seconds
+    ]
+    return lines
+
+
+def _matrices(model: Linearisation) -> list[str]:
+    lines = []
+    for name, matrix in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D)):
+        rows = [[repr(float(v)) for v in row] for row in matrix]
+        widths = [max((len(row[k]) for row in rows), default=0) for k in range(matrix.shape[1])]
+        for k, row in enumerate(rows):
+            head = f"  {name} = " if k == 0 else "      "
+            lines.append(head + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)))
+    return lines

@@ -1,0 +1,207 @@
+"""Models in plain text: title, equations, parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from textwrap import wrap
+from typing import TYPE_CHECKING
+
+from greybox.base.units import format_unit
+from greybox.model.effects.placement import AT
+from greybox.model.effects.roles import ROLES
+from greybox.model.equations import equations_text
+from greybox.model.expressions.text import number_text
+from greybox.model.sites import NEEDED
+from greybox.show.sentences.registry import renders
+from greybox.show.sentences.wording import format_table
+
+if TYPE_CHECKING:
+    from greybox.model.effect import Effect
+    from greybox.model.effects.placement import EffectListing, Placement
+    from greybox.model.effects.roles import SignalRole
+    from greybox.model.model import Model
+    from greybox.model.signals import Parameter
+
+
+@renders("Model")
+def write_model(model: Model) -> str:
+    """Title, equations and parameters of a model."""
+    title = f"{model.title}: {model.description}" if model.description else model.title
+    parameters = ["  parameters", *_table([_row(q) for q in model.all_parameters])] if model.all_parameters else []
+    return "\n".join([title, equations_text(model), *parameters])
+
+
+def _row(parameter: Parameter) -> tuple[str, ...]:
+    low, high = parameter.bounds
+    bounded = math.isfinite(low) or math.isfinite(high)
+    return (
+        parameter.name,
+        number_text(parameter.value),
+        format_unit(parameter.unit) or "-",
+        "fixed" if parameter.fixed else "free",
+        f"[{number_text(low)}, {number_text(high)}]" if bounded else "",
+        "" if parameter.prior is None else "prior " + " +- ".join(map(number_text, parameter.prior)),
+        parameter.source,
+    )
+
+
+def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        ("    " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True) if width)).rstrip()
+        for row in rows
+    ]
+
+
+# The catalogue of effects as text and as a page, and where its effects find a place in a model.
+
+HEAD = """# Catalogue of effects
+
+These effects are tried by `greybox discover` and added to a model by `--effect NAME` or `model + gb.effect("NAME")`. An added effect
+changes nothing while its amplitude is zero. `greybox effects MODEL` lists those that find a place in a model. Where a model has
+several sites (bodies, inputs, outputs), the name alone means the first, and `NAME_at_SITE` another one. If yours is missing, write
+[your own](own_effect.md).
+
+In equations `x` and `v` are displacement and velocity of a body, `u` is the input and `y` the output at the site. Units in braces are
+those of the model: `{force}` is that of its balance.
+"""
+
+ROLES_HEAD = """# Roles
+
+A role says what a signal or a parameter is physically; names are yours. Effects of the catalogue ask for roles, so that one Coulomb
+friction serves every body:
+
+```text
+State("w", "rad/s", role="velocity")
+Input("Ta", "K", role="ambient_temperature")
+Parameter("Ra", "ohm", 8.0, role="resistance")
+```
+
+Most of it goes without: a balance in N or N m of a state in m/s or rad/s is that of a body, the state whose rate is this velocity its
+displacement; a balance in V of a state in A is that of a current, and so on; an input without a role is a drive.
+
+`greybox check MODEL` shows the role of each signal, the effects that find a place, and what would open the others; `greybox effects
+MODEL` lists the same effect by effect. Several signals may have one role: each body has its own velocity, each tank its own level. Where
+an effect asks for a role and its site does not tell which is meant, it is the first.
+"""
+
+ROLES_TAIL = """Beside these, the effects at `pressure_a` and `upper_level` look for balances of these names, as the [pneumatic
+chain](tutorial_pneumatic.md) and the cascaded tanks have them. What an effect needs stands with it in the [catalogue](catalogue.md).
+
+## Plants to start from
+
+`greybox init DIR --plant NAME` writes a model with all roles: `rotary-drive` (velocity, current, resistance, inductance),
+`two-mass` (two bodies on a shaft), `stage` (displacement and velocity), `cylinder` (pressure and valve), `thermal` (temperature
+and ambient temperature), `tanks` (levels), `circuit` (current, inductance).
+"""
+
+
+@renders("EffectListing")
+def write_effects(listing: EffectListing) -> str:
+    """Name, place, equation and units of each effect, and why some have no place."""
+    if not listing.model:
+        rows = [[e.name, e.site, _write_units(e.parameters), e.equation] for e in listing.entries]
+        return "\n".join(format_table(["effect", "acts at", "parameters", "equation"], rows))
+    taken = [p for p in listing.placements if p.effect is not None]
+    units = {p.name: _write_units(p.parameters) for p in taken}
+    rows = [[p.name, p.site, units[p.name], p.effect.equation if p.effect else ""] for p in taken]
+    lines = [f"{listing.model} takes {len(taken)} effect{'s' if len(taken) != 1 else ''}:"]
+    lines += format_table(["effect", "at", "parameters", "equation"], rows)
+    refused = [p for p in listing.placements if p.effect is None]
+    if refused:
+        lines += ["", "no place for:", *format_table(["effect", "why not"], [[p.name, _shorten(p)] for p in refused])]
+    return "\n".join(lines)
+
+
+def write_catalogue_page(entries: Sequence[Effect]) -> str:
+    """The page of the documentation: a table of all effects, then a section for each."""
+    lines = [HEAD, "| effect | acts at | equation |", "|---|---|---|"]
+    lines += [f"| [{e.name}](#{e.name}) | {e.site} | `{e.equation.replace('|', chr(92) + '|')}` |" for e in entries]
+    for e in entries:
+        needed = NEEDED.get(e.site, f"the balance `{e.site}`")
+        lines += ["", f"## {e.name}", "", f"`{e.equation}`", "", f"Needs {needed}.", ""]
+        lines += [f"- `{q.name}` [{_plain(q.unit)}]: {q.description}" for q in e.parameters]
+        lines += [""] if e.parameters else []
+        if e.parents:
+            lines += [f"Contains {_names(e.parents)}.", ""]
+        if e.approaches:
+            lines += [f"Approaches {_names(e.approaches)} at the end of its range.", ""]
+        if e.stands_for:
+            lines += [f"Says the same as {_names(e.stands_for, ' with ')}, and is no candidate where these are.", ""]
+        lines += [f"Tell it apart: {e.tells_apart}", "", f"Source: {e.source}."]
+    return "\n".join(lines) + "\n"
+
+
+def describe_missing(placement: Placement) -> str:
+    """What would open a place for an effect that has none; empty where nothing would."""
+    if placement.missing is None:
+        return ""
+    kind, name = placement.missing
+    role = next((role for role in ROLES if role.name == name), None)
+    if kind == "site":
+        return NEEDED.get(name, f"a balance named `{name}`")
+    if role is None:
+        return f"a {kind} named `{name}`" if kind != "unit" else f"something named `{name}`"
+    owners = " or ".join(f"{'an' if owner == 'input' else 'a'} {owner}" for owner in role.owners)
+    return f"{owners} with the role `{name}`"
+
+
+def write_places(placements: Sequence[Placement]) -> list[str]:
+    """Lines: the effects that find a place, by site, and for the others what the model would have to have."""
+    sites = dict.fromkeys(p.site for p in placements if p.effect is not None)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for site in sites:
+        names = tuple(p.name.partition(AT)[0] for p in placements if p.effect and p.site == site)
+        alike.setdefault(names, []).append(site)
+    at_site = {", ".join(group): names for names, group in alike.items()}
+    lines = _listed({f"at {site}" if site else "anywhere": names for site, names in at_site.items()})
+    lacking: dict[str, list[str]] = {}
+    placed = {p.name.partition(AT)[0] for p in placements if p.effect is not None}
+    for p in placements:
+        if p.effect is None and p.name not in placed and (needed := describe_missing(p)):
+            lacking.setdefault(needed, []).append(p.name)
+    if lacking:
+        lines += ["the others need", *_listed(lacking)]
+    return lines
+
+
+def _listed(groups: Mapping[str, Sequence[str]]) -> list[str]:
+    """A head and names a group, in lines that a terminal holds."""
+    return [
+        line
+        for head, names in groups.items()
+        for line in wrap(f"{head}: {', '.join(names)}", 118, initial_indent="  ", subsequent_indent="      ")
+    ]
+
+
+def write_roles_page(roles: Sequence[SignalRole]) -> str:
+    """The page of the documentation: every role with units, meaning and what it opens."""
+    lines = [ROLES_HEAD, "| role | of | units | what it is | opens |", "|---|---|---|---|---|"]
+    lines += [
+        f"| `{r.name}` | {', '.join(r.owners)} | {', '.join(r.units)} | {r.meaning} | {r.needed_for} |" for r in roles
+    ]
+    return "\n".join([*lines, "", ROLES_TAIL])
+
+
+def _names(names: Sequence[str], word: str = " and ") -> str:
+    return word.join(f"[{name}](#{name})" for name in names)
+
+
+def _write_units(parameters: Sequence[Parameter]) -> str:
+    return ", ".join(f"{q.name} [{_plain(q.unit)}]" for q in parameters)
+
+
+def _plain(unit: str) -> str:
+    return (unit if "{" in unit else format_unit(unit)) or "1"
+
+
+def _shorten(placement: Placement) -> str:
+    """The reason without the sentence that names effect and model again."""
+    begin = f"effect {placement.name!r} acts at "
+    reason = placement.reason.removeprefix(begin)
+    if reason is placement.reason:
+        return reason
+    site, _, remedy = reason.partition(", which")
+    remedy = remedy.partition("; ")[2]
+    return remedy if remedy.startswith("it needs") else f"it needs a balance {site}"

@@ -1,0 +1,146 @@
+"""Physical quantities as people read them: millivolts rather than 1e-3 V."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from greybox.base.findings import Finding
+
+# Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
+PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
+PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+
+def choose_prefix(unit: str, largest: float) -> tuple[float, str]:
+    """Factor and prefix with which a ``largest`` value in ``unit`` has one to three digits: ``(1e6, "µ")``."""
+    if unit not in PREFIXED or not (largest > 0 and math.isfinite(largest)):
+        return 1.0, ""
+    exponent = 3 * math.floor(math.log10(largest) / 3)
+    exponent = min(max(exponent, min(PREFIXES)), max(PREFIXES))
+    return 10.0**-exponent, PREFIXES[exponent]
+
+
+def quantity_text(value: float, unit: str, digits: int = 3, beside: float = 0.0) -> str:
+    """``0.31 mV``, in the unit that suits the larger of it and the value ``beside`` it."""
+    factor, prefix = choose_prefix(unit, max(abs(value), abs(beside)))
+    return f"{factor * value:.{digits}g} {prefix}{unit}".rstrip()
+
+
+def change_text(before: float, after: float, unit: str, digits: int = 3) -> str:
+    """``8.84 to 0.31 mV``: both in the unit that suits the larger one."""
+    factor, prefix = choose_prefix(unit, max(abs(before), abs(after)))
+    return f"{factor * before:.{digits}g} to {factor * after:.{digits}g} {prefix}{unit}".rstrip()
+
+
+# What templates are written with: sentences as data, lists, counts, capitals.
+
+# Beginnings of a sentence that may take a capital; a name of a signal or a parameter stays as it is.
+_WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
+
+
+def phrase(code: str, subject: str = "", **values: Any) -> Finding:
+    """A sentence as data: the code of its template and the values that go into it."""
+    return Finding(code, subject=subject, values=values)
+
+
+def count_noun(count: int, noun: str) -> str:
+    """``1 record``, ``2 records``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def join_names(names: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}" if names else ""
+
+
+def record_text(name: str) -> str:
+    """A record as a sentence names it: ``record steps``, and ``record 1`` for one that has only its number for a name."""
+    return name if name.startswith("record ") else f"record {name}"
+
+
+def capitalise(text: str) -> str:
+    """With a capital at its beginning, where that is a word and not a name."""
+    return text[:1].upper() + text[1:] if _WORD.match(text) else text
+
+
+def as_sentence(text: str) -> str:
+    """With a capital at its beginning, where that is a word, and a full stop at its end."""
+    text = capitalise(text.strip())
+    return text + ("" if text.endswith((".", "!", "?", ":")) or not text else ".")
+
+
+# Numbers and tables in plain text, for every renderer.
+
+
+def format_number(value: float, digits: int = 5) -> str:
+    """A number for people: ``digits`` significant digits, short."""
+    return f"{value:.{digits}g}"
+
+
+def format_with_std(value: float, std: float) -> str:
+    """``value +- std`` with two digits of the uncertainty: ``0.26910 +- 0.00034``."""
+    if not (std > 0 and math.isfinite(std)):
+        return format_number(value)
+    write = make_formatter(value, std)
+    return f"{write(value)} +- {write(std)}"
+
+
+def make_formatter(value: float, std: float) -> Callable[[float], str]:
+    """How to write numbers beside ``value +- std``, such as the ends of its interval: to two digits of the uncertainty."""
+    if not (std > 0 and math.isfinite(std)):
+        return format_number
+    exponent = math.floor(math.log10(std))
+    digits = max(1 - exponent, 0)
+    if not (abs(value) >= 1e6 or 0 < abs(value) < 1e-3 or digits > 8):
+        return lambda v: f"{v:.{digits}f}"
+
+    def scientific(v: float) -> str:
+        leading = math.floor(math.log10(max(abs(v), std))) if math.isfinite(v) else 0
+        return f"{v:.{min(max(leading - exponent + 1, 1), 9)}e}"
+
+    return scientific
+
+
+def format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, indented by two; each column as wide as it must be."""
+    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+    return [
+        "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
+    ]
+
+
+def join_words(words: Sequence[str]) -> str:
+    """``a``, ``a and b``, ``a, b and c``."""
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else "".join(words)
+
+
+def format_shares(shares: Mapping[str, float], digits: int = 2) -> str:
+    """``2 % of x, 0.5 % of i`` from shares of one."""
+    return ", ".join(f"{100 * share:.{digits}g} % of {name}" for name, share in shares.items())
+
+
+# What sentences leave out.
+
+
+@dataclass(frozen=True)
+class TextLimits:
+    """Up to where figures and formulas are written out."""
+
+    longest_formula: int = 80
+    """Characters of a formula that are worth showing in a sentence."""
+
+    most_percent: float = 99.0
+    """Nothing is said to be more certain than this."""
+
+    noise_reach: float = 5.0
+    """A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing."""
+
+    change_reach: float = 10.0
+    """A change whose 95 % interval reaches further than so many times the value is not determined: its figures say nothing."""
+
+
+TEXT_LIMITS = TextLimits()

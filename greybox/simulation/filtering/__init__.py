@@ -1,0 +1,1 @@
+"""Kalman filter, smoother and prediction for a model with process noise."""

@@ -1,0 +1,205 @@
+"""The discretisation that suits a model and its records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from greybox.base.errors import ModelError, nearest
+from greybox.model.system import System
+from greybox.simulation.integrators.exact_hold import exact_hold
+from greybox.simulation.integrators.implicit import midpoint, radau
+from greybox.simulation.integrators.input_delay import add_input_history, require_history
+from greybox.simulation.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
+from greybox.simulation.integrators.runge_kutta import compute_fastest_rate, find_fast_relaxing_states, mixed, rk4
+from greybox.simulation.integrators.step import InputHistory, Step
+
+# How many substeps: from the fastest eigenvalue as a first guess, and from the error measured by halving.
+
+
+def choose_substeps(
+    system: System,
+    p: np.ndarray,
+    x: np.ndarray,
+    longest: float,
+    *,
+    relaxing: Sequence[int] | None = None,
+    policy: DiscretisationPolicy = DEFAULT_POLICY,
+) -> int:
+    """Number of RK4 substeps for the longest sampling interval, from the fastest eigenvalue.
+
+    A model with a delayed input takes twice as many, for the two sides of the cut.
+
+    Parameters
+    ----------
+    system
+        The equations.
+    p, x
+        Parameters (np,) and the states (k, nx) at which the equations are linearised.
+    longest
+        The longest sampling interval in seconds.
+    relaxing
+        States whose own rate does not count, because their exponential is exact. None: those declared as relaxing.
+    policy
+        The largest ``|h lambda|`` of a substep, and the most substeps.
+    """
+    u = np.zeros(system.u.numel())
+    exact_states = list(system.relaxing if relaxing is None else relaxing)
+    fastest = max((compute_fastest_rate(system.jacobian(row, u, p).full(), exact_states) for row in x), default=0.0)
+    number = max(1, math.ceil(longest * fastest / policy.eigenvalue_step))
+    # With a delayed input either side of the cut takes half of them, and may be nearly the whole interval.
+    return min(2 * number if system.delays else number, policy.max_substeps)
+
+
+def refine_substeps(
+    target: float,
+    make: Callable[[int], Step],
+    first: int,
+    p: np.ndarray,
+    x0: np.ndarray,
+    inputs: np.ndarray,
+    length: float,
+    policy: DiscretisationPolicy = DEFAULT_POLICY,
+) -> Step:
+    """The step with the fewest of ``first``, ``2 first``, ``4 first``, ... substeps that is within the ``target``.
+
+    Its run over ``inputs`` (N, nu), held over intervals of ``length`` seconds, differs from that with half the substep by at most
+    ``target`` times the movement of each state (root-mean-square). A run that overflows is not within any target.
+    """
+    step = make(first)
+    path = run_step(step, p, x0, inputs, length, policy.error_rows)
+    while step.substeps < policy.max_substeps:
+        finer = make(2 * step.substeps)
+        finer_path = run_step(finer, p, x0, inputs, length, policy.error_rows)
+        if np.isfinite(finer_path).all() and np.all(
+            _rms(path - finer_path) <= target * _rms(finer_path - finer_path[0])
+        ):
+            return step
+        step, path = finer, finer_path
+    return step
+
+
+def run_step(
+    step: Step,
+    p: np.ndarray,
+    x0: np.ndarray,
+    inputs: np.ndarray,
+    length: float,
+    rows: int = DEFAULT_POLICY.error_rows,
+) -> np.ndarray:
+    """States (N, nx) at the first ``rows`` of ``inputs`` (., nu), held over intervals of ``length`` seconds, without a kernel."""
+    u = np.asarray(inputs, float)[:rows]
+    if step.past is not None:
+        u = add_input_history(u, np.array([length]), step.past, first_order=False)
+    q, _ = step.coefficients(p, np.array([length]), np.empty(0, int))
+    path = np.empty((len(u), len(x0)))
+    path[0] = x0
+    advance, share = step.advance.mapaccum(step.substeps), np.arange(step.substeps + 1) / step.substeps
+    common = np.repeat(q.T, step.substeps, axis=1), np.full((1, step.substeps), length / step.substeps)
+    for k in range(len(u) - 1):
+        # The flags of a delayed input run from row to row, everything else is held.
+        ends = u[k][:, None] + (u[k + 1] - u[k])[:, None] * (share if step.past is not None else 0 * share)
+        path[k + 1] = advance(path[k], ends[:, :-1], ends[:, 1:], *common).full()[:, -1]
+    return path
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore", invalid="ignore"):
+        return np.sqrt(np.mean(values**2, axis=0))
+
+
+EXPLICIT = {"rk4": rk4}
+"""Methods whose substeps are tied to the fastest eigenvalue: ``(system, substeps, past) -> Step``."""
+
+IMPLICIT = {"midpoint": midpoint, "radau": radau}
+"""Methods that take stiff modes in one step: ``(system, substeps, past, policy) -> Step``."""
+
+METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
+"""What may be asked for."""
+
+
+def discretise(
+    system: System,
+    p: np.ndarray,
+    x: np.ndarray,
+    lengths: np.ndarray,
+    *,
+    method: str = "automatic",
+    substeps: int = 0,
+    target: float = 0.0,
+    inputs: np.ndarray | None = None,
+    policy: DiscretisationPolicy = DEFAULT_POLICY,
+) -> Step:
+    """One discrete step of ``system`` for records with given interval lengths.
+
+    Parameters
+    ----------
+    system
+        The equations.
+    p, x
+        Parameters (np,) and states (k, nx) at which the fastest eigenvalue is taken.
+    lengths
+        The distinct interval lengths of the records, in seconds.
+    method
+        ``automatic`` takes the exact hold for a linear model (unless the time is so irregular that every interval has a length of its
+        own) and RK4 otherwise. ``exact``, ``rk4``, ``mixed`` (RK4 with exponentials of fast relaxing states), and for stiff nonlinear
+        models ``midpoint`` and ``radau``.
+    substeps
+        Substeps in each sampling interval. 0 ties them to the fastest eigenvalue; the implicit methods then take one.
+    target
+        With a positive target that number is only the first guess: it is doubled until a run over ``inputs`` (N, nu), from the first of
+        the states ``x``, changes by less than this share of its movement when the step is halved.
+    policy
+        How fine a step has to be, and what the methods can take.
+
+    Raises
+    ------
+    ModelError
+        For an unknown method, the exact hold of a nonlinear model, a target without inputs, or a delay that cannot be stepped.
+    """
+    if method not in METHODS:
+        raise ModelError(f"unknown discretisation {method!r}; {nearest(method, METHODS)}")
+    if target > 0 and (inputs is None or len(x) == 0):
+        raise ModelError(
+            f"the error target {target:g} needs inputs (N, nu) and a state to run from; give both, or substeps"
+        )
+    past = require_history(system, lengths, policy)
+    few_lengths = len(lengths) <= policy.max_interval_lengths
+    if method == "exact" or (method == "automatic" and system.linear and few_lengths):
+        return _make_exact(system, past)
+    longest = float(np.max(lengths, initial=0.0))
+    fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
+    first = substeps or (
+        1 if method in IMPLICIT else choose_substeps(system, p, x, longest, relaxing=fast, policy=policy)
+    )
+
+    def make(count: int) -> Step:
+        return _make_stepped(method, system, tuple(fast), count, past, policy)
+
+    if target <= 0 or inputs is None or substeps:
+        return make(first)
+    return refine_substeps(target, make, first, p, x[0], inputs, longest, policy)
+
+
+@lru_cache(maxsize=64)  # for the next fit of the same equations at other values
+def _make_exact(system: System, past: InputHistory | None) -> Step:
+    return exact_hold(system, past)
+
+
+@lru_cache(maxsize=64)
+def _make_stepped(
+    method: str,
+    system: System,
+    fast: tuple[int, ...],
+    substeps: int,
+    past: InputHistory | None,
+    policy: DiscretisationPolicy,
+) -> Step:
+    if method == "mixed":
+        return mixed(system, fast, substeps, past)
+    if method in IMPLICIT:
+        return IMPLICIT[method](system, substeps, past, policy)
+    return EXPLICIT.get(method, rk4)(system, substeps, past)

@@ -1,0 +1,109 @@
+"""Implicit steps for stiff models: the midpoint rule and Radau IIA with two stages.
+
+The stage equations are solved by a fixed number of Newton iterations with the Jacobian at the start of the step, written out as
+ordinary instructions, so that both kernels run them and differentiate them exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import casadi as ca
+
+from greybox.base.errors import ModelError
+from greybox.model.system import System
+from greybox.simulation.integrators.composition import make_step
+from greybox.simulation.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
+from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
+
+
+def midpoint(
+    system: System,
+    substeps: int = 1,
+    past: InputHistory | None = None,
+    policy: DiscretisationPolicy = DEFAULT_POLICY,
+) -> Step:
+    """``x+ = x + h f((x + x+) / 2)``: order 2, symplectic, stable for every decaying mode (A-stable), damps none of them.
+
+    A mode much faster than the step rings on without decay: take `radau` for those. Raises ModelError beyond the states that
+    ``policy`` allows.
+    """
+    return make_step("implicit midpoint", _require_few_states(system, policy), midpoint_step(policy), substeps, past)
+
+
+def radau(
+    system: System,
+    substeps: int = 1,
+    past: InputHistory | None = None,
+    policy: DiscretisationPolicy = DEFAULT_POLICY,
+) -> Step:
+    """Radau IIA with two stages: order 3, L-stable, modes much faster than the step die out at once.
+
+    Hairer, Wanner, Solving Ordinary Differential Equations II, table IV.5.5. Raises ModelError beyond the states that ``policy`` allows.
+    """
+    return make_step("Radau IIA", _require_few_states(system, policy), radau_step(policy), substeps, past)
+
+
+def midpoint_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMethod:
+    """The implicit midpoint rule for ``dx/dt = rate(x, u, p)``."""
+
+    def make_advance(rate: RateFunction) -> AdvanceFunction:
+        def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+            middle = (ua + ub) / 2
+            matrix = ca.SX.eye(x.numel()) - h / 2 * _jacobian(rate, x, middle, p)
+            z = ca.SX.zeros(x.numel())  # half the increment
+            solve = _make_solver(matrix)
+            for _ in range(policy.newton_iterations):
+                z = z + solve(h / 2 * rate(x + z, middle, p) - z)
+            return x + 2 * z
+
+        return advance
+
+    return make_advance
+
+
+def radau_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMethod:
+    """Radau IIA (two stages) for ``dx/dt = rate(x, u, p)``."""
+    (a11, a12), (a21, a22) = (5 / 12, -1 / 12), (3 / 4, 1 / 4)
+
+    def make_advance(rate: RateFunction) -> AdvanceFunction:
+        def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+            u1 = ua + (ub - ua) / 3
+            one = ca.SX.eye(x.numel())
+            j = h * _jacobian(rate, x, ua, p)
+            # (I - A x J) z = r by blocks: they are polynomials of J and commute, so one matrix of the size of the model is left.
+            solve = _make_solver(one - (a11 + a22) * j + (a11 * a22 - a12 * a21) * (j @ j))
+            z1 = z2 = ca.SX.zeros(x.numel())
+            for _ in range(policy.newton_iterations):
+                k1, k2 = h * rate(x + z1, u1, p), h * rate(x + z2, ub, p)
+                r1, r2 = a11 * k1 + a12 * k2 - z1, a21 * k1 + a22 * k2 - z2
+                z1 = z1 + solve(r1 - j @ (a22 * r1 - a12 * r2))
+                z2 = z2 + solve(r2 - j @ (a11 * r2 - a21 * r1))
+            return x + z2
+
+        return advance
+
+    return make_advance
+
+
+def _require_few_states(system: System, policy: DiscretisationPolicy) -> System:
+    states = system.x.numel()
+    if states > policy.max_implicit_states:
+        raise ModelError(
+            f"implicit methods take up to {policy.max_implicit_states} states, this model has {states}; use 'rk4' or 'mixed'"
+        )
+    return system
+
+
+def _jacobian(rate: RateFunction, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+    point = ca.SX.sym("point", x.numel())
+    return ca.densify(ca.substitute(ca.jacobian(rate(point, u, p), point), point, x))
+
+
+def _make_solver(matrix: ca.SX) -> Callable[[ca.SX], ca.SX]:
+    """``r -> matrix^-1 r``, written out (QR, which needs no exchange of rows); the factors are shared between calls by `casadi.cse`."""
+
+    def solve(r: ca.SX) -> ca.SX:
+        return ca.densify(ca.solve(matrix, r))
+
+    return solve

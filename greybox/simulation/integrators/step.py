@@ -1,0 +1,90 @@
+"""What every integrator hands over: one discrete step of a model, ready to be run over a record."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.errors import ModelError
+
+# CasADi functions called with numpy arrays in place.
+
+
+def call_function(function: ca.Function, *arguments: np.ndarray) -> list[np.ndarray]:
+    """Every output of ``function``, which must be dense, as an array (rows, columns).
+
+    The detour over CasADi's own matrices that an ordinary call makes costs many times a small function; this has a buffer of its
+    own for each call, hence for each thread.
+    """
+    buffer, evaluate = function.buffer()
+    columns = [np.asarray(a, dtype=np.float64).ravel(order="F") for a in arguments]
+    for i, array in enumerate(columns):
+        buffer.set_arg(i, array.data)
+    results = [np.empty((function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
+    for i, array in enumerate(results):
+        if array.size:
+            buffer.set_res(i, array.data)
+    evaluate()
+    return [array.T for array in results]
+
+
+# (p (np,), interval lengths (nh,), which parameters (na,)) -> coefficients q (nh, nq) and d q / d p[which] (nh, nq, na)
+CoefficientFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+RateFunction = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]  # (x, u, p) -> dx/dt
+AdvanceFunction = Callable[[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX], ca.SX]  # (x, ua, ub, p, h) -> x after h seconds
+IntegrationMethod = Callable[[RateFunction], AdvanceFunction]  # what one substep does with smooth equations
+
+
+class InputHistory(NamedTuple):
+    """The past inputs that a step reads: ``rows`` earlier rows of input number ``column``."""
+
+    column: int
+    rows: int
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One discrete step of a model: what every integrator makes and every kernel runs."""
+
+    name: str
+    """What the step is called, such as ``RK4``."""
+
+    advance: ca.Function
+    """``(x (nx,), ua (nu,), ub (nu,), q (nq,), h) -> x_next (nx,)``: a step of length ``h`` with the input moving from ``ua`` to ``ub``
+    (equal when the input is held)."""
+
+    outputs: ca.Function
+    """``(x, u (nu,), p (np,)) -> y (ny,)``."""
+
+    coefficients: CoefficientFunction
+    """``(p, h, which) -> (q, dq)``: what the step needs to know of the parameters, one row for each interval length in ``h``, and its
+    slope along the parameters numbered ``which``. RK4 takes the parameters themselves, one row for every length; the exact hold takes
+    the entries of the discrete matrices of each length."""
+
+    substeps: int = 1
+    """How many such steps make a sampling interval."""
+
+    per_interval: bool = False
+    """Whether the coefficients depend on the interval length."""
+
+    past: InputHistory | None = None
+    """What of the past a delayed input needs; then ``ua``, ``ub`` and ``u`` are rows of
+    `greybox.simulation.integrators.input_delay.add_input_history`, which `Record.read_by` makes."""
+
+    generator: ca.Function | None = None
+    """Of an exact hold ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second, whose exponential has the coefficients as entries, column
+    by column as `exact_hold` states them; a kernel may then compute them itself."""
+
+    def __post_init__(self) -> None:
+        if self.past is not None and not self.per_interval and self.substeps < 2:
+            raise ModelError("a delayed input cuts the interval in two; give at least 2 substeps")
+
+    @property
+    def label(self) -> str:
+        """Name with the substeps: ``RK4, 4 substeps a sample``."""
+        return self.name if self.substeps == 1 else f"{self.name}, {self.substeps} substeps a sample"

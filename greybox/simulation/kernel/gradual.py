@@ -1,0 +1,230 @@
+"""A kernel that never waits for the compiler: the tape machine runs a structure until it has earned a library of its own.
+
+A search looks at some fifty structures, and most of them for a few passes: those are over before a compiler would be done. Machine and
+libraries give the same bits, so it does not matter to a result when one takes over from the other.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Collection
+from enum import Enum
+from typing import Any, NamedTuple
+
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.c_compiler import CompilerError, find_library, load_library
+from greybox.simulation.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
+from greybox.simulation.kernel.llvm_routine import has_llvm
+from greybox.simulation.kernel.policy import GRADUAL_POLICY, GradualPolicy
+from greybox.simulation.kernel.tape_machine import TapeMachine, block_width, load_machine
+
+_compiler_is_busy = threading.Lock()
+
+
+class CompilerOrder:
+    """What a compiler has made already, or makes in the background once it was earned.
+
+    Parameters
+    ----------
+    result
+        What is there: a library, or a machine whose routines are translated.
+    """
+
+    def __init__(self, result: Any = None) -> None:
+        self.result = result
+        self.error: CompilerError | None = None
+        self.seconds = 0.0
+        """What was spent on its work without it."""
+        self._is_placed = False
+
+    def place(self, prepare: Callable[[], Callable[[], Any]]) -> None:
+        """Let another thread run what ``prepare`` gives, unless one is at work already: then the next pass asks again."""
+        if self._is_placed or not _compiler_is_busy.acquire(blocking=False):
+            return
+        self._is_placed = True
+        threading.Thread(target=self._run, args=(prepare(),), daemon=True).start()
+
+    def _run(self, make: Callable[[], Any]) -> None:
+        try:
+            self.result = make()
+        except CompilerError as error:
+            self.error = error
+        except RuntimeError as error:  # what llvmlite raises
+            self.error = CompilerError(f"LLVM cannot translate the equations: {error}")
+        finally:
+            _compiler_is_busy.release()
+
+
+class CompilerKind(Enum):
+    """How code is made, by rising effort."""
+
+    TRANSLATED = "by LLVM, for the loops of the machine"
+    QUICK = "by the C compiler with few optimisations"
+    FULL = "by the C compiler with all of them"
+
+
+_orders: dict[tuple[str, CompilerKind], CompilerOrder] = {}
+"""The orders of this process, the ones that were used last at the end."""
+
+
+def _find_order(key: str, kind: CompilerKind, policy: GradualPolicy) -> CompilerOrder:
+    """The order of this process for what ``key`` says."""
+    name = hashlib.sha256(key.encode(errors="backslashreplace")).hexdigest(), kind
+    is_library = kind is not CompilerKind.TRANSLATED
+    order = _orders.pop(name, None) or CompilerOrder(
+        find_library(key, kind is CompilerKind.QUICK) if is_library else None
+    )
+    _orders[name] = order
+    if not is_library:  # a library stays loaded until the process ends, whoever has forgotten it
+        _forget_translated(policy.most_translated)
+    return order
+
+
+def _forget_translated(most: int) -> None:
+    """Forget translated routines beyond ``most``, those that were used longest ago first; a kernel that works with one keeps it."""
+    translated = [
+        name
+        for name, order in list(_orders.items())  # in one piece: other threads add to it
+        if name[1] is CompilerKind.TRANSLATED and order.result is not None
+    ]
+    for name in translated[: len(translated) - most]:
+        _orders.pop(name, None)
+
+
+class _Course(NamedTuple):
+    """How one shape comes to its library."""
+
+    machine: TapeMachine
+    by_machine: KernelFunctions
+    kind: CompilerKind
+    """What the machine works for."""
+
+    order: CompilerOrder
+    full: CompilerOrder
+    """What comes after that; the same where nothing does."""
+
+
+class GradualKernel(CompiledKernel):
+    """The tape machine, and compiled C from where that pays; see `greybox.simulation.kernel.interface.Kernel` for the arguments.
+
+    Parameters
+    ----------
+    step
+        The discrete step to run over records.
+    free
+        As in `greybox.simulation.kernel.make_kernel.make_kernel`.
+    on_failure
+        Called with what went wrong where a library cannot be compiled; the machine then stays.
+    policy
+        When a structure has earned its libraries.
+
+    Raises
+    ------
+    CompilerError
+        If the machine itself cannot be compiled.
+    UnsupportedOperationError
+        For an operation that C does not have.
+    """
+
+    def __init__(
+        self,
+        step: Step,
+        free: Collection[int] | None,
+        on_failure: Callable[[CompilerError], None],
+        policy: GradualPolicy = GRADUAL_POLICY,
+    ) -> None:
+        super().__init__(step, free)
+        self._on_failure, self._policy = on_failure, policy
+        self._courses: dict[LibraryShape, _Course] = {}
+        load_machine()
+        self.refuse_unsupported()
+
+    def _forget_functions(self) -> None:
+        super()._forget_functions()
+        self._courses = {}
+
+    def _get_functions(self, shape: LibraryShape) -> KernelFunctions:
+        if shape in self._functions:
+            return self._functions[shape]
+        course = self._find_course(shape)
+        if course.full.result is not None:
+            self._functions[shape] = self._declare(course.full.result, shape)
+            return self._functions[shape]
+        if course.order.result is not None:
+            return self._run_quick(shape, course)
+        return self._run_by_machine(shape, course)
+
+    def _run_quick(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
+        """What was made with little effort; what it takes counts towards the full library."""
+        if course.full.seconds > self._policy.full_seconds:
+            self._place(course.full, CompilerKind.FULL, shape)
+        result = course.order.result
+        if isinstance(result, TapeMachine):
+            return _count_seconds(self._declare_machine(result, shape), course.full, (result.address,))
+        return _count_seconds(self._declare(result, shape), course.full)
+
+    def _run_by_machine(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
+        """The functions of the machine; what they take counts towards compiled code."""
+        order, policy = course.order, self._policy
+        if order.error is not None:
+            error, order.error = order.error, None
+            self._on_failure(error)
+        is_translated = course.kind is CompilerKind.TRANSLATED
+        if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
+            self._place(order, course.kind, shape)
+        if course.machine.scratch_bytes > policy.largest_scratch_bytes:
+            return self._load(shape)
+        functions = _count_seconds(course.by_machine, order, (course.machine.address,))
+
+        def sums(rows: int, *arguments: Any) -> int:
+            if rows * self.step.substeps * course.machine.instructions > policy.most_instructions:
+                self._functions[shape] = self._load(shape)
+                return self._functions[shape].sums(rows, *arguments)
+            return functions.sums(rows, *arguments)
+
+        return functions._replace(sums=sums)
+
+    def _place(self, order: CompilerOrder, kind: CompilerKind, shape: LibraryShape) -> None:
+        def prepare() -> Callable[[], Any]:
+            if kind is CompilerKind.TRANSLATED:
+                tapes = self.read_tapes(shape)
+                return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
+            text, key = self.source(shape), self._key(shape)
+            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK)
+
+        order.place(prepare)
+
+    def _find_course(self, shape: LibraryShape) -> _Course:
+        if shape not in self._courses:
+            machine, key = TapeMachine(self._machine_sizes(shape), self.read_tapes(shape)), self._key(shape)
+            # The exact hold is a few lines in a loop: it wants the loop well compiled, and that takes no longer.
+            few = CompilerKind.FULL if self.step.per_interval else CompilerKind.QUICK
+            kind = CompilerKind.TRANSLATED if has_llvm() else few
+            order, full = (_find_order(key, each, self._policy) for each in (kind, CompilerKind.FULL))
+            self._courses[shape] = _Course(machine, self._declare_machine(machine, shape), kind, order, full)
+        return self._courses[shape]
+
+    def _machine_sizes(self, shape: LibraryShape) -> dict[str, int]:
+        blocks = shape.blocks * shape.width // block_width()
+        return {"nx": self.sizes.nx, "nu": self.sizes.nu, "nq": self.sizes.nq, "ny": self.sizes.ny, "nb": blocks}
+
+    def _declare_machine(self, machine: TapeMachine, shape: LibraryShape) -> KernelFunctions:
+        return self._declare(machine.library, shape, (ctypes.c_void_p,))
+
+
+def _count_seconds(functions: KernelFunctions, order: CompilerOrder, leading: tuple[int, ...] = ()) -> KernelFunctions:
+    """``functions`` with the arguments ``leading`` in front, whose seconds count towards ``order``."""
+
+    def count(function: Any) -> Any:
+        def run(*arguments: Any) -> Any:
+            began = time.perf_counter()
+            result = function(*leading, *arguments)
+            order.seconds += time.perf_counter() - began
+            return result
+
+        return run
+
+    return KernelFunctions(*(None if f is None else count(f) for f in functions))

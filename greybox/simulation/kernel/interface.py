@@ -1,0 +1,212 @@
+"""What a kernel is: all samples of one experiment, with sensitivities, in one call."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.record import Record
+
+
+@dataclass(frozen=True, eq=False)
+class GaussNewtonSums:
+    """What a Gauss-Newton step needs of one experiment, along L directions.
+
+    The residuals are ``r = (measured - y) * weight`` over the samples that were measured, and ``J = dr / d direction``.
+    """
+
+    cost: float
+    """``r'r``."""
+
+    gradient: np.ndarray
+    """``J'r`` (L,), so that ``d cost / d direction = 2 J'r``."""
+
+    gauss_newton: np.ndarray
+    """``J'J`` (L, L)."""
+
+    squares: np.ndarray
+    """The squared residuals of each output (ny,), which add up to ``cost``."""
+
+    counts: np.ndarray
+    """How many samples of each output were used (ny,)."""
+
+    failed_at: int | None = None
+    """The first sample with a state or output that is not finite; then ``cost`` is infinite and the rest zero. The number of samples where
+    the simulation went through and only a sensitivity did not."""
+
+
+class Kernel(Protocol):
+    """Runs one `Step` over a `Record`.
+
+    Arguments: coefficients ``q`` (rows, nq), one row for each entry of ``record.lengths`` or one row for all;
+    parameters ``p`` (np,) of the output equations; first state ``x0`` (nx,). Their derivatives along L directions:
+    ``dq`` (rows, nq, L), ``dp`` (np, L), ``dx0`` (nx, L). ``weight`` (ny,) is one over the noise of each output;
+    samples that are NaN in ``record.y`` are left out.
+    """
+
+    @property
+    def name(self) -> str:
+        """``compiled`` or ``interpreted``."""
+
+    @property
+    def description(self) -> str:
+        """What it is, for people."""
+
+    @property
+    def reason(self) -> str:
+        """Why it is the one."""
+
+    def with_substeps(self, substeps: int) -> Kernel:
+        """The same step with another number of substeps in an interval; nothing is compiled anew."""
+
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+
+    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
+
+    def sums(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+        rows: int | None = None,
+    ) -> GaussNewtonSums:
+        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
+
+    def residuals(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
+
+
+def check_sums(
+    squares: np.ndarray,
+    counts: np.ndarray,
+    gradient: np.ndarray,
+    gauss_newton: np.ndarray,
+    failed_at: int | None,
+    samples: int,
+) -> GaussNewtonSums:
+    """The sums, or an infinite cost where anything was not finite."""
+    # Numbers of Python overflow without a warning, and so few are summed up sooner than an array is.
+    cost, size = float(sum(squares.tolist())), float(sum(gauss_newton.diagonal().tolist()))
+    # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
+    if failed_at is None and not math.isfinite(2 * (cost + size)):  # both are doubled later
+        failed_at = samples
+    if failed_at is not None:
+        zero = np.zeros_like
+        return GaussNewtonSums(np.inf, zero(gradient), zero(gauss_newton), zero(squares), zero(counts), failed_at)
+    return GaussNewtonSums(cost, gradient, gauss_newton, squares, counts)
+
+
+# The arrays of a kernel call, checked: compiled code reads them without asking again.
+
+
+@dataclass(frozen=True)
+class StepSizes:
+    """How many states, inputs, coefficients, parameters and outputs a step has."""
+
+    nx: int
+    nu: int
+    nq: int
+    np: int
+    ny: int
+
+    @staticmethod
+    def of(step: Step) -> StepSizes:
+        """The sizes of ``step``."""
+        advance, outputs = step.advance, step.outputs
+        return StepSizes(
+            advance.size1_in(0), advance.size1_in(1), advance.size1_in(3), outputs.size1_in(2), outputs.size1_out(0)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class KernelArguments:
+    """A checked call; see `greybox.simulation.kernel.interface.Kernel`. ``row`` is None where one row of ``q`` serves every
+    interval."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    p: np.ndarray
+    dp: np.ndarray
+    x0: np.ndarray
+    dx0: np.ndarray
+    weight: np.ndarray
+    row: np.ndarray | None
+
+    @property
+    def directions(self) -> int:
+        """Number of directions L."""
+        return self.dx0.shape[1]
+
+
+def check_arguments(
+    sizes: StepSizes,
+    record: Record,
+    q: np.ndarray,
+    p: np.ndarray,
+    x0: np.ndarray,
+    *,
+    dq: np.ndarray | None = None,
+    dp: np.ndarray | None = None,
+    dx0: np.ndarray | None = None,
+    weight: np.ndarray | None = None,
+) -> KernelArguments:
+    """The arguments as contiguous float64 arrays of the right shapes; None means no directions, weight one. Raises
+    DataError."""
+    directions = 0 if dx0 is None else np.shape(dx0)[-1]
+    rows = len(q)
+    if rows not in (1, len(record.lengths)):
+        raise DataError(
+            f"kernel: q has {rows} rows for {len(record.lengths)} interval lengths;"
+            " give one row for each length, or one for all"
+        )
+    if record.u.shape[1] != sizes.nu or record.y.shape[1] != sizes.ny:
+        raise DataError(
+            f"kernel: the record has {record.u.shape[1]} inputs and {record.y.shape[1]} outputs,"
+            f" the step {sizes.nu} and {sizes.ny}; build the record from the same model"
+        )
+    return KernelArguments(
+        q=_array("q", q, (rows, sizes.nq)),
+        dq=_array("dq", dq, (rows, sizes.nq, directions)),
+        p=_array("p", p, (sizes.np,)),
+        dp=_array("dp", dp, (sizes.np, directions)),
+        x0=_array("x0", x0, (sizes.nx,)),
+        dx0=_array("dx0", dx0, (sizes.nx, directions)),
+        weight=_array("weight", np.ones(sizes.ny) if weight is None else weight, (sizes.ny,)),
+        row=None if rows == 1 else record.row,
+    )
+
+
+def chain_coefficients(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (rows, nq) of ``step`` at the parameters ``p`` (np,) and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+    which = np.flatnonzero(dp.any(axis=1))
+    q, along = step.coefficients(p, lengths, which)
+    return q, along @ dp[which]
+
+
+def _array(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.ascontiguousarray(np.zeros(shape) if values is None else values, dtype=np.float64)
+    if array.shape != shape:
+        raise DataError(f"kernel: {name} has shape {array.shape}, the step needs {shape}")
+    return array

@@ -1,0 +1,276 @@
+"""The kernel without a compiler: CasADi's virtual machine runs the same instructions, some hundred samples at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.numerics import NUMBERS_AT_A_TIME
+from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.interface import (
+    GaussNewtonSums,
+    KernelArguments,
+    StepSizes,
+    chain_coefficients,
+    check_arguments,
+    check_sums,
+)
+from greybox.simulation.kernel.record import Record
+from greybox.simulation.kernel.tape import Tape, read_tape, simplify_tape
+
+
+class RecordChunk(NamedTuple):
+    """Samples ``start : start + len(y)``: states, outputs and their tangents (samples, ny, L)."""
+
+    start: int
+    x: np.ndarray
+    y: np.ndarray
+    dy: np.ndarray
+
+
+class InterpretedKernel:
+    """Runs a step in CasADi's virtual machine; see `greybox.simulation.kernel.interface.Kernel` for the arguments.
+
+    A pass takes 10 to 100 times as long as compiled: the more, the less the equations call functions such as ``tanh``.
+    """
+
+    name = "interpreted"
+    chunk_sizes = (1000, 100)
+    """Samples in one call of the virtual machine, of a long record and of its rest, but for wide models fewer: memory does not grow
+    beyond one chunk."""
+
+    def __init__(self, step: Step, reason: str = "asked for") -> None:
+        self.step = step
+        self.reason = reason
+        self.description = f"CasADi virtual machine, {step.label} (no compiled code: {reason})"
+        self.sizes = StepSizes.of(step)
+        self._mapped_samples: dict[tuple, ca.Function] = {}
+
+    @cached_property
+    def _tapes(self) -> tuple[Tape, Tape]:
+        return simplify_tape(read_tape(self.step.advance, active=(0, 3))), simplify_tape(
+            read_tape(self.step.outputs, active=(0, 2))
+        )
+
+    def with_substeps(self, substeps: int) -> InterpretedKernel:
+        """The same step with another number of substeps in an interval."""
+        return InterpretedKernel(replace(self.step, substeps=substeps), self.reason)
+
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+        return chain_coefficients(self.step, record.lengths, p, dp)
+
+    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
+        arguments = check_arguments(self.sizes, record, q, p, x0)
+        chunks = list(self._chunks(record, len(record.y), arguments))
+        return np.concatenate([chunk.y for chunk in chunks]), np.concatenate([chunk.x for chunk in chunks])
+
+    def sums(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+        rows: int | None = None,
+    ) -> GaussNewtonSums:
+        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        sample_count, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
+        squares, counts = np.zeros(self.sizes.ny), np.zeros(self.sizes.ny)
+        gradient, matrix = np.zeros(directions), np.zeros((directions, directions))
+        failed_at = None
+        with np.errstate(all="ignore"):  # what is not finite is found and reported
+            for chunk in self._chunks(record, sample_count, arguments):
+                failed_at = _first_failure(chunk)
+                if failed_at is not None:
+                    break
+                r, jacobian = _residuals(record, chunk, arguments.weight)
+                is_measured = np.isfinite(r)
+                squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
+                counts += is_measured.sum(axis=0)
+                gradient += jacobian[is_measured].T @ r[is_measured]
+                matrix += jacobian[is_measured].T @ jacobian[is_measured]
+        return check_sums(squares, counts, gradient, matrix, failed_at, sample_count)
+
+    def residuals(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        r = np.full(record.y.shape, np.nan)
+        jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
+        with np.errstate(all="ignore"):  # what is not finite is left NaN
+            for chunk in self._chunks(record, len(record.y), arguments):
+                failed_at = _first_failure(chunk)
+                rows = slice(chunk.start, chunk.start + len(chunk.y) if failed_at is None else failed_at)
+                size = rows.stop - rows.start
+                r[rows], chunk_jacobian = (values[:size] for values in _residuals(record, chunk, arguments.weight))
+                jacobian[rows] = np.where(np.isnan(r[rows])[:, :, None], np.nan, chunk_jacobian)
+                if failed_at is not None:
+                    break
+        return r, jacobian
+
+    def _chunks(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordChunk]:
+        """The record in chunks, each started where the one before ended."""
+        sizes, directions = self.sizes, arguments.directions
+        used_dq, used_dp = (arguments.dq != 0).any(axis=0), arguments.dp != 0
+        state = np.concatenate([arguments.x0, arguments.dx0.ravel()])
+        widest = (sizes.nx + sizes.ny + sizes.nq + sizes.np) * (1 + directions)
+        most = max(1, NUMBERS_AT_A_TIME // max(widest, 1))
+        start = 0
+        while start < n:
+            size = min(self.chunk_sizes[0] if n - start >= self.chunk_sizes[0] else self.chunk_sizes[1], most)
+            count = min(size, n - start)
+            samples = np.minimum(np.arange(start, start + size), n - 1)
+            after = np.minimum(samples + 1, len(record.u) - 1)
+            intervals = np.minimum(samples, max(len(record.h) - 1, 0))
+            h = np.zeros(size) if not len(record.h) else record.h[intervals] / self.step.substeps
+            row = (
+                np.zeros(size, np.int32)
+                if arguments.row is None or not len(arguments.row)
+                else arguments.row[intervals]
+            )
+            columns = [
+                state,
+                record.u[samples],
+                record.u[after],
+                h,
+                arguments.q[row],
+                arguments.dq[row].reshape(size, -1),
+                np.broadcast_to(arguments.p, (size, sizes.np)),
+                np.broadcast_to(arguments.dp.ravel(), (size, sizes.np * directions)),
+            ]
+            states, y, dy = (
+                np.empty((size, len(state))),
+                np.empty((size, sizes.ny)),
+                np.empty((size, sizes.ny * directions)),
+            )
+            _call_in_place(self._mapped_sample(used_dq, used_dp, record.first_order, size), columns, [states, y, dy])
+            x = np.vstack([state[: sizes.nx], states[: count - 1, : sizes.nx]])
+            yield RecordChunk(start, x, y[:count], dy[:count].reshape(count, sizes.ny, directions))
+            state = states[-1].copy()
+            start += count
+
+    def _mapped_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, first_order: bool, size: int) -> ca.Function:
+        """``size`` samples: (z, u, u after, h, q, dq, p, dp) -> (z after, y, dy) with ``z`` the state and its tangents.
+
+        Entries of ``dq`` and ``dp`` that are zero throughout (most are: a coefficient depends on few parameters) are
+        left out.
+        """
+        key = (used_dq.shape, used_dq.tobytes(), used_dp.tobytes(), first_order, size)
+        if key not in self._mapped_samples:
+            self._mapped_samples[key] = self._build_sample(used_dq, used_dp, first_order).mapaccum(size)
+        return self._mapped_samples[key]
+
+    def _build_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, first_order: bool) -> ca.Function:
+        """One sample and the interval after it."""
+        sizes, substeps, directions = self.sizes, self.step.substeps, used_dq.shape[1]
+        shapes = {
+            "x": sizes.nx,
+            "dx": sizes.nx * directions,
+            "u": sizes.nu,
+            "after": sizes.nu,
+            "h": 1,
+            "q": sizes.nq,
+            "dq": sizes.nq * directions,
+        }
+        symbols = {
+            name: ca.SX.sym(name, size)
+            for name, size in (shapes | {"p": sizes.np, "dp": sizes.np * directions}).items()
+        }
+        x, dx = symbols["x"], _rows(symbols["dx"], sizes.nx, directions)
+        dq = _rows(symbols["dq"] * ca.DM(used_dq.ravel().astype(float)), sizes.nq, directions)
+        dp = _rows(symbols["dp"] * ca.DM(used_dp.ravel().astype(float)), sizes.np, directions)
+        advance, outputs = self._tapes
+        y, dy = evaluate_tape(outputs, [x, symbols["u"], symbols["p"]], {0: dx, 2: dp}, directions)
+        for j in range(substeps):
+            ends = [
+                symbols["u"] + (symbols["after"] - symbols["u"]) * (i / substeps) if first_order else symbols["u"]
+                for i in (j, j + 1)
+            ]
+            x, dx = evaluate_tape(advance, [x, *ends, symbols["q"], symbols["h"]], {0: dx, 3: dq}, directions)
+        initial = ca.vertcat(symbols["x"], symbols["dx"])
+        names = ("u", "after", "h", "q", "dq", "p", "dp")
+        results = [ca.vertcat(x, ca.vec(dx.T)), y, ca.vec(dy.T)]
+        return ca.Function("sample", [initial, *(symbols[name] for name in names)], results)
+
+
+def evaluate_tape(tape: Tape, inputs: Sequence[ca.SX], seeds: dict[int, ca.SX], directions: int) -> tuple[ca.SX, ca.SX]:
+    """The first output of a tape and its tangents (rows, ``directions``) as expressions, ``seeds`` being the tangents of its inputs."""
+    nodes: dict[int, ca.SX] = {}
+    rows: dict[int, ca.SX] = {}
+    zero = ca.SX.zeros(1, directions)
+    for kind, k in tape.order:
+        if kind == "node":
+            node = tape.nodes[k]
+            if node.op == ca.OP_CONST:
+                nodes[k] = ca.SX(node.number)
+            elif node.op == ca.OP_INPUT:
+                nodes[k] = inputs[node.args[0]][node.args[1]]
+            else:
+                args = [nodes[a] for a in node.args]
+                nodes[k] = ca.SX.unary(node.op, *args) if len(args) == 1 else ca.SX.binary(node.op, *args)
+        elif directions:
+            tangent = tape.tangents[k]
+            if tangent.source is not None:
+                rows[k] = seeds[tangent.source[0]][tangent.source[1], :]
+            elif tangent.condition is not None:
+                sides = [zero if side is None else rows[side] for _, side in tangent.terms]
+                rows[k] = ca.if_else(nodes[tangent.condition], *sides)
+            else:
+                signs = tangent.signs or (1.0,) * len(tangent.terms)
+                rows[k] = zero
+                for sign, (coefficient, side) in zip(signs, tangent.terms, strict=True):
+                    term = rows[side] if coefficient is None else nodes[coefficient] * rows[side]  # type: ignore[index]
+                    rows[k] = rows[k] + term if sign > 0 else rows[k] - term
+    values = ca.vertcat(*[nodes[node] for node, _ in tape.outputs[0]])
+    slopes = ca.vertcat(*[zero if k is None or not directions else rows[k] for _, k in tape.outputs[0]])
+    return values, slopes
+
+
+def _rows(column: ca.SX, rows: int, directions: int) -> ca.SX:
+    """A column (rows * directions) in numpy's order as (rows, directions)."""
+    return ca.reshape(column, directions, rows).T
+
+
+def _call_in_place(function: ca.Function, arguments: Sequence[np.ndarray], results: Sequence[np.ndarray]) -> None:
+    """Run on arrays in place, each (samples, size): column by column for CasADi. A buffer of its own for each call and
+    thread."""
+    buffer, evaluate = function.buffer()
+    contiguous = [np.ascontiguousarray(a, dtype=np.float64) for a in arguments]
+    for i, array in enumerate(contiguous):
+        if array.size:
+            buffer.set_arg(i, array.data)
+    for i, array in enumerate(results):
+        if array.size:
+            buffer.set_res(i, array.data)
+    evaluate()
+
+
+def _residuals(record: Record, chunk: RecordChunk, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    measured = record.y[chunk.start : chunk.start + len(chunk.y)]
+    return (measured - chunk.y) * weight, -weight[:, None] * chunk.dy
+
+
+def _first_failure(chunk: RecordChunk) -> int | None:
+    """The first sample with a state or output that is not finite."""
+    is_bad = ~(np.isfinite(chunk.x).all(axis=1) & np.isfinite(chunk.y).all(axis=1))
+    return chunk.start + int(np.argmax(is_bad)) if is_bad.any() else None

@@ -1,0 +1,92 @@
+"""One experiment as plain arrays, in the order of the model's inputs and outputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from greybox.base.errors import DataError
+from greybox.simulation.integrators.input_delay import add_input_history
+from greybox.simulation.integrators.step import Step
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One experiment as plain arrays: float64 (``row`` int32), C-contiguous.
+
+    Raises
+    ------
+    DataError
+        If the lengths of the arrays disagree: the kernels read them without asking again.
+    """
+
+    u: np.ndarray
+    """Inputs (N, nu)."""
+
+    y: np.ndarray
+    """Outputs (N, ny), NaN where nothing was measured."""
+
+    h: np.ndarray
+    """Interval lengths (N-1,) in seconds."""
+
+    row: np.ndarray
+    """Which row of the step's coefficients belongs to each interval (N-1,)."""
+
+    lengths: np.ndarray
+    """The distinct interval lengths that those rows stand for (nh,)."""
+
+    first_order: bool = False
+    """Whether the input is linear between samples, else held."""
+
+    rows_per_sample: int = 1
+    """How many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``."""
+
+    def __post_init__(self) -> None:
+        for name in ("u", "y", "h", "row", "lengths"):
+            kind = np.int32 if name == "row" else np.float64
+            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=kind))
+        shapes = f"u {self.u.shape}, y {self.y.shape}, h {self.h.shape}, row {self.row.shape}"
+        if self.u.ndim != 2 or self.y.ndim != 2 or len(self.u) != len(self.y) or len(self.y) < 1:
+            raise DataError(f"record: {shapes}; u and y need one row for each sample, at least one")
+        if self.h.shape != (len(self.y) - 1,) or self.row.shape != self.h.shape:
+            raise DataError(
+                f"record: {shapes}; h and row need one entry for each interval, that is one less than samples"
+            )
+        if len(self.row) and (self.row.min() < 0 or self.row.max() >= len(self.lengths)):
+            raise DataError(
+                f"record: row runs from {self.row.min()} to {self.row.max()},"
+                f" but there are {len(self.lengths)} interval lengths"
+            )
+
+    @cached_property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return float(self.h.sum())
+
+    @cached_property
+    def period(self) -> float:
+        """Usual length of an interval in seconds; zero where there is none."""
+        if not len(self.h):
+            return 0.0
+        return float(self.h[0] if len(self.lengths) == 1 else np.median(self.h))
+
+    def first(self, rows: int) -> Record:
+        """The beginning of the record."""
+        return replace(self, u=self.u[:rows], y=self.y[:rows], h=self.h[: rows - 1], row=self.row[: rows - 1])
+
+    def samples(self, values: np.ndarray) -> np.ndarray:
+        """Of an array with one entry for each row (N, ...) the entries that are samples."""
+        return values[:: self.rows_per_sample]
+
+    def read_by(self, step: Step) -> Record:
+        """The record as ``step`` reads it: one row of coefficients where one is enough, the past of a delayed input beside the inputs.
+
+        Raises DataError for a delayed input and intervals of different lengths.
+        """
+        record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
+        if step.past is None:
+            return record
+        u = add_input_history(self.u, self.lengths, step.past, self.first_order)
+        return replace(record, u=u, first_order=True)

@@ -1,0 +1,137 @@
+"""Experiments as plain arrays in the order of a model's inputs and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from greybox.base.errors import DataError, nearest
+from greybox.base.numerics import TIME_ROUNDING
+from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
+from greybox.estimation.transcription.policy import DEFAULT_POLICY, BandLimitedPolicy
+from greybox.model.model import Model
+from greybox.simulation.kernel.record import Record
+
+
+def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """One or several measured experiments as a tuple, each with a name.
+
+    Raises DataError for none, for what is no experiment (the path of a file), for one without a measured output, and for one with a
+    long gap in time.
+    """
+    result = (experiments,) if isinstance(experiments, Experiment | str | Path) else tuple(experiments)
+    if not result:
+        raise DataError("no experiment to fit; give at least one")
+    for item in result:
+        if not isinstance(item, Experiment):
+            raise DataError(
+                f"{item!r} is not an experiment; read a file with read_csv(path, model), or give Experiment.from_arrays(...)"
+            )
+        if not item.outputs:
+            raise DataError(f"experiment {item.name!r} has no measured output; there is nothing to compare with")
+    refuse_unknown_input(result)
+    return number_unnamed_records(result)
+
+
+def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited) -> Record:
+    """An experiment as the kernels read it, its columns in the order of the model's inputs and outputs.
+
+    An output that was not measured is a column of NaN. An effect of the model may say what the input does between samples; else the
+    experiment does. A band-limited input becomes a finer one that is linear between rows (`Record.rows_per_sample`), with NaN in the
+    outputs of the rows that were put between.
+
+    Raises
+    ------
+    DataError
+        Where an input of the model is missing, where outputs were measured but none of the model's, and for a band-limited input
+        that was not sampled uniformly.
+    """
+    missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
+    if missing:
+        raise DataError(
+            f"experiment {experiment.name!r} has no input {missing[0]!r}; {nearest(missing[0], experiment.inputs)}"
+        )
+    names = [o.name for o in model.outputs]
+    if experiment.outputs and not any(name in experiment.outputs for name in names):
+        has = ", ".join(map(repr, experiment.outputs))
+        raise DataError(
+            f"experiment {experiment.name!r} has none of the outputs of model {model.title!r}: it has {has};"
+            f" {nearest(next(iter(experiment.outputs)), names)}"
+        )
+    rows = experiment.rows
+    u = stack_signals([experiment.inputs[i.name] for i in model.inputs], rows)
+    measured = (experiment.outputs.get(name) for name in names)
+    y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
+    hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
+    if hold == "band-limited":
+        return _to_finer_record(experiment, u, y, policy)
+    lengths, row = _group_intervals(experiment.intervals)
+    return Record(u, y, lengths[row], row, lengths, hold == "first")
+
+
+def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, policy: BandLimitedPolicy) -> Record:
+    if experiment.sampling_time is None:
+        raise DataError(
+            f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
+        )
+    points = policy.points
+    rows = points * (len(y) - 1) + 1
+    measured = np.full((rows, y.shape[1]), np.nan)
+    measured[::points] = y
+    length = np.array([experiment.sampling_time / points])
+    interpolated = interpolate_band_limited(u, points, policy)
+    h = np.full(rows - 1, length[0])
+    return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
+
+
+def interpolate_band_limited(
+    u: np.ndarray, points: int, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited
+) -> np.ndarray:
+    """A band-limited signal (N, n) at ``points`` points in each interval: ``(points (N - 1) + 1, n)``.
+
+    A windowed sinc, flat up to 0.45 of the sampling rate (0.01 %); towards its ends the record is continued as its mirror image
+    about the end point. Straight lines through points of a signal lose ``(w h)^2 / 12`` of it at the frequency ``w`` and spacing ``h``;
+    that much is given back, so that the lines, and not the points, carry the signal's own spectrum.
+    """
+    if len(u) < 2 or u.shape[1] == 0:
+        return np.zeros((points * (len(u) - 1) + 1, u.shape[1])) + u[:1]
+    margin = min(policy.half_length, len(u) - 1)
+    ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
+    half = policy.half_length * points
+    taps = np.sinc(np.arange(-half, half + 1) / points) * np.kaiser(2 * half + 1, policy.kaiser_beta)
+    fine = _filter_phases(ends, taps * (points / taps.sum()), points, policy.half_length)
+    lines = fine.copy()
+    lines[1:-1] -= (fine[2:] - 2 * fine[1:-1] + fine[:-2]) / 12
+    return lines[points * margin : points * (margin + len(u) - 1) + 1]
+
+
+def _filter_phases(values: np.ndarray, taps: np.ndarray, points: int, half_length: int) -> np.ndarray:
+    """``values`` (N, n) at ``points`` points in each interval, each phase filtered with its share of the ``taps``.
+
+    Beyond the ends the line through these goes on. As `scipy.signal.resample_poly`, which takes half a second to import.
+    """
+    slope, steps = (values[-1] - values[0]) / (len(values) - 1), np.arange(1, half_length + 1)[:, None]
+    wider = np.vstack([values[0] - slope * steps[::-1], values, values[-1] + slope * steps])
+    fine = np.empty((points * (len(values) - 1) + 1, values.shape[1]))
+    for phase in range(points):
+        count = len(fine[phase::points])
+        for column in range(values.shape[1]):
+            filtered = np.convolve(wider[:, column], taps[phase::points])
+            fine[phase::points, column] = filtered[2 * half_length : 2 * half_length + count]
+    return fine
+
+
+def _group_intervals(intervals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct interval lengths, and which of them each interval has."""
+    # The usual case, without five copies of a long record.
+    if len(intervals) and np.ptp(intervals) <= TIME_ROUNDING * intervals[0]:
+        return intervals[:1].copy(), np.zeros(len(intervals), np.int32)
+    order = np.argsort(intervals, kind="stable")
+    ordered = intervals[order]
+    is_new = np.concatenate([[False], np.diff(ordered) > TIME_ROUNDING * ordered[1:]])
+    row = np.empty(len(intervals), int)
+    row[order] = np.cumsum(is_new)
+    starts = np.concatenate([[0], np.flatnonzero(is_new)])
+    return ordered[starts], row
