@@ -10,21 +10,21 @@ Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects``
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from greybox.base import errors
     from greybox.base.errors import GreyboxError
-    from greybox.blackbox import __init__ as blackbox
-    from greybox.change_detection import __init__ as change_detection
     from greybox.comparison.compare import compare
     from greybox.data import signals
     from greybox.data.experiment import Experiment
     from greybox.data.read import read_csv, read_experiments
-    from greybox.discovery import __init__ as discovery
     from greybox.discovery.pipeline import discover
-    from greybox.estimation import __init__ as estimation
     from greybox.estimation.fit import fit
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.multistart import multistart
@@ -33,100 +33,78 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import residual_tests
     from greybox.estimation.result import Fit, load_fit
     from greybox.estimation.validate import validate
-    from greybox.experiment import __init__ as experiment
-    from greybox.experiment_design import __init__ as experiment_design
-    from greybox.export import __init__ as export
+    from greybox.extensions import changes as change_detection
+    from greybox.extensions import design as experiment_design
+    from greybox.extensions import export, fmu
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.design.design import design
     from greybox.extensions.design.problem import SignalLimit
-    from greybox.fmu import __init__ as fmu
-    from greybox.frequency import __init__ as frequency
-    from greybox.identifiability import __init__ as identifiability
+    from greybox.model import effects
     from greybox.model.balance import Balance
     from greybox.model.characteristic import Characteristic
     from greybox.model.effect import DryFriction, Effect
-    from greybox.model.effects import catalogue as effects
     from greybox.model.effects.catalogue import effect
     from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.rendering import __init__ as rendering
-    from greybox.residuals import __init__ as residuals
-    from greybox.result import __init__ as result
-    from greybox.show import figures as plots
     from greybox.show.pages.report import report
-    from greybox.simulation import __init__ as simulation
     from greybox.simulation.simulate import simulate
-    from greybox.uncertainty import __init__ as uncertainty
+
+    from greybox import comparison, discovery, estimation, simulation  # isort: skip
+    from greybox import data as experiment  # isort: skip
+    from greybox.comparison import blackbox, frequency  # isort: skip
+    from greybox.estimation import identifiability, residuals, result, uncertainty  # isort: skip
+    from greybox.show import figures as plots  # isort: skip
+    from greybox.show import sentences as rendering  # isort: skip
 
 # Where each name lives. Loaded when first asked for: stating a model should not load a solver.
 _NAMES = {
-    "change_detection": ("detect_changes",),
-    "comparison": ("compare",),
-    "discovery": ("discover",),
-    "effects": ("effect",),
-    "errors": ("GreyboxError",),
-    "estimation": (
-        "FitOptions",
-        "fit",
-        "multistart",
-        "predict",
-        "smooth",
-        "validate",
-    ),
-    "experiment": (
-        "Experiment",
-        "read_csv",
-        "read_experiments",
-    ),
-    "experiment_design": (
-        "SignalLimit",
-        "design",
-    ),
-    "export": ("linearise",),
-    "model": (
-        "Balance",
-        "Characteristic",
-        "DryFriction",
-        "Effect",
-        "Model",
-    ),
-    "model.signals": (
-        "Input",
-        "Output",
-        "Parameter",
-        "State",
-    ),
-    "reports": ("report",),
-    "residuals": ("residual_tests",),
-    "result": (
-        "Fit",
-        "load_fit",
-    ),
-    "simulation": ("simulate",),
+    "comparison.compare": ("compare",),
+    "discovery.pipeline": ("discover",),
+    "model.effects.catalogue": ("effect",),
+    "base.errors": ("GreyboxError",),
+    "estimation.fit": ("fit",),
+    "estimation.linear.linearise": ("linearise",),
+    "estimation.multistart": ("multistart",),
+    "estimation.options": ("FitOptions",),
+    "estimation.predictor": ("predict", "smooth"),
+    "estimation.residuals": ("residual_tests",),
+    "estimation.result": ("Fit", "load_fit"),
+    "estimation.validate": ("validate",),
+    "data.experiment": ("Experiment",),
+    "data.read": ("read_csv", "read_experiments"),
+    "extensions.changes.detect": ("detect_changes",),
+    "extensions.design.design": ("design",),
+    "extensions.design.problem": ("SignalLimit",),
+    "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
+    "model.signals": ("Input", "Output", "Parameter", "State"),
+    "show.pages.report": ("report",),
+    "simulation.simulate": ("simulate",),
 }
-_NAMESPACES = (
-    "blackbox",
-    "change_detection",
-    "comparison",
-    "discovery",
-    "effects",
-    "errors",
-    "estimation",
-    "experiment",
-    "experiment_design",
-    "export",
-    "fmu",
-    "frequency",
-    "identifiability",
-    "plots",
-    "rendering",
-    "residuals",
-    "result",
-    "signals",
-    "simulation",
-    "uncertainty",
-)
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}
+# The namespaces that users know, and the packages that they are. Both `gb.signals` and `from greybox.signals import chirp` work.
+_NAMESPACES = {
+    "blackbox": "comparison.blackbox",
+    "change_detection": "extensions.changes",
+    "comparison": "comparison",
+    "discovery": "discovery",
+    "effects": "model.effects",
+    "errors": "base.errors",
+    "estimation": "estimation",
+    "experiment": "data",
+    "experiment_design": "extensions.design",
+    "export": "extensions.export",
+    "fmu": "extensions.fmu",
+    "frequency": "comparison.frequency",
+    "identifiability": "estimation.identifiability",
+    "plots": "show.figures",
+    "project": "shell.project",
+    "rendering": "show.sentences",
+    "residuals": "estimation.residuals",
+    "result": "estimation.result",
+    "signals": "data.signals",
+    "simulation": "simulation",
+    "uncertainty": "estimation.uncertainty",
+}
 
 __all__ = [
     "Balance",
@@ -185,7 +163,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
-        return import_module(f"greybox.{name}")
+        return import_module(f"greybox.{_NAMESPACES[name]}")
     if name not in _HOME:
         raise AttributeError(f"module 'greybox' has no attribute {name!r}")
     value = getattr(import_module(_HOME[name]), name)
@@ -195,3 +173,22 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
+
+
+class _Namespaces(MetaPathFinder, Loader):
+    """``from greybox.signals import chirp`` imports from the module that ``gb.signals`` is, not from a copy of it."""
+
+    def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        return ModuleSpec(name, self) if self._home(name) != name else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        sys.modules[module.__name__] = import_module(self._home(module.__name__))
+
+    @staticmethod
+    def _home(name: str) -> str:
+        package, _, rest = name.partition(".")
+        space, dot, below = rest.partition(".")
+        return f"{package}.{_NAMESPACES[space]}{dot}{below}" if package == "greybox" and space in _NAMESPACES else name
+
+
+sys.meta_path.insert(0, _Namespaces())

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
-from greybox.comparison.blackbox.resample import keep_measured_rows, resample
+from greybox.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import BlackBoxModel, ComparisonRun
 from greybox.data.experiment import Experiment
@@ -81,7 +81,7 @@ def match_sampling_time(experiment: Experiment, output: str, sampling_time: floa
     if step is not None:
         raise DataError(
             f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {label} of {output!r} was identified"
-            f" at {sampling_time:.6g} s; give greybox.comparison.blackbox.resample(experiment, {sampling_time:.6g})"
+            f" at {sampling_time:.6g} s; give greybox.blackbox.resample(experiment, {sampling_time:.6g})"
         )
     return resample(experiment, sampling_time)
 

@@ -1,8 +1,8 @@
 """What a selection weighs the residual with where the noise is not known from outside, and structure left in a residual.
 
 The residual of a candidate is never taken for the noise: it holds what the candidate lacks. The records bound the noise
-(`greybox.data.noise`), and a sensor bounds how long it remembers; within these bounds the weights follow the residual of the best model found,
-because a correlated residual makes every likelihood ratio of white noise too large.
+(`greybox.data.noise`), and a sensor bounds how long it remembers; within these bounds the weights follow the residual of the best model
+found, because a correlated residual makes every likelihood ratio of white noise too large.
 """
 
 from __future__ import annotations

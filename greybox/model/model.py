@@ -99,6 +99,10 @@ class Model(Printable):
     candidates: Sequence[str] = ()
     ties: tuple[Tie, ...] = ()
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As it was stated: CasADi expressions are not sent to another process, a model is written out anew where it arrives."""
+        return _restate, (type(self), {f.name: getattr(self, f.name) for f in fields(self) if f.init})
+
     def __post_init__(self) -> None:
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
@@ -577,3 +581,7 @@ def _numeric(name: str, change: dict[str, Any]) -> dict[str, Any]:
         wanted = "(low, high), two numbers" if key == "bounds" else "a number, without its unit"
         raise ModelError(f"parameter {name!r}: {key} {given!r}; give {wanted}") from None
     return numbers
+
+
+def _restate(kind: type[Model], stated: dict[str, Any]) -> Model:
+    return kind(**stated)

@@ -254,7 +254,7 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
     imports = ["from dataclasses import replace"] * ("replace(" in text) + ["from pathlib import Path", ""]
     imports += ["import numpy as np", ""] * ("np." in text) + [
         "import greybox as gb",
-        "from greybox.shell import find_model",
+        "from greybox.shell.project import find_model",
     ]
     imports += ["from greybox.shell.own_effects import find_effect"] * ("find_effect(" in text)
     head = [f'"""Repeats a study. Run with: python {path.name}. Numbers are in the units of the model."""', ""]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,25 @@ import numpy as np
 from greybox.base.errors import DataError, nearest
 from greybox.base.numerics import TIME_ROUNDING
 from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, BandLimitedPolicy
 from greybox.model.model import Model
 from greybox.simulation.kernel.record import Record
+
+
+@dataclass(frozen=True)
+class BandLimitedPolicy:
+    """How a band-limited input is interpolated between its samples."""
+
+    points: int = 12
+    """Points in each interval, between which the input is linear."""
+
+    half_length: int = 32
+    """Half the length of the interpolating filter, in intervals."""
+
+    kaiser_beta: float = 9.0
+    """Shape of the filter's Kaiser window: flat to 0.01 % up to 0.45 of the sampling rate."""
+
+
+BAND_LIMITED = BandLimitedPolicy()
 
 
 def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
@@ -35,7 +52,7 @@ def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Expe
     return number_unnamed_records(result)
 
 
-def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited) -> Record:
+def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = BAND_LIMITED) -> Record:
     """An experiment as the kernels read it, its columns in the order of the model's inputs and outputs.
 
     An output that was not measured is a column of NaN. An effect of the model may say what the input does between samples; else the
@@ -86,9 +103,7 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, polic
     return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
 
 
-def interpolate_band_limited(
-    u: np.ndarray, points: int, policy: BandLimitedPolicy = DEFAULT_POLICY.band_limited
-) -> np.ndarray:
+def interpolate_band_limited(u: np.ndarray, points: int, policy: BandLimitedPolicy = BAND_LIMITED) -> np.ndarray:
     """A band-limited signal (N, n) at ``points`` points in each interval: ``(points (N - 1) + 1, n)``.
 
     A windowed sinc, flat up to 0.45 of the sampling rate (0.01 %); towards its ends the record is continued as its mirror image

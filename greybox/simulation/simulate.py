@@ -21,14 +21,13 @@ from greybox.data.experiment import UNNAMED, Experiment, Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
-from greybox.estimation.transcription.policy import BandLimitedPolicy
 from greybox.model.model import Model
 from greybox.simulation.integrators.discretisation import choose_substeps, discretise
 from greybox.simulation.integrators.policy import DiscretisationPolicy
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
-from greybox.simulation.records import to_record
+from greybox.simulation.records import BandLimitedPolicy, to_record
 
 # The inputs of a file alone, for simulating where nothing was measured.
 

@@ -53,7 +53,7 @@ def simulate_twin(
     Examples
     --------
     >>> import numpy as np
-    >>> from greybox.shell import find_model
+    >>> from greybox.shell.project import find_model
     >>> record = simulate_twin(find_model("micro_actuator"), {"u": np.ones(20)}, 2.5e-4, {"x": 2e-7}, seed=1)
     >>> record.rows
     20

@@ -229,7 +229,7 @@ def test_a_run_that_leaves_all_bounds_is_said_and_drawn(compared, tmp_path):
         (lambda m, r: gb.compare([m["arx"]], r, steps=[0]), "steps ahead: 0; give whole numbers from 1"),
         (
             lambda m, r: gb.compare([m["arx"]], gb.blackbox.resample(r[1], 0.1)),
-            r"every 0.1 s, but arx\(2, 2, 1\) of 'y' was identified at 0.05 s; give greybox.comparison.blackbox.resample\(experiment, 0.05\)",
+            r"every 0.1 s, but arx\(2, 2, 1\) of 'y' was identified at 0.05 s; give greybox.blackbox.resample\(experiment, 0.05\)",
         ),
     ],
 )
@@ -313,7 +313,7 @@ def test_a_step_has_smoothing_among_its_models(run, tmp_path, model):
         (["train.csv", "--arc-length", "1", "--transcription", "single"], "leave out one of the two"),
         (["train.csv", "--process-noise", "w"], "w"),
         (["train.csv", "--predict", "-1"], "--predict"),
-        (["train.csv", "--validate", "slow.csv"], "greybox.comparison.blackbox.resample(experiment, 0.05)"),
+        (["train.csv", "--validate", "slow.csv"], "greybox.blackbox.resample(experiment, 0.05)"),
         (["train.csv", "--output", "train.csv"], "it is a file"),
     ],
 )

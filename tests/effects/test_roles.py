@@ -4,9 +4,9 @@ import ast
 import re
 from pathlib import Path
 
-import greybox.effects
 import numpy as np
 
+import greybox.effects
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.estimation.check import check
 from greybox.model.effects.catalogue import CATALOGUE

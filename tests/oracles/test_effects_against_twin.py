@@ -3,10 +3,10 @@
 import json
 from dataclasses import replace
 
-import greybox.effects
 import numpy as np
 import pytest
 
+import greybox.effects
 from fits import rig_twins
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -26,8 +26,6 @@ from types import FrameType, MappingProxyType, ModuleType
 from typing import Any
 
 import cloudpickle
-
-from greybox.model.model import Model
 
 # When a job, a worker or a cluster is given up.
 
@@ -160,18 +158,12 @@ def _add_texts(digest: Any, folder: Traversable) -> None:
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Models as what they were stated with, read-only mappings as mappings."""
+    """Read-only mappings as mappings; `pickle` refuses them."""
 
     def reducer_override(self, obj: Any) -> Any:
-        if isinstance(obj, Model):
-            return _restated, (type(obj), {f.name: getattr(obj, f.name) for f in fields(obj) if f.init})
         if isinstance(obj, MappingProxyType):
             return MappingProxyType, (dict(obj),)
         return super().reducer_override(obj)
-
-
-def _restated(kind: type, stated: dict[str, Any]) -> Any:
-    return kind(**stated)
 
 
 def _local_packages() -> list[ModuleType]:

@@ -69,7 +69,7 @@ def to_sampled_record(
         raise DataError(
             f"experiment {experiment.name!r}: time is irregular (steps from {steps.min():.6g} to {steps.max():.6g} s), and a"
             " difference equation needs equal steps; resample it with"
-            f" greybox.comparison.blackbox.resample(experiment, {float(np.median(steps)):.6g})"
+            f" greybox.blackbox.resample(experiment, {float(np.median(steps)):.6g})"
         )
     absent = [name for name in inputs if name not in experiment.inputs]
     if absent:

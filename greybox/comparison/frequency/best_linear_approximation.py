@@ -238,7 +238,7 @@ def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy 
             return int(run[np.argmin(change[run - 1])])
     raise DataError(
         f"experiment {experiment.name!r}: input {input!r} does not repeat within the record; a periodic one is needed"
-        " (greybox.data.signals.multisine), or give the rows of a period"
+        " (greybox.signals.multisine), or give the rows of a period"
     )
 
 

@@ -222,8 +222,8 @@ class Collocation:
         self.nx = len(self.scale)
 
     def problem(self) -> dict[str, Any]:
-        """The program as keyword arguments of `greybox.estimation.optim.ipopt.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``, ``high``,
-        ``hessian``; every constraint is an equation ``g = 0``."""
+        """The program as keyword arguments of `greybox.estimation.optim.ipopt.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``,
+        ``high``, ``hessian``; every constraint is an equation ``g = 0``."""
         w, r, g = self._build_expressions()
         r = ca.vertcat(r, self._prior_residuals(w[: len(self.variables.which)]))
         start, low, high = self._start_and_bounds()

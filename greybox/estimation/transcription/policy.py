@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from greybox.data.noise.policy import NoisePolicy
 from greybox.estimation.optim.policy import GaussNewtonPolicy, MinimisationPolicy, TerminationPolicy
 from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.records import BandLimitedPolicy
 
 
 @dataclass(frozen=True)
@@ -118,20 +119,6 @@ class ProjectionPolicy(TerminationPolicy):
 
     max_steps: int = 12
     """Gauss-Newton steps at most; from the state of the last point one or two are enough."""
-
-
-@dataclass(frozen=True)
-class BandLimitedPolicy:
-    """How a band-limited input is interpolated between its samples."""
-
-    points: int = 12
-    """Points in each interval, between which the input is linear."""
-
-    half_length: int = 32
-    """Half the length of the interpolating filter, in intervals."""
-
-    kaiser_beta: float = 9.0
-    """Shape of the filter's Kaiser window: flat to 0.01 % up to 0.45 of the sampling rate."""
 
 
 @dataclass(frozen=True)

@@ -120,10 +120,10 @@ def prepare_problem(
 ) -> EstimationProblem:
     """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.data.noise`).
 
-    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit. ``per_experiment``:
-    parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise. ``initial``: the first
-    guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and whose noise is
-    not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
+    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit.
+    ``per_experiment``: parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise.
+    ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and
+    whose noise is not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
 
     Raises DataError or ModelError with what is wrong and what to do.
     """

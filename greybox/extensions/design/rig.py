@@ -55,8 +55,8 @@ def run_rig(
     policy
         How long to wait.
     held
-        A file of `greybox.base.files.hold_file` that the program holds as long as it runs: where this process is killed, nobody starts a second
-        program beside the one that still moves the rig.
+        A file of `greybox.base.files.hold_file` that the program holds as long as it runs: where this process is killed, nobody starts a
+        second program beside the one that still moves the rig.
 
     Raises
     ------

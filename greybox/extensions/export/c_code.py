@@ -65,7 +65,7 @@ def write_step(interval: DiscreteStep) -> str:
 
 def read_template(name: str) -> str:
     """The text of a C file beside this one."""
-    return files("greybox.export").joinpath(name).read_text(encoding="utf-8")
+    return files("greybox.extensions.export").joinpath(name).read_text(encoding="utf-8")
 
 
 def write_initialisers(values: list[float], remarks: list[str]) -> str:

@@ -1,7 +1,8 @@
 """An observer of a fitted model: its Kalman filter, extended where the model is nonlinear, as what runs beside a controller.
 
-It is the library's own filter (`greybox.simulation.filtering.kalman_filter`) with its numbers in it: at each sample the prediction is corrected by
-the measurements that are there, then moved over one interval with the input held. C, FMU and Python are written from the same step.
+It is the library's own filter (`greybox.simulation.filtering.kalman_filter`) with its numbers in it: at each sample the prediction is
+corrected by the measurements that are there, then moved over one interval with the input held. C, FMU and Python are written from the same
+step.
 """
 
 from __future__ import annotations

@@ -23,10 +23,11 @@ from greybox.base.units import ONE, Unit
 
 # How an operation passes a derivative on: for ``r = op(a, b)`` the tangent is ``dr = (dr/da) da + (dr/db) db``.
 #
-# Each slope is written once, on the scalars of a tape (`greybox.simulation.kernel.tape.Scalar`, which have the usual operators), and becomes C or CasADi
-# instructions later. Where a function has a kink or an infinite slope, the slope here is finite, so that a point touched for one sample
-# cannot turn a whole record into ``0 * inf``: ``sqrt`` and powers below one have slope 0 at 0, ``|a|`` has slope 0 at 0, ``hypot`` and
-# ``atan2`` have slope 0 at the origin. A `Selection` takes one operand's tangent whole and never multiplies the other one.
+# Each slope is written once, on the scalars of a tape (`greybox.simulation.kernel.tape.Scalar`, which have the usual operators), and
+# becomes C or CasADi instructions later. Where a function has a kink or an infinite slope, the slope here is finite, so that a point
+# touched for one sample cannot turn a whole record into ``0 * inf``: ``sqrt`` and powers below one have slope 0 at 0, ``|a|`` has slope 0
+# at 0, ``hypot`` and ``atan2`` have slope 0 at the origin. A `Selection` takes one operand's tangent whole and never multiplies the other
+# one.
 
 Scalar = Any  # a scalar on a tape
 Slope = Any  # a scalar on a tape, or a number that is the same everywhere

@@ -1,7 +1,8 @@
 """Expressions as text: one walk over the graph, and a dialect that says how a language writes symbols, numbers and operations.
 
 `PYTHON`, `NUMPY`, `MODELICA` and `FORMULA` differ only in their column of the table of operations and in how they write a choice; `LATEX`
-(`greybox.model.expressions.text`) adds typesetting, and `TEXT` (`greybox.model.expressions.text`) collects factors and powers before it writes them.
+(`greybox.model.expressions.text`) adds typesetting, and `TEXT` (`greybox.model.expressions.text`) collects factors and powers before it
+writes them.
 """
 
 from __future__ import annotations

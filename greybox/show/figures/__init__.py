@@ -34,4 +34,4 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"greybox.plots.{_HOME[name]}"), name)
+    return getattr(import_module(f"greybox.show.figures.{_HOME[name]}"), name)

@@ -1,8 +1,8 @@
 """What a figure shows, as data: panels of curves, points, bars and bands over named axes with units.
 
 A figure is built once, from results, by a function of this package. `greybox.show.figures.matplotlib_backend` draws it as PNG and SVG,
-`greybox.show.figures.plotly_backend` for a page; neither adds anything to what is shown. Colours are given by the role that a series plays, texts
-as codes with values: `greybox.show.figures.sheet` and `greybox.show.sentences.figures` turn them into colours and sentences.
+`greybox.show.figures.plotly_backend` for a page; neither adds anything to what is shown. Colours are given by the role that a series
+plays, texts as codes with values: `greybox.show.figures.sheet` and `greybox.show.sentences.figures` turn them into colours and sentences.
 """
 
 from __future__ import annotations

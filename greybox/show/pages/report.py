@@ -12,17 +12,17 @@ from greybox.show.pages.page import Page
 
 # Classes that have a page: the module of its builder, ``build_<module>``, is loaded when needed. A check does not load what a fit needs.
 PAGES = {
-    "Fit": "fit_page",
-    "ModelCheck": "check_page",
-    "Campaign": "campaign_page",
-    "ChangeDetection": "changed_page",
-    "Comparison": "comparison_page",
-    "Demo": "demo_page",
-    "Design": "design_page",
-    "Discovery": "discovery_page",
-    "Export": "export_page",
-    "Linearisation": "linearisation_page",
-    "Simulation": "simulation_page",
+    "Fit": "show.pages.fit_page:fit_page",
+    "ModelCheck": "show.pages.check_page:check_page",
+    "Campaign": "extensions.design.page:campaign_page",
+    "ChangeDetection": "extensions.changes.page:changed_page",
+    "Comparison": "show.pages.comparison_page:comparison_page",
+    "Demo": "show.pages.demo_page:demo_page",
+    "Design": "extensions.design.page:design_page",
+    "Discovery": "show.pages.discovery_page:discovery_page",
+    "Export": "extensions.export.page:export_page",
+    "Linearisation": "show.pages.linearisation_page:linearisation_page",
+    "Simulation": "show.pages.simulation_page:simulation_page",
 }
 
 
@@ -32,7 +32,8 @@ def report(value: Any, path: str | Path, *, command: str = "", **options: Any) -
     Parameters
     ----------
     value
-        What `greybox.fit`, `greybox.discover`, `greybox.simulate`, `greybox.linearise`, `greybox.compare` or `greybox.estimation.check` gave.
+        What `greybox.fit`, `greybox.discover`, `greybox.simulate`, `greybox.linearise`, `greybox.compare` or `greybox.estimation.check`
+        gave.
     path
         The file, or a folder, which then gets ``report.html``.
     command
@@ -64,7 +65,7 @@ def build_page(value: Any, **options: Any) -> Page:
     """The page of ``value``, by its type. Raises GreyboxError where that has none."""
     for kind in type(value).__mro__:
         if kind.__name__ in PAGES and kind.__module__.startswith("greybox."):
-            module = PAGES[kind.__name__]
-            page: Page = getattr(import_module(f"greybox.show.pages.{module}"), f"build_{module}")(value, **options)
+            module, _, builder = PAGES[kind.__name__].partition(":")
+            page: Page = getattr(import_module(f"greybox.{module}"), f"build_{builder}")(value, **options)
             return page
     raise GreyboxError(f"report: a {type(value).__name__} has no page; give one of {', '.join(PAGES)}")

@@ -6,6 +6,7 @@ import pkgutil
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ Writer = Callable[[Any], str]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
-WRITTEN_BY = {"result": ("result", "estimation")}
-"""Modules of this package that serve another package than the one of their name, and which one."""
+EXTENSIONS = "greybox.extensions"
+"""Packages that bring a module ``sentences`` of their own."""
 
 
 def register(new: Mapping[str, Template]) -> None:
@@ -94,21 +95,32 @@ def text(value: Any) -> str:
 
 @cache
 def _load_for(kind: type) -> None:
-    """Import the module that serves the package of ``kind``, if there is one: printing one result should not load the whole library."""
-    package = kind.__module__.split(".")
-    if package[0] == "greybox" and len(package) > 1:
-        for name in WRITTEN_BY.get(package[1], (package[1],)):
-            if name in _modules():
-                import_module(f"greybox.rendering.{name}")
+    """Import the modules that serve the package of ``kind``, if there are any: printing one result should not load the whole library."""
+    for module in _sentences_of(kind.__module__):
+        import_module(module)
+
+
+def _sentences_of(module: str) -> list[str]:
+    """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``sentences``."""
+    if module.startswith(f"{EXTENSIONS}."):
+        return [own for own in _own_sentences() if module.startswith(own.removesuffix("sentences"))]
+    return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
 
 
 @cache
 def _load_all() -> None:
-    """Import every module of this package; each registers what it holds."""
-    for name in _modules():
-        import_module(f"greybox.rendering.{name}")
+    """Import every module of this package and those of the extensions; each registers what it holds."""
+    for module in (*(f"{__package__}.{name}" for name in _modules()), *_own_sentences()):
+        import_module(module)
 
 
 @cache
 def _modules() -> tuple[str, ...]:
     return tuple(module.name for module in pkgutil.iter_modules([str(Path(__file__).parent)]))
+
+
+@cache
+def _own_sentences() -> tuple[str, ...]:
+    beside = import_module(EXTENSIONS).__path__
+    names = [f"{EXTENSIONS}.{module.name}.sentences" for module in pkgutil.iter_modules(beside)]
+    return tuple(name for name in names if find_spec(name) is not None)

@@ -26,8 +26,8 @@ from greybox.simulation.kernel.tape import UnsupportedOperationError
 class FallbackKernel:
     """The compiled kernel until one of its libraries cannot be made, from then on the interpreted one.
 
-    A kernel has several libraries, and the larger ones are compiled in the middle of a fit; see `greybox.simulation.kernel.interface.Kernel`
-    for the methods.
+    A kernel has several libraries, and the larger ones are compiled in the middle of a fit; see
+    `greybox.simulation.kernel.interface.Kernel` for the methods.
 
     Parameters
     ----------

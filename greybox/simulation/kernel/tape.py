@@ -326,8 +326,8 @@ def _append_instruction(tape: Tape, terms: Terms) -> int:
 # Products and sums of a tape as fused multiply-adds, so that every engine rounds at the same places.
 #
 # A C compiler that may contract ``a * b + c`` chooses by itself where it does, and its choice differs from function to function. Here the
-# choice is part of the tape: the compiled kernel and the tape machine then give the same bits, and a search may change from one to the other
-# at any moment.
+# choice is part of the tape: the compiled kernel and the tape machine then give the same bits, and a search may change from one to the
+# other at any moment.
 
 FMA, FMS, FNMA = -1, -2, -3
 """``a * b + c``, ``a * b - c`` and ``c - a * b``, rounded once."""
