@@ -12,7 +12,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import SAME_SAMPLING_TIME
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smoothing
-from greybox.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.findings import ComparisonFinding

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
-from greybox.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import BlackBoxModel, ComparisonRun
 from greybox.data.experiment import Experiment

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 import greybox as gb
-from greybox.blackbox.resample import keep_measured_rows
+from greybox.comparison.blackbox.resample import keep_measured_rows
 from greybox.data.findings import RecordCode
 
 A, B = [1.0, -1.5, 0.7], [0.0, 0.0, 1.0, 0.5]  # two samples of delay

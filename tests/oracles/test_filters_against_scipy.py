@@ -15,8 +15,10 @@ from greybox.discovery.localisation import estimate_power_density
 from greybox.estimation.parameter_constancy import compute_running_mean
 
 SLOW = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "control", "matplotlib.pyplot"}
-NEEDED = "greybox.shell.main, greybox.discovery.pipeline, greybox.extensions.export, greybox.show.figures.discovery,
-greybox.show.pages.discovery_page"
+NEEDED = (
+    "greybox.shell.main, greybox.discovery.pipeline, greybox.extensions.export, greybox.show.figures.discovery,"
+    " greybox.show.pages.discovery_page"
+)
 
 
 @pytest.mark.parametrize(("rows", "length"), [(1000, 512), (1000, 255), (3000, 512), (9, 8), (13, 13)])

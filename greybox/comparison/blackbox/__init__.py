@@ -7,7 +7,7 @@ from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothin
 from greybox.comparison.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy, SubspacePolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
-from greybox.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.blackbox.rounding import (
     ContinuousTransferFunction,
     count_digits_needed,
