@@ -11,7 +11,7 @@ import pytest
 from greybox.base.errors import WorkersLostError
 from greybox.estimation.multistart import StartJournal, multistart
 from tests.oracles.independent import linear_record
-from tests.parallel.test_jobs import lag
+from tests.base.parallel.test_jobs import lag
 
 module = sys.modules["greybox.estimation.multistart"]
 

@@ -22,7 +22,7 @@ from greybox.base.errors import DataError, ModelError
 from greybox.base.units import parse_unit
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.read import read_csv
-from tests.experiment.test_read import ANSWER, DRIVE, RIG, TIME, N, good
+from tests.data.test_read import ANSWER, DRIVE, RIG, TIME, N, good
 
 SIGNALS = {"time": TIME, "u": DRIVE, "x": ANSWER}
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.cli.test_workers import COMMAND, ENVIRONMENT, record  # noqa: F401
+from tests.shell.test_workers import COMMAND, ENVIRONMENT, record  # noqa: F401
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.test_workers import COMMAND, ENVIRONMENT, record  # noqa: F401
+from tests.shell.test_workers import COMMAND, ENVIRONMENT, record  # noqa: F401
 from tests.support.reliability import note_row, size_of
 
 pytestmark = [

@@ -88,7 +88,7 @@ PAIRS = {
     ],
 }
 # Effects of the benchmark rigs have no twin: tests/test_real_data.py has their formulas. The others are compared with small steps in
-# tests/effects.
+# tests/model/effects.
 BY_HAND = {
     "radiation_loss",
     "natural_convection",

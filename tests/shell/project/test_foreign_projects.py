@@ -11,7 +11,7 @@ import pytest
 from greybox.base.errors import ModelError
 from greybox.shell import project as folders
 from greybox.shell.project import find_model, list_models, project_root
-from tests.project.test_outline import TRAP
+from tests.shell.project.test_outline import TRAP
 
 SUPERUSER = hasattr(os, "geteuid") and os.geteuid() == 0
 needs_superuser = pytest.mark.skipif(not SUPERUSER, reason="only the superuser can give files away")

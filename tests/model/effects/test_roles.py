@@ -89,7 +89,7 @@ def test_a_check_tells_roles_places_and_what_lacks() -> None:
 
 
 def test_the_page_is_that_of_the_program() -> None:
-    page = Path(__file__).parents[2] / "docs" / "roles.md"
+    page = Path(__file__).parents[3] / "docs" / "roles.md"
     assert page.read_text(encoding="utf-8") == write_roles_page(ROLES)
 
 

@@ -28,7 +28,7 @@ from greybox.show.pages.report import build_page
 from greybox.show.sentences.pages import PageText
 from tests.support.result_schema import strict_offences
 
-PROGRAM = Path(__file__).parents[1] / "support" / "rig_program.py"
+PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
 POLICY = DesignPolicy()
 QUICK = replace(
     POLICY,

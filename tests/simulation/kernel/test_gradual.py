@@ -21,7 +21,7 @@ from greybox.simulation.kernel.policy import GradualPolicy
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape_machine import TapeMachine
 from models.micro_actuator import micro_actuator
-from tests.kernel.test_kernels import OPERATIONS, operation_step
+from tests.simulation.kernel.test_kernels import OPERATIONS, operation_step
 
 NEVER = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf)
 AT_ONCE = GradualPolicy(earned_seconds=0.0, translated_seconds=0.0, full_seconds=0.0)

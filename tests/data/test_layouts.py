@@ -18,7 +18,7 @@ from greybox.data.read import read_csv
 from greybox.extensions.formats.mat_file import read_mat
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import read_inputs
-from tests.experiment.test_read import ANSWER, DRIVE, RIG, TIME, N
+from tests.data.test_read import ANSWER, DRIVE, RIG, TIME, N
 
 ROWS = [f"{t!r},{u!r},{x!r}" for t, u, x in np.column_stack([TIME, DRIVE, ANSWER]).tolist()]
 TABLE = np.column_stack([TIME, DRIVE, ANSWER])

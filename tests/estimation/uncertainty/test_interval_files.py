@@ -11,7 +11,7 @@ from greybox.estimation.uncertainty.bootstrap import Bootstrap, load_bootstrap
 from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
 from greybox.estimation.uncertainty.profile import Profile, load_profile, profile
 from tests.support.result_schema import strict_offences
-from tests.uncertainty.test_intervals import saturation_fit
+from tests.estimation.uncertainty.test_intervals import saturation_fit
 
 
 def test_a_profile_is_read_back(tmp_path):

@@ -22,7 +22,7 @@ from greybox.show.pages.html import mathml, render_page, write_page
 from greybox.show.pages.page import Page
 from greybox.show.pages.report import build_page
 from models.micro_actuator import micro_actuator
-from tests.experiment_design.test_design import QUICK
+from tests.extensions.design.test_design import QUICK
 from tests.support.browser import opened
 from tests.support.hostile import CODE, MARKUP, poison
 

@@ -14,8 +14,8 @@ import pytest
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.shell.own_effects import find_effect, find_own_effects, keep_effect
 from greybox.shell.project import project_root
-from tests.project.test_foreign_projects import STRANGER, needs_superuser
-from tests.project.test_outline import TRAP
+from tests.shell.project.test_foreign_projects import STRANGER, needs_superuser
+from tests.shell.project.test_outline import TRAP
 from tests.support.hostile import CODE, MARKUP
 from tests.support.kept_law import LAW
 

@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.shell.main import app
 from tests.oracles.independent import linear_record
-from tests.parallel.test_jobs import lag
-from tests.project.test_outline import TRAP
+from tests.base.parallel.test_jobs import lag
+from tests.shell.project.test_outline import TRAP
 
 ROOT = Path(__file__).resolve().parents[2]
 
