@@ -48,7 +48,7 @@ def shared_blind() -> Path:
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Result]]:
     """Runs the command in an empty folder; imports of models are as before afterwards."""
-    from greybox.shell.main import app
+    from greybox.shell.commands import app
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))

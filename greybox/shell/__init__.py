@@ -21,7 +21,7 @@ def main() -> None:
     # What a command makes is needed to its end; looking for garbage less often saves a tenth of its time.
     gc.set_threshold(50_000, *gc.get_threshold()[1:])
     try:
-        from greybox.shell.main import run
+        from greybox.shell.commands import run
 
         run()
     finally:

@@ -16,7 +16,7 @@ from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.policy import ComparisonPolicy
 from greybox.comparison.result import load_comparison, save_comparison
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv
 from tests.support.result_schema import strict_offences

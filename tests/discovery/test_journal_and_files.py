@@ -15,7 +15,7 @@ from greybox.discovery import pipeline
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import estimate_residual_spectrum
 from greybox.discovery.pipeline import discover
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator

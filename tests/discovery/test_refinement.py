@@ -17,7 +17,7 @@ from greybox.discovery.policy import DiscoveryPolicy, SelectionPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.refinement import refine
 from greybox.model.effects.catalogue import effect
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox

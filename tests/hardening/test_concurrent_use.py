@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.base.files import PART
 from greybox.discovery.execution import RefitJournal, RefitOutcome
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.child import run_in_child

@@ -93,7 +93,7 @@ def run_command(command: list[str], size: int | None = None) -> tuple[int, str, 
     """Exit code, output, and the traceback's last line if there is one, in a process with such a disk."""
 
     def work() -> tuple[int, str, str]:
-        from greybox.shell.main import app
+        from greybox.shell.commands import app
 
         with disk_of(size):
             result = CliRunner().invoke(app, command)

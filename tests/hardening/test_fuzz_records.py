@@ -118,7 +118,7 @@ def test_mutations_of_valid_files_of_every_format(tmp_path):
 
 def judge_command(folder: Path, command: list[str], file: str) -> str:
     """What a command comes to on one file: "done", "refused", or what is wrong with it."""
-    from greybox.shell.main import app
+    from greybox.shell.commands import app
 
     before = {path.relative_to(folder) for path in folder.rglob("*")}
     with time_limit(120):

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox.base.json_file import ResultKind, read_json
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from models.silverbox import silverbox
 from tests.hardening.test_fuzz_records import time_limit
 from tests.oracles.independent import linear_record, multisine

@@ -299,7 +299,7 @@ def run(problem: Problem, folder: Path, records: Path, checkout: Path, shared: P
             continue
         if words[0] == "blind":
             words = ["discover", *blind(shared / "blind" / f"case-{words[1]}"), *words[2:]]
-        program = ["-c", VERBS, str(records)] if words[0] == "verbs" else ["-m", "greybox.shell", *words, "--no-report"]
+        program = ["-c", VERBS, str(records)] if words[0] == "verbs" else ["-m", "greybox", *words, "--no-report"]
         done = subprocess.run(
             [sys.executable, *program],
             cwd=place,

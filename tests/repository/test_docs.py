@@ -135,7 +135,7 @@ def test_the_reference_holds_every_public_name(hooks) -> None:
 
 
 def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
-    from greybox.shell.main import app
+    from greybox.shell.commands import app
 
     text = hooks.commands()
     for command in app.registered_commands:

@@ -16,30 +16,9 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# A room is the first path component under greybox/. It may import from the rows above it, and from its own row as
-# long as the rooms of that row do not import one another in a circle.
-ROWS = [
-    {"errors", "linear_algebra", "numerics", "values"},
-    {"findings", "files", "schemas"},
-    {"units"},
-    {"expressions"},
-    {"model", "experiment"},
-    {"effects", "integrators", "result", "noise", "parallel", "journal"},
-    {"kernel", "optim"},
-    {"transcription"},
-    {"simulation", "signals", "twin", "filtering"},
-    {"estimation"},
-    {"identifiability"},
-    {"blackbox", "check", "uncertainty"},
-    {"residuals", "comparison", "export"},
-    {"discovery", "frequency"},
-    {"experiment_design", "change_detection", "fmu"},
-    {"rendering"},
-    {"plots", "reports", "project", "demo"},
-    {"app"},
-    {"cli"},
-    {"__init__", "__main__"},  # the front doors: they may import everything, and nothing imports them
-]
+# The layers: the folders of greybox/, from the ground up. A layer imports from those before it. Within a layer folders and modules
+# may import one another as long as there is no circle.
+LAYERS = ("base", "model", "data", "simulation", "estimation", "comparison", "discovery", "show", "shell", "extensions", "__init__", "__main__")
 # A value that is printed finds its text by the name of its class: the one import that points upward.
 PRINTING = ("greybox.base.values", "greybox.show.sentences")
 LEVEL = {room: level for level, row in enumerate(ROWS) for room in row}

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.extensions.changes.command import list_record_files
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine

@@ -19,7 +19,7 @@ from greybox import Experiment, FitOptions, fit, load_fit, read_csv
 from greybox.data.findings import RecordCode
 from greybox.data.signals import multisine
 from greybox.shell import fit as fit_command
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.terminal import hold_interrupts
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
@@ -515,7 +515,7 @@ def test_help_and_version_load_nothing_heavy() -> None:
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
     shown = subprocess.run(
-        [sys.executable, "-m", "greybox.shell", "--version"], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "greybox", "--version"], capture_output=True, text=True, check=False
     )
     assert shown.returncode == 0
     assert shown.stdout.startswith("greybox ")

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox.model.effects.catalogue import CATALOGUE
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +28,7 @@ def offered(line: str) -> list[str]:
         "COMP_CWORD": str(len(words) - 1),
         "_TYPER_COMPLETE_ARGS": line,
     }
-    command = [sys.executable, "-m", "greybox.shell"]
+    command = [sys.executable, "-m", "greybox"]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     return done.stdout.split()

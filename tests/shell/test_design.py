@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import read_inputs, write_csv
 from models.silverbox import silverbox
 from tests.support.result_schema import strict_offences

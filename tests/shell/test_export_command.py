@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 import greybox as gb
 from greybox.base.findings import Finding
 from greybox.estimation.linear.findings import ExportFinding
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 
@@ -158,7 +158,7 @@ def test_a_fit_that_failed_is_warned_about(saved, tmp_path):
 def test_the_exported_python_model_can_be_fitted_again(saved, tmp_path):
     assert export(saved, "--to", "python", "--output", tmp_path / "rig.py").exit_code == 0
     done = subprocess.run(
-        [sys.executable, "-m", "greybox.shell", "models", str(tmp_path / "rig.py")],
+        [sys.executable, "-m", "greybox", "models", str(tmp_path / "rig.py")],
         capture_output=True,
         text=True,
         check=False,

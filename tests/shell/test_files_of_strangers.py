@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from tests.oracles.independent import linear_record
 from tests.base.parallel.test_jobs import lag
 from tests.shell.project.test_outline import TRAP
@@ -142,7 +142,7 @@ def test_the_shell_runs_nothing_to_offer_words(trap: Path, line: str):
         "COMP_CWORD": str(len(line.split(" ")) - 1),
         "_TYPER_COMPLETE_ARGS": line,
     }
-    command = [sys.executable, "-m", "greybox.shell"]
+    command = [sys.executable, "-m", "greybox"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
     assert {"rig", "k="} & set(done.stdout.split())

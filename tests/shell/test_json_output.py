@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from greybox import FitOptions, fit, simulate
 from greybox.base.json_file import PRINTED, ResultKind, schema_of_command
 from greybox.estimation.result import load_fit
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences

@@ -7,7 +7,7 @@ import json
 import numpy as np
 from typer.testing import CliRunner
 
-from greybox.shell.main import app
+from greybox.shell.commands import app
 
 
 def run(*words):

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from greybox import FitOptions, fit, simulate
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 

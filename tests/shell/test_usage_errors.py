@@ -14,7 +14,7 @@ from greybox.base.errors import DataError
 from greybox.data.signals import multisine
 from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.residuals import score
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record

@@ -18,14 +18,14 @@ import typer
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.terminal import exit_on_error
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
-COMMAND = [sys.executable, "-m", "greybox.shell"]
+COMMAND = [sys.executable, "-m", "greybox"]
 
 
 @pytest.fixture(scope="module")
@@ -235,6 +235,6 @@ def test_a_file_name_that_is_no_text_is_no_traceback(tmp_path):
 @pytest.mark.skipif(sys.platform == "win32", reason="closed streams as POSIX has them")
 @pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-", ">/dev/full", "2>/dev/full"])
 def test_closed_or_full_streams_are_no_traceback(closed):
-    line = f"'{sys.executable}' -m greybox.shell models micro_actuator {closed}"
+    line = f"'{sys.executable}' -m greybox models micro_actuator {closed}"
     done = subprocess.run(["bash", "-c", line], env=ENVIRONMENT, capture_output=True, timeout=120, check=False)
     assert b"Traceback" not in done.stderr, done.stderr.decode()

@@ -22,7 +22,7 @@ from unittest import mock
 import matplotlib as mpl
 from typer.testing import CliRunner
 
-from greybox.shell.main import app
+from greybox.shell.commands import app
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCK = re.compile(r"^(<!-- slow -->\n)?```(\w*)[^\S\n]*([^\n]*)\n(.*?)^```", re.DOTALL | re.MULTILINE)

@@ -15,7 +15,7 @@ from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
 from greybox.estimation.check import check
 from greybox.estimation.identifiability.findings import IdentifiabilityCode as Code
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import simulate
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps

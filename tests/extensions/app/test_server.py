@@ -19,7 +19,7 @@ from greybox.extensions.app.server import page_policy, page_text
 from greybox.extensions.app.session import Session
 from greybox.extensions.app.workbench import Workbench
 from greybox.shell.inputs import build_model
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.study import Study
 
 pytest.importorskip("tornado", reason="the app's server is not installed")

@@ -23,7 +23,7 @@ from greybox.base.json_file import ResultKind, read_json
 from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, Knowledge, choose_shares, run_campaign
 from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
 from greybox.extensions.design.problem import SignalLimit
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.show.pages.report import build_page
 from greybox.show.sentences.pages import PageText
 from tests.support.result_schema import strict_offences

@@ -18,7 +18,7 @@ from greybox.discovery.decision import Verdict
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.effects import discover_fmu, fit_fmu_effects, prepare_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 

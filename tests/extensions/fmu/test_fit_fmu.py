@@ -21,7 +21,7 @@ from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 from tests.support.reference_fmus import BOUNCING_BALL, DAHLQUIST, MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences

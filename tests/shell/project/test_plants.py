@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from greybox import GreyboxError
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.shell.template import plant_names, write_project
 
 HIDDEN = {

@@ -23,7 +23,7 @@ from greybox.estimation.check import check
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.show.figures.figure import Axis, Band, Curve, Figure, Panel, Role
 from greybox.show.figures.records import plot_residual
 from greybox.show.pages.fit_page import misfit_table
