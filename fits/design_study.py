@@ -31,11 +31,12 @@ import greybox as gb
 from fits.hidden_cases import FAMILY, PERIOD, make
 from fits.rig_twins import simulate as simulate_rig
 from greybox.base.files import write_file
+from greybox.data.signals import SignalLimit
 from greybox.extensions.design.campaign import CampaignPlan, run_campaign
 from greybox.extensions.design.inputs import Prbs, Steps
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
 from greybox.extensions.design.plant import list_plants
-from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.problem import DesignProblem, GoalName
 from greybox.extensions.design.rivals import fit_rival
 from greybox.shell.project import find_model
 

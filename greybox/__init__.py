@@ -12,18 +12,20 @@ from __future__ import annotations
 
 import sys
 from importlib import import_module
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False  # as type checkers read it; importing typing takes longer than all the rest
 if TYPE_CHECKING:
+    from typing import Any
+
     from greybox.base import errors
     from greybox.base.errors import GreyboxError
     from greybox.comparison.compare import compare
     from greybox.data import signals
     from greybox.data.experiment import Experiment
     from greybox.data.read import read_csv, read_experiments
+    from greybox.data.signals import SignalLimit
     from greybox.discovery.pipeline import discover
     from greybox.estimation.fit import fit
     from greybox.estimation.linear.linearise import linearise
@@ -37,8 +39,7 @@ if TYPE_CHECKING:
     from greybox.extensions import design as experiment_design
     from greybox.extensions import export, fmu
     from greybox.extensions.changes.detect import detect_changes
-    from greybox.extensions.design.design import design
-    from greybox.extensions.design.problem import SignalLimit
+    from greybox.extensions.design.next_record import design
     from greybox.model import effects
     from greybox.model.balance import Balance
     from greybox.model.characteristic import Characteristic
@@ -73,8 +74,8 @@ _NAMES = {
     "data.experiment": ("Experiment",),
     "data.read": ("read_csv", "read_experiments"),
     "extensions.changes.detect": ("detect_changes",),
-    "extensions.design.design": ("design",),
-    "extensions.design.problem": ("SignalLimit",),
+    "extensions.design.next_record": ("design",),
+    "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
     "show.pages.report": ("report",),
@@ -175,11 +176,14 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-class _Namespaces(MetaPathFinder, Loader):
+class _Namespaces:
     """``from greybox.signals import chirp`` imports from the module that ``gb.signals`` is, not from a copy of it."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        return ModuleSpec(name, self) if self._home(name) != name else None
+        return ModuleSpec(name, self) if self._home(name) != name else None  # type: ignore[arg-type]
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """A module as usual, for `exec_module` to put the real one in its place."""
 
     def exec_module(self, module: ModuleType) -> None:
         sys.modules[module.__name__] = import_module(self._home(module.__name__))

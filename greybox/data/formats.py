@@ -1,7 +1,7 @@
 """The kinds of files that records are read from, and what every one of them is guarded against.
 
-A further format is one more `FileFormat`: a function that opens a file as a table of named columns. Its library is imported
-when a file of the kind is opened, and belongs to an extra of the package where it is not needed otherwise.
+A further format is one more `FileFormat`, found through an entry point of the group ``greybox.readers``: a function that opens a file as
+a table of named columns. Its library is imported when a file of the kind is opened.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, shorten
+from greybox.base.extensions import ExtensionKind, describe_failures, load_extensions
 from greybox.base.findings import Finding
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import DataTable, check_size, raise_limit
@@ -26,13 +28,6 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import enumerate_first
 from greybox.data.text_table import read_text
 from greybox.data.time_base import Samples
-from greybox.extensions.formats.excel_file import read_excel
-from greybox.extensions.formats.hdf5_file import read_hdf5_file
-from greybox.extensions.formats.mat_file import read_mat
-from greybox.extensions.formats.mdf_file import read_mdf
-from greybox.extensions.formats.parquet_file import read_npz, read_parquet
-from greybox.extensions.formats.ros_file import read_bag, read_mcap, read_ros2_database
-from greybox.extensions.formats.tdms_file import read_tdms
 
 
 @dataclass(frozen=True)
@@ -60,29 +55,20 @@ class FileFormat:
     packages: tuple[tuple[str, str], ...] = ()
 
 
-FORMATS = (
-    FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8"),
-    FileFormat("MATLAB", (".mat",), read_mat, "save it again with '-v7', or export it as CSV", (("h5py", "hdf5"),)),
-    FileFormat(".npz", (".npz",), read_npz, "write it with numpy.savez(file, time=..., u=...)"),
-    FileFormat(
-        "Parquet",
-        (".parquet",),
-        read_parquet,
-        "write it again, or export the record as CSV",
-        (("pyarrow", "parquet"),),
-    ),
-    FileFormat("MDF", (".mf4", ".mdf"), read_mdf, "export it as CSV", (("asammdf", "mdf"),)),
-    FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),)),
-    FileFormat("HDF5", (".h5", ".hdf5", ".hdf"), read_hdf5_file, "export it as CSV", (("h5py", "hdf5"),)),
-    FileFormat("ROS 1", (".bag",), read_bag, "repair it with rosbag reindex", (("rosbags", "ros"),)),
-    FileFormat("MCAP", (".mcap",), read_mcap, "repair it with mcap recover", (("mcap", "ros"), ("rosbags", "ros"))),
-    FileFormat("ROS 2", (".db3",), read_ros2_database, "repair it with ros2 bag reindex", (("rosbags", "ros"),)),
-    FileFormat("Excel", (".xlsx", ".xlsm"), read_excel, "save the sheet as CSV", (("openpyxl", "excel"),)),
-)
-"""The formats, in the order in which messages list them."""
+TEXT = FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8")
+"""The kind that needs no extension."""
 
-SUFFIXES = tuple(suffix for kind in FORMATS for suffix in kind.suffixes)
-"""Endings of the files that can be read."""
+
+@cache
+def file_formats() -> tuple[FileFormat, ...]:
+    """The kinds of files that can be read, text first: those of `ExtensionKind.READERS` follow."""
+    return (TEXT, *load_extensions(ExtensionKind.READERS).values())
+
+
+@cache
+def record_suffixes() -> tuple[str, ...]:
+    """Endings of the files that can be read, in the order in which messages list them."""
+    return tuple(dict.fromkeys(suffix for kind in file_formats() for suffix in kind.suffixes))
 
 
 class ColumnValues(NamedTuple):
@@ -143,7 +129,7 @@ def open_record_file(
             f"{file.name}: {size / 1e6:.0f} MB, files of at most {policy.largest_file / 1e6:.0f} MB are read; cut the record, or raise"
             f" the limit {raise_limit('largest_file')}"
         )
-    kind = next(kind for kind in FORMATS if file.suffix.lower() in kind.suffixes)
+    kind = next(kind for kind in file_formats() if file.suffix.lower() in kind.suffixes)
     with _guarded(file, kind):
         table = kind.open(file, policy)
         if names is not None:
@@ -184,19 +170,19 @@ def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
 
 def _find_file(file: Path) -> Path:
     if file.is_dir():
-        raise DataError(f"{file} is a folder; give a file in it ({', '.join(SUFFIXES)})")
+        raise DataError(f"{file} is a folder; give a file in it ({', '.join(record_suffixes())})")
     if file.exists() and not file.is_file():
         raise DataError(f"{file} is a pipe or a device; write what comes out of it to a file, and give that")
-    if file.suffix.lower() not in SUFFIXES and file.is_file():
+    if file.suffix.lower() not in record_suffixes() and file.is_file():
         raise DataError(
             f"{file.name}: files of type {file.suffix or '(no suffix)'!r} cannot be read;"
-            f" export it as one of {', '.join(SUFFIXES)}"
+            f" export it as one of {', '.join(record_suffixes())}{describe_failures(ExtensionKind.READERS)}"
         )
     if file.is_file():
         return file
     if not file.parent.is_dir():
         raise DataError(f"{file}: file not found, there is no folder {str(file.parent)!r}")
-    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in SUFFIXES and f.is_file())
+    beside = sorted(f.name for f in file.parent.iterdir() if f.suffix.lower() in record_suffixes() and f.is_file())
     close = difflib.get_close_matches(file.name, beside, n=3, cutoff=0.5)
     remedy = (
         f"did you mean {' or '.join(map(repr, close))}?"

@@ -7,7 +7,9 @@ has the most power that a limited amplitude allows.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -200,3 +202,26 @@ def _check_highest_frequency(signal: str, high: float, step: float, beyond: bool
             f"a {signal} up to {high:g} Hz: samples every {step:g} s show only frequencies below {0.5 / step:g} Hz; end it lower, or"
             " sample faster"
         )
+
+
+@dataclass(frozen=True)
+class SignalLimit:
+    """What a rig allows of one signal, in the model's unit.
+
+    Parameters
+    ----------
+    low, high
+        Between which it must stay.
+    rate
+        Largest change in a second, of an input.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    rate: float = math.inf
+
+    def __post_init__(self) -> None:
+        if not self.low <= self.high:
+            raise DataError(f"a limit from {self.low:g} to {self.high:g}: the low end must not lie above the high end")
+        if not self.rate > 0:
+            raise DataError(f"a rate of {self.rate:g} per second: give a number above 0")

@@ -15,6 +15,7 @@ from greybox.base.errors import ModelError
 from greybox.base.findings import Finding, Severity
 from greybox.base.units import convert, unit_converter
 from greybox.base.values import Printable
+from greybox.data.array_table import ArrayTable
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import TIME, Column, parse_header
 from greybox.data.findings import RecordCode
@@ -24,7 +25,6 @@ from greybox.data.problems import is_constant
 from greybox.data.sampling import find_sampling_time, find_time_gaps
 from greybox.data.sensor_faults import inspect_signals
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
-from greybox.extensions.formats.array_table import ArrayTable
 
 INPUT_WORDS = frozenset(
     re.split(

@@ -11,9 +11,9 @@ import typer
 
 from greybox.base.errors import GreyboxError
 from greybox.base.files import write_file
-from greybox.extensions.fmu.command import is_fmu, run_fmu_check
 from greybox.shell.inputs import build_model, check_substeps, constrain, fit_options, layout_of, read_records
 from greybox.shell.options import Json, NoReport, check_writable, takes_study
+from greybox.shell.plants import plant_kind
 from greybox.shell.study import CHECK, Study, fields_of
 from greybox.shell.terminal import write_report
 
@@ -51,8 +51,8 @@ def check(
         return
     if not study.estimation:
         _refuse_idle(study, READING, "a check without records")
-    if is_fmu(study):
-        result, folder = run_fmu_check(study, output)
+    if kind := plant_kind(study.model):
+        result, folder = kind.check(study, output)
     else:
         model = constrain(build_model(study), study)
         check_substeps(study, model)
@@ -87,9 +87,9 @@ def _refuse_idle(study: Study, names: Iterable[str], what: str) -> None:
 
 def is_record(name: str) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
-    from greybox.data.formats import SUFFIXES
+    from greybox.data.formats import record_suffixes
 
-    return Path(name).suffix.lower() in SUFFIXES
+    return Path(name).suffix.lower() in record_suffixes()
 
 
 def look_at_files(study: Study, json: bool) -> None:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.base.errors import GreyboxError
-from greybox.extensions.fmu.command import is_fmu, run_fmu_comparison
 from greybox.shell.inputs import (
     add_effects,
     build_model,
@@ -37,6 +36,7 @@ from greybox.shell.options import (
     check_writable,
     takes_study,
 )
+from greybox.shell.plants import plant_kind
 from greybox.shell.policy import PROGRESS
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.shell.study import COMPARE, Study
@@ -86,14 +86,14 @@ def compare(
 
     if silent and json:
         raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
-    if is_fmu(study):
+    if kind := plant_kind(study.model):
         check_workers(workers, cluster, {"--starts N": study.starts > 1})
-        result, prepared, folder = run_fmu_comparison(study, output)
+        result, records, validation, folder = kind.compare(study, output)
         _write(
             result,
             folder,
-            prepared.records,
-            prepared.others,
+            records,
+            validation,
             None if no_report else {},
             quiet=silent,
             json=json,

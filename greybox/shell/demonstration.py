@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.structure_scan import BlackBoxKind
@@ -24,7 +25,6 @@ from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.extensions.export.linear_files import write_control
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.shell.project import find_shipped_model
@@ -165,7 +165,9 @@ def run_demo(
         discovery.best.save(folder / "fit.json"): "the fit with the effect, for greybox export",
         discovery.save(folder / "discovery.json"): "the missing effect, and the evidence",
         save_comparison(comparison, folder / "compare.json"): "the comparison with black boxes",
-        write_control(plant, folder / "plant_ss.py"): "the state space for python-control",
+        load_extension(ExtensionKind.EXPORTS, "control").write(
+            plant, folder / "plant_ss.py"
+        ): "the state space for python-control",
     }
     if pictures:
         gap = _draw_gap(plain, discovery.best, comparison, folder, setup)

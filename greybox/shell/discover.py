@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.extensions.fmu.command import is_fmu, run_fmu_discovery
+from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.shell.inputs import (
     build_model,
     check_skip,
@@ -18,6 +18,7 @@ from greybox.shell.inputs import (
     read_time_limit,
 )
 from greybox.shell.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
+from greybox.shell.plants import PlantKind, plant_kind
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import DISCOVER, Study
 from greybox.shell.terminal import ExitCode, exit_with_error, write_report
@@ -65,8 +66,8 @@ def discover(
     from greybox.estimation.options import FitOptions
     from greybox.shell.own_effects import find_effect, find_own_effects
 
-    if is_fmu(study):
-        _discover_at_fmu(study, output, workers, cluster, json=json, page=not no_report, pictures=figures)
+    if kind := plant_kind(study.model):
+        _discover_at_plant(kind, study, output, workers, cluster, json=json, page=not no_report, pictures=figures)
         return
     model = constrain(build_model(study), study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
@@ -108,16 +109,24 @@ def discover(
     _write(result, folder, json=json, page=not no_report, pictures=figures)
 
 
-def _discover_at_fmu(
-    study: Study, output: Path | None, workers: int, cluster: str, *, json: bool, page: bool, pictures: bool
+def _discover_at_plant(
+    kind: PlantKind,
+    study: Study,
+    output: Path | None,
+    workers: int,
+    cluster: str,
+    *,
+    json: bool,
+    page: bool,
+    pictures: bool,
 ) -> None:
-    """The same around an FMU: the answer, and fmu_fit.json of the FMU with the effects of the answer."""
+    """The same at a plant that is no model file: the answer, and the fit of the plant with the effects of the answer."""
     from greybox.base.parallel.jobs import open_workers
     from greybox.show.sentences.shell import report_line, written
 
     try:
         with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
-            result, folder = run_fmu_discovery(
+            answer = kind.discover(
                 study,
                 output,
                 _left_out(study),
@@ -129,13 +138,13 @@ def _discover_at_fmu(
             )
     except KeyboardInterrupt:
         exit_with_error("interrupted", ExitCode.INTERRUPTED)
-    saved = result.discovery.save(folder / "discovery.json")
-    fitted = result.with_effects or result.prepared.fit
-    files = [saved, fitted.save(folder / "fmu_fit.json")]
-    typer.echo(saved.read_text(encoding="utf-8") if json else str(result), nl=not json)
+    folder = answer.folder
+    saved = answer.discovery.save(folder / "discovery.json")
+    files = [saved, answer.save()]
+    typer.echo(saved.read_text(encoding="utf-8") if json else answer.text, nl=not json)
     try:
-        files += _draw_pictures(result.discovery, folder) if pictures else []
-        page_file = write_report(result.discovery, folder / "report.html") if page else None
+        files += _draw_pictures(answer.discovery, folder) if pictures else []
+        page_file = write_report(answer.discovery, folder / "report.html") if page else None
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
     if not json:
@@ -154,14 +163,13 @@ def _left_out(study: Study) -> tuple[str, ...]:
 
 
 def _write(result: Discovery, folder: Path, *, json: bool, page: bool, pictures: bool) -> None:
-    from greybox.extensions.export.python_model import to_python
     from greybox.show.sentences.shell import report_line, written
 
     saved = result.save(folder / "discovery.json")
     typer.echo(saved.read_text(encoding="utf-8") if json else str(result), nl=not json)
     files = [saved]
     try:
-        files.append(to_python(result.extended, folder / "model.py"))
+        files.append(load_extension(ExtensionKind.EXPORTS, "python").write(result.extended, folder / "model.py"))
         files += _draw_pictures(result, folder) if pictures else []
         report = write_report(result, folder / "report.html") if page else None
     except KeyboardInterrupt:

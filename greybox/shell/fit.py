@@ -38,6 +38,7 @@ from greybox.shell.options import (
     check_writable,
     takes_study,
 )
+from greybox.shell.plants import plant_kind
 from greybox.shell.policy import COMMANDS
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import FIT, Study
@@ -81,12 +82,10 @@ def fit(
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    from greybox.extensions.fmu.command import is_fmu, run_fmu_fit
-
     if silent and json:
         raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
-    if is_fmu(study):
-        run_fmu_fit(study, output, json=json)
+    if kind := plant_kind(study.model):
+        kind.fit(study, output, json=json)
         return
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model

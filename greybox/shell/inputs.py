@@ -8,16 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import GreyboxError, ModelError, nearest
+from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.shell.policy import COMMANDS, CommandPolicy
 from greybox.shell.study import MethodName, Study
-from greybox.shell.terminal import CommandCode, print_findings, print_note
+from greybox.shell.study_values import Numbers, Table, parse_number
+from greybox.shell.terminal import CommandCode, ExitCode, exit_with_error, print_findings, print_note
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
+    from greybox.data.signals import SignalLimit
     from greybox.estimation.options import FitOptions
+    from greybox.estimation.result import Fit
     from greybox.model.model import Model
+    from greybox.simulation.simulate import Simulation
 
 
 def build_model(study: Study) -> Model:
@@ -331,3 +335,75 @@ def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS
             f" give {policy.minimum_replicates} or more"
         )
     return names
+
+
+def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
+    """The fit in ``path``. ``model`` names its model or model file (None: the name that the file holds).
+
+    A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
+    has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
+    """
+    from greybox.base.json_file import ResultKind, read_json
+    from greybox.estimation.result import restore_fit
+    from greybox.model.effects.catalogue import effect
+    from greybox.shell.project import find_model, is_model_path
+
+    data = read_json(path, ResultKind.FIT)
+    if model is None and is_model_path(data["model"]):
+        raise DataError(
+            f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"
+        )
+    try:
+        plant = find_model(model or data["model"])
+        present = [e.name for e in plant.effects]
+        for name in data["effects"]:
+            plant = plant if name in present else plant + effect(name)
+    except ModelError as error:
+        raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
+    return restore_fit(data, plant, str(path))
+
+
+# Limits of signals on the command line: ``--limit NAME=LOW:HIGH`` and ``--rate NAME=R``.
+
+
+def parse_limits(option: str, limits: Sequence[str], rates: Sequence[str] = ()) -> dict[str, SignalLimit]:
+    """Limits by signal. Raises GreyboxError."""
+    from greybox.data.signals import SignalLimit
+
+    pairs = Table(shape="NAME=LOW:HIGH", example="u=-3:3").from_option(option, limits)
+    fastest = Numbers(shape="NAME=R", example="u=100").from_option("--rate", rates)
+    result = {}
+    for name in dict.fromkeys([*pairs, *fastest]):
+        text = pairs.get(name, ":")
+        low, colon, high = text.partition(":")
+        if not colon:
+            raise GreyboxError(f"{option} {name}={text}: write it as LOW:HIGH, as in {option} u=-3:3")
+        given = f"{option} {name}={text}"
+        ends = [
+            parse_number(given, end, f"{option} u=-3:3") if end else sign * math.inf
+            for end, sign in ((low, -1.0), (high, 1.0))
+        ]
+        try:
+            result[name] = SignalLimit(ends[0], ends[1], fastest.get(name, math.inf))
+        except DataError as error:
+            raise GreyboxError(f"{name}: {error}") from None
+    return result
+
+
+def refuse_broken_limits(run: Simulation, limits: Mapping[str, SignalLimit]) -> None:
+    """End with exit code 1 where a signal of a run leaves its limits. Raises GreyboxError for a signal that the run does not have."""
+    import numpy as np
+
+    signals = {**run.states, **run.outputs, **run.inputs}
+    for name, limit in limits.items():
+        if name not in signals:
+            raise GreyboxError(f"--limit {name}: the model has no such signal; {nearest(name, signals)}")
+        values = signals[name]
+        outside = np.flatnonzero((values < limit.low) | (values > limit.high))
+        if len(outside):
+            k = outside[0]
+            exit_with_error(
+                f"{name} = {values[k]:.4g} leaves its limits of {limit.low:g} to {limit.high:g} after {run.time[k]:.4g} s; nothing was"
+                " written",
+                ExitCode.UNSUCCESSFUL,
+            )

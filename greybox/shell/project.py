@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from greybox.base.errors import GreyboxError, ModelError, nearest
 from greybox.base.values import Printable
-from greybox.data.formats import SUFFIXES
+from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
 
 EFFECTS = "effects"
@@ -304,7 +304,7 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     >>> find_model("micro_actuator").title
     'micro_actuator'
     """
-    if Path(name).suffix.lower() in SUFFIXES:
+    if Path(name).suffix.lower() in record_suffixes():
         names = ", ".join(f.name for f in list_models().models)
         raise ModelError(
             f"{name}: a record, not a model file; MODEL comes first, as in MODEL {name} (known models: {names})"

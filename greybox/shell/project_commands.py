@@ -214,7 +214,7 @@ def effects(
 
     Prints name, site, parameters with units, and equation of each, and why an effect has no place.
     """
-    from greybox.model.effects.catalogue import CATALOGUE
+    from greybox.model.effects.catalogue import catalogue
     from greybox.model.effects.placement import EffectListing, find_placements
     from greybox.shell.own_effects import find_own_effects, keep_effect
     from greybox.shell.project import find_model
@@ -238,7 +238,7 @@ def effects(
         raise GreyboxError(
             f"--effect {effect[0]} has no effect without a model; write greybox effects MODEL --effect {effect[0]}"
         )
-    entries = (*CATALOGUE, *find_own_effects())
+    entries = (*catalogue(), *find_own_effects())
     if model is None:
         listing = EffectListing("", entries)
     else:
@@ -290,3 +290,23 @@ def schema(
     from greybox.base.json_file import schema_of_command
 
     typer.echo(json_format.dumps(schema_of_command(command), indent=1, ensure_ascii=False))
+
+
+# `greybox extensions`.
+
+
+def extensions(json: Json = False) -> None:
+    """List what this package and others add to the core, and from which distribution each comes.
+
+    An extension that cannot be loaded is listed with its reason; everything else works without it.
+    """
+    from greybox.base.extensions import ExtensionKind, list_extensions
+    from greybox.show.sentences.shell import extensions_text
+
+    found = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
+    if json:
+        shown = ("kind", "name", "place", "distribution", "version", "failure")
+        rows = [{name: getattr(entry, name) for name in shown} for entry in found]
+        typer.echo(json_format.dumps({"extensions": rows}, indent=2))
+        return
+    typer.echo(extensions_text(found))

@@ -11,10 +11,9 @@ import typer
 
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.extensions.design.command import parse_limits, refuse_broken_limits
 from greybox.shell import completion
 from greybox.shell.answers import SimulationAnswer
-from greybox.shell.inputs import add_effects, check_substeps, layout_of
+from greybox.shell.inputs import add_effects, check_substeps, layout_of, parse_limits, refuse_broken_limits
 from greybox.shell.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study
 from greybox.shell.policy import COMMANDS
 from greybox.shell.study import SIMULATE, Study

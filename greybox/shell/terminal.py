@@ -23,6 +23,7 @@ import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from greybox.base.errors import GreyboxError, OutputError, WorkersLostError, nearest
+from greybox.base.extensions import ExtensionKind, describe_failures
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding
@@ -38,6 +39,15 @@ class ExitCode(IntEnum):
     """Something that was typed or read cannot be used; nothing was computed or written."""
     INTERRUPTED = 130
     """Ctrl-C, as shells report it: 128 plus the number of the signal."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: the function that ``run`` s it with its options as typer reads them, its line in the help, lines to copy."""
+
+    run: Callable[..., None]
+    short_help: str
+    examples: tuple[str, ...] = ()
 
 
 # What the command line has to say about a study beside the result itself.
@@ -252,7 +262,9 @@ class CommandGroup(TyperGroup):
         name = args[0]
         if self.get_command(ctx, name) is None and not ctx.resilient_parsing:  # while Tab completes, nothing is told
             exit_with_error(
-                f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}", ExitCode.BAD_INPUT
+                f"{name}: there is no such command; {nearest(name, self.list_commands(ctx))}"
+                f"{describe_failures(ExtensionKind.COMMANDS)}",
+                ExitCode.BAD_INPUT,
             )
         return super().resolve_command(ctx, args)
 
@@ -286,11 +298,11 @@ def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
 
 def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
     """Which argument is missing, and in which order they come; a record in the place of the model is named as such."""
-    from greybox.data.formats import SUFFIXES
+    from greybox.data.formats import record_suffixes
 
     usage = f"write {command} {' '.join(order)}; see {command} --help"
     first = next((word for word in typed if not word.startswith("-")), "")
-    if order[0] == "MODEL" and Path(first).suffix.lower() in SUFFIXES:
+    if order[0] == "MODEL" and Path(first).suffix.lower() in record_suffixes():
         return f"{first}: a record, not a model; MODEL comes first: {usage}"
     return f"{command}: {missing} is missing; {usage}"
 

@@ -10,8 +10,8 @@ import pytest
 
 from greybox.base.errors import WorkersLostError
 from greybox.estimation.multistart import StartJournal, multistart
-from tests.oracles.independent import linear_record
 from tests.base.parallel.test_jobs import lag
+from tests.oracles.independent import linear_record
 
 module = sys.modules["greybox.estimation.multistart"]
 

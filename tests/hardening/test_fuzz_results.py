@@ -22,6 +22,7 @@ from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
 from greybox.base.json_file import ResultKind, read_json
 from greybox.comparison.result import load_comparison
+from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome
 from greybox.discovery.result import load_discovery
 from greybox.estimation.result import load_fit
@@ -32,7 +33,6 @@ from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.findings import CampaignCode
 from greybox.extensions.design.policy import DesignPolicy, InputSearchPolicy, MarginPolicy
-from greybox.extensions.design.problem import SignalLimit
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
 from greybox.model.model import Model

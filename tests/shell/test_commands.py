@@ -514,9 +514,7 @@ def test_help_and_version_load_nothing_heavy() -> None:
     code = f"import sys, greybox.shell; print(sorted({heavy} & set(sys.modules)))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
-    shown = subprocess.run(
-        [sys.executable, "-m", "greybox", "--version"], capture_output=True, text=True, check=False
-    )
+    shown = subprocess.run([sys.executable, "-m", "greybox", "--version"], capture_output=True, text=True, check=False)
     assert shown.returncode == 0
     assert shown.stdout.startswith("greybox ")
 

@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
-from tests.oracles.independent import linear_record
 from tests.base.parallel.test_jobs import lag
+from tests.oracles.independent import linear_record
 from tests.shell.project.test_outline import TRAP
 
 ROOT = Path(__file__).resolve().parents[2]

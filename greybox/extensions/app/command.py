@@ -31,6 +31,7 @@ from greybox.shell.inputs import (
 from greybox.shell.options import Workers, check_writable, takes_study
 from greybox.shell.study import FIT, Study
 from greybox.shell.study_file import study_script, study_text
+from greybox.shell.terminal import Command
 
 if TYPE_CHECKING:
     from greybox.data.columns import ColumnChoice
@@ -256,3 +257,14 @@ def _beside(file: Path, folder: Path) -> Path:
     """A file in ``folder`` as seen from the working folder, so that the study names it relative to itself; any other as it is."""
     inside = folder.absolute() in file.absolute().parents
     return Path(os.path.relpath(file)) if inside else file
+
+
+COMMAND = Command(
+    app,
+    "Open a model and its records in the browser.",
+    (
+        "greybox app micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
+        "greybox app my/rig.py",
+        "greybox app study.toml",
+    ),
+)

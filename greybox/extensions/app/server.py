@@ -32,7 +32,7 @@ from tornado.web import Application, HTTPError, RequestHandler, stream_request_b
 
 from greybox.base.errors import DataError, GreyboxError
 from greybox.base.files import write_file
-from greybox.data.formats import SUFFIXES
+from greybox.data.formats import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
 from greybox.extensions.app.session import APP_POLICY
@@ -381,9 +381,9 @@ class UploadHandler(GuardedHandler):
         """The bytes as a file in the folder for uploads, under a name that is safe and new there."""
         safe = re.sub(r"[^\w .()+-]", "_", Path(name.replace("\\", "/")).name).strip(". ")
         file = Path(safe)
-        if folder is None or not file.stem or file.suffix.lower() not in SUFFIXES:
+        if folder is None or not file.stem or file.suffix.lower() not in record_suffixes():
             raise DataError(
-                f"{name or 'record'}: no kind of record; load a file that ends in {', '.join(sorted(SUFFIXES))}"
+                f"{name or 'record'}: no kind of record; load a file that ends in {', '.join(sorted(record_suffixes()))}"
             )
         target, count = folder / file.name, 1
         while target.exists():

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.base.errors import DataError, GreyboxError
-from greybox.extensions.export.command import load_fit_with_model
-from greybox.shell.inputs import check_skipped_rows, print_record_notes, refuse_repeated_records
+from greybox.shell.inputs import check_skipped_rows, load_fit_with_model, print_record_notes, refuse_repeated_records
 from greybox.shell.options import Cluster, Json, NoReport, Workers, check_writable
 from greybox.shell.progress import show_search_progress
-from greybox.shell.terminal import write_report
+from greybox.shell.terminal import Command, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -159,14 +158,16 @@ def list_record_files(paths: Sequence[Path]) -> list[Path]:
 
     Raises DataError for a folder without a record.
     """
-    from greybox.data.formats import SUFFIXES
+    from greybox.data.formats import record_suffixes
 
     files: list[Path] = []
     for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
-        inside = sorted((p for p in path.iterdir() if p.is_file() and p.suffix.lower() in SUFFIXES), key=_by_number)
+        inside = sorted(
+            (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in record_suffixes()), key=_by_number
+        )
         if not inside:
             raise DataError(f"{path}: a folder without records; give a folder with CSV, MAT or other record files")
         files += inside
@@ -201,3 +202,15 @@ def _write(result: ChangeDetection, folder: Path, *, json: bool, page: bool) -> 
     typer.echo(f"\n{written([saved])}")
     if report:
         typer.echo(report_line(report))
+
+
+CHANGED = Command(
+    changed,
+    "Tell what has changed in a machine since its fit.",
+    (
+        "greybox changed results/rig-fit/fit.json today.csv",
+        "greybox changed results/rig-fit/fit.json today.csv --validate today2.csv --model my/rig.py",
+        "greybox changed results/rig-fit/fit.json machines/* --population",
+        "greybox changed results/rig-fit/fit.json months/ --chart",
+    ),
+)

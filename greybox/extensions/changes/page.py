@@ -115,3 +115,7 @@ def _today(change: ChangeDetection) -> Iterator[Block]:
     for k, trace in enumerate(fit.traces):
         yield FigureBlock(plot_run(trace, units, f"run{k}"), group=f"record{k}")
         yield FigureBlock(plot_residual(trace, units, fit.noise.levels, f"residual{k}"), group=f"record{k}")
+
+
+PAGES = {"ChangeDetection": build_changed_page}
+"""Class of a result -> the function that builds its page."""

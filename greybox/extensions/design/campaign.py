@@ -21,6 +21,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, Hold
+from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
@@ -28,10 +29,10 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import format_json, to_json_data
-from greybox.extensions.design.design import answer
 from greybox.extensions.design.findings import CampaignCode
+from greybox.extensions.design.next_record import answer
 from greybox.extensions.design.policy import CAMPAIGN_POLICY, DESIGN_POLICY, CampaignPolicy, DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.problem import DesignProblem, GoalName
 from greybox.extensions.design.result import Design, save_design
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
 from greybox.extensions.design.rivals import fit_explanation, fit_rival

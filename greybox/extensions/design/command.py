@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
-from greybox.extensions.export.command import load_fit_with_model
+from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.shell import completion
+from greybox.shell.inputs import load_fit_with_model, parse_limits
 from greybox.shell.options import (
     Cluster,
     Fixed,
@@ -30,59 +28,14 @@ from greybox.shell.options import (
     repeated,
 )
 from greybox.shell.study import HoldName
-from greybox.shell.study_values import Numbers, Table, parse_names, parse_number
-from greybox.shell.terminal import ExitCode, exit_with_error, print_note, write_report
+from greybox.shell.study_values import Numbers, parse_names
+from greybox.shell.terminal import Command, ExitCode, exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.estimation.options import FitOptions
     from greybox.estimation.result import Fit
-    from greybox.extensions.design.problem import SignalLimit
     from greybox.model.model import Model
-    from greybox.simulation.simulate import Simulation
-
-# Limits of signals on the command line: ``--limit NAME=LOW:HIGH`` and ``--rate NAME=R``.
-
-
-def parse_limits(option: str, limits: Sequence[str], rates: Sequence[str] = ()) -> dict[str, SignalLimit]:
-    """Limits by signal. Raises GreyboxError."""
-    from greybox.extensions.design.problem import SignalLimit
-
-    pairs = Table(shape="NAME=LOW:HIGH", example="u=-3:3").from_option(option, limits)
-    fastest = Numbers(shape="NAME=R", example="u=100").from_option("--rate", rates)
-    result = {}
-    for name in dict.fromkeys([*pairs, *fastest]):
-        text = pairs.get(name, ":")
-        low, colon, high = text.partition(":")
-        if not colon:
-            raise GreyboxError(f"{option} {name}={text}: write it as LOW:HIGH, as in {option} u=-3:3")
-        given = f"{option} {name}={text}"
-        ends = [
-            parse_number(given, end, f"{option} u=-3:3") if end else sign * math.inf
-            for end, sign in ((low, -1.0), (high, 1.0))
-        ]
-        try:
-            result[name] = SignalLimit(ends[0], ends[1], fastest.get(name, math.inf))
-        except DataError as error:
-            raise GreyboxError(f"{name}: {error}") from None
-    return result
-
-
-def refuse_broken_limits(run: Simulation, limits: Mapping[str, SignalLimit]) -> None:
-    """End with exit code 1 where a signal of a run leaves its limits. Raises GreyboxError for a signal that the run does not have."""
-    signals = {**run.states, **run.outputs, **run.inputs}
-    for name, limit in limits.items():
-        if name not in signals:
-            raise GreyboxError(f"--limit {name}: the model has no such signal; {nearest(name, signals)}")
-        values = signals[name]
-        outside = np.flatnonzero((values < limit.low) | (values > limit.high))
-        if len(outside):
-            k = outside[0]
-            exit_with_error(
-                f"{name} = {values[k]:.4g} leaves its limits of {limit.low:g} to {limit.high:g} after {run.time[k]:.4g} s; nothing was"
-                " written",
-                ExitCode.UNSUCCESSFUL,
-            )
 
 
 class GoalChoice(StrEnum):
@@ -203,7 +156,7 @@ def design(
     """
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import format_json, to_json_data
-    from greybox.extensions.design.design import design as design_record
+    from greybox.extensions.design.next_record import design as design_record
     from greybox.extensions.design.result import design_data
 
     if effect and goal is not GoalChoice.detection:
@@ -495,3 +448,24 @@ def campaign(
         typer.echo("\n".join([str(result), *([report_line(report)] if report else [])]))
     if result.status in (CampaignStatus.BUDGET_SPENT, CampaignStatus.LIMIT_BROKEN):
         raise typer.Exit(ExitCode.UNSUCCESSFUL)
+
+
+DESIGN = Command(
+    design,
+    "Design the next record within what the rig allows.",
+    (
+        "greybox design results/rig-fit/fit.json --limit u=-3:3 --limit x=-1e-4:1e-4 --duration 1",
+        "greybox design results/rig-discover/discovery.json train.csv --goal discrimination --limit u=-3:3",
+        "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
+    ),
+)
+
+
+CAMPAIGN = Command(
+    campaign,
+    "Design, measure, fit and discover in turn, in one folder.",
+    (
+        "greybox campaign my/rig.py --noise x=2e-7 --limit u=-1:1 --duration 0.5 --sampling-time 2.5e-4 --output rig",
+        "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
+    ),
+)

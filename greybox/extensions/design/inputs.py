@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 
 from greybox.base.numerics import TINY
-from greybox.data.signals import chirp, prbs
+from greybox.data.signals import SignalLimit, chirp, prbs
 from greybox.extensions.design.policy import PlayPolicy
-from greybox.extensions.design.problem import DesignProblem, SignalLimit
+from greybox.extensions.design.problem import DesignProblem
 
 
 class InputShape(Protocol):

@@ -172,3 +172,7 @@ def _files(campaign: Campaign) -> PageTable:
         present = [name for name in FILES if (campaign.folder / folder / name).exists()]
         rows.append([folder, ", ".join(present)])
     return PageTable(phrase(PageText.CAMPAIGN_FILES), ["folder", "files"], rows)
+
+
+PAGES = {"Design": build_design_page, "Campaign": build_campaign_page}
+"""Class of a result -> the function that builds its page."""

@@ -13,6 +13,7 @@ from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.values import ReadOnly
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
+from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions
 from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
 from greybox.model.model import Model
@@ -39,29 +40,6 @@ class CriterionName(StrEnum):
     """The mean variance."""
     E = "E"
     """The variance of the worst combination."""
-
-
-@dataclass(frozen=True)
-class SignalLimit:
-    """What a rig allows of one signal, in the model's unit.
-
-    Parameters
-    ----------
-    low, high
-        Between which it must stay.
-    rate
-        Largest change in a second, of an input.
-    """
-
-    low: float = -math.inf
-    high: float = math.inf
-    rate: float = math.inf
-
-    def __post_init__(self) -> None:
-        if not self.low <= self.high:
-            raise DataError(f"a limit from {self.low:g} to {self.high:g}: the low end must not lie above the high end")
-        if not self.rate > 0:
-            raise DataError(f"a rate of {self.rate:g} per second: give a number above 0")
 
 
 @dataclass(frozen=True)

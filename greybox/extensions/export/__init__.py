@@ -1,55 +1,55 @@
 """Hand-over to controller design: linear models with their uncertainty, and the model as code."""
 
-from greybox.estimation.linear.findings import ExportFinding
-from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
-from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.linear.model_family import ModelFamily, WorstCase, sample_family
-from greybox.estimation.linear.operating_point import OperatingPoint, find_operating_point
-from greybox.estimation.linear.sampling import sample
-from greybox.estimation.linear.transfer_channel import TransferChannel, extract_channel
-from greybox.extensions.export.c_code import to_c
-from greybox.extensions.export.casadi_model import to_acados, to_casadi, to_do_mpc
-from greybox.extensions.export.fmu import to_fmu
-from greybox.extensions.export.linear_files import to_json, to_mat, to_numpy, write_linear
-from greybox.extensions.export.modelica import to_modelica
-from greybox.extensions.export.observer import Observer, ObserverRun, design_observer
-from greybox.extensions.export.python_control import (
-    to_control,
-    to_nonlinear_system,
-    to_state_space,
-    to_transfer_function,
-)
-from greybox.extensions.export.python_model import to_python
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "ExportFinding",
-    "Linearisation",
-    "ModelFamily",
-    "Observer",
-    "ObserverRun",
-    "OperatingPoint",
-    "TransferChannel",
-    "WorstCase",
-    "design_observer",
-    "extract_channel",
-    "find_operating_point",
-    "linearise",
-    "minimal_realisation",
-    "sample",
-    "sample_family",
-    "to_acados",
-    "to_c",
-    "to_casadi",
-    "to_control",
-    "to_do_mpc",
-    "to_fmu",
-    "to_json",
-    "to_mat",
-    "to_modelica",
-    "to_nonlinear_system",
-    "to_numpy",
-    "to_python",
-    "to_state_space",
-    "to_transfer_function",
-    "write_linear",
-]
+from greybox.base.faces import lazy_face
+
+if TYPE_CHECKING:
+    from greybox.estimation.linear.findings import ExportFinding
+    from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
+    from greybox.estimation.linear.linearise import linearise
+    from greybox.estimation.linear.model_family import ModelFamily, WorstCase, sample_family
+    from greybox.estimation.linear.operating_point import OperatingPoint, find_operating_point
+    from greybox.estimation.linear.sampling import sample
+    from greybox.estimation.linear.transfer_channel import TransferChannel, extract_channel
+    from greybox.extensions.export.c_code import to_c
+    from greybox.extensions.export.casadi_model import to_acados, to_casadi, to_do_mpc
+    from greybox.extensions.export.fmu import to_fmu
+    from greybox.extensions.export.linear_files import to_json, to_mat, to_numpy, write_linear
+    from greybox.extensions.export.modelica import to_modelica
+    from greybox.extensions.export.observer import Observer, ObserverRun, design_observer
+    from greybox.extensions.export.python_control import (
+        to_control,
+        to_nonlinear_system,
+        to_state_space,
+        to_transfer_function,
+    )
+    from greybox.extensions.export.python_model import to_python
+    from greybox.extensions.export.target import ExportTarget
+
+__getattr__, __all__ = lazy_face(
+    __name__,
+    {
+        "greybox.estimation.linear.findings": ("ExportFinding",),
+        "greybox.estimation.linear.linearisation": ("Linearisation", "minimal_realisation"),
+        "greybox.estimation.linear.linearise": ("linearise",),
+        "greybox.estimation.linear.model_family": ("ModelFamily", "WorstCase", "sample_family"),
+        "greybox.estimation.linear.operating_point": ("OperatingPoint", "find_operating_point"),
+        "greybox.estimation.linear.sampling": ("sample",),
+        "greybox.estimation.linear.transfer_channel": ("TransferChannel", "extract_channel"),
+        "greybox.extensions.export.c_code": ("to_c",),
+        "greybox.extensions.export.casadi_model": ("to_acados", "to_casadi", "to_do_mpc"),
+        "greybox.extensions.export.fmu": ("to_fmu",),
+        "greybox.extensions.export.linear_files": ("to_json", "to_mat", "to_numpy", "write_linear"),
+        "greybox.extensions.export.modelica": ("to_modelica",),
+        "greybox.extensions.export.observer": ("Observer", "ObserverRun", "design_observer"),
+        "greybox.extensions.export.python_control": (
+            "to_control",
+            "to_nonlinear_system",
+            "to_state_space",
+            "to_transfer_function",
+        ),
+        "greybox.extensions.export.python_model": ("to_python",),
+        "greybox.extensions.export.target": ("ExportTarget",),
+    },
+)

@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from greybox.base.files import write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers
@@ -14,6 +15,7 @@ from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.extensions.export.observer import Observer, refuse_sampling
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.equations import equations_text
 from greybox.model.expressions.printer import c_literal
 from greybox.model.model import Model
@@ -302,3 +304,13 @@ def _blocks(interval: DiscreteStep) -> list[str]:
         if texts:
             lines += [f"    /* {title} */", *("    " + ", ".join(texts[k : k + nx]) + "," for k in range(0, size, nx))]
     return lines
+
+
+def _write_source_and_header(plant: Fit | Model | Observer, path: Path, **options: Any) -> tuple[Path, Path]:
+    source, header = to_c(plant, path, **options)
+    return header, source  # in the order in which they are read
+
+
+TARGET = ExportTarget(
+    "C", ".c", _write_source_and_header, options=frozenset(["dt", "substeps", "observer"]), stepped="one step of"
+)

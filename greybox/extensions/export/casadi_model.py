@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
 
 from greybox.base.errors import GreyboxError, ModelError, nearest
+from greybox.base.files import write_file
 from greybox.base.texts import to_identifier, to_identifiers
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
@@ -19,6 +21,7 @@ from greybox.extensions.export.discrete_step import (
     name_past_inputs,
 )
 from greybox.extensions.export.python_control import find_discontinuous_effects
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 
 
@@ -233,3 +236,10 @@ def _write_interval(step: DiscreteStep, x: ca.SX, u: ca.SX, values: ca.SX) -> tu
     if step.past:
         after = ca.vertcat(after, u[step.late_input], past[: step.past - 1])
     return ca.cse(after), step.step.outputs(x[:nx], row(0.0), values)
+
+
+def _write_casadi(plant: Fit | Model, path: Path, **options: Any) -> Path:
+    return write_file(path, to_casadi(plant, **options).serialize())
+
+
+TARGET = ExportTarget("a CasADi function", ".casadi", _write_casadi, options=frozenset(["dt", "substeps"]))

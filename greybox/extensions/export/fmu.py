@@ -27,6 +27,7 @@ from greybox.extensions.export.discrete_step import (
     make_discrete_step,
 )
 from greybox.extensions.export.observer import Observer, ObserverInterval, refuse_sampling
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.expressions.printer import c_literal
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -273,3 +274,8 @@ def compile_shared_library(text: str, target: Path) -> Path:
             f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
         )
     return target
+
+
+TARGET = ExportTarget(
+    "an FMU 2.0 for co-simulation", ".fmu", to_fmu, options=frozenset(["dt", "substeps", "observer"]), stepped="step"
+)

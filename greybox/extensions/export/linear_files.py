@@ -1,18 +1,19 @@
 """Linear models as files: MATLAB's .mat, JSON, NumPy's .npz, and a Python file that makes a `control.StateSpace`.
 
-``LINEAR_FORMATS`` is the list of formats: a new one is a function that writes a `Linearisation`, and a line there.
+A new format is a function that writes a `Linearisation`, and an `ExportTarget` with an entry point.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
+from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.files import write_file
 from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
@@ -22,6 +23,7 @@ from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.linear.transfer_channel import describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import format_json, to_json_data
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 from greybox.model.python_text import docstring, literal
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
@@ -94,8 +96,9 @@ def write_linear(
     --------
     >>> gb.export.write_linear(fit, "plant.mat", "mat", {"u": 0.5}, samples=50)  # doctest: +SKIP
     """
-    if format not in LINEAR_FORMATS:
-        raise ModelError(f"unknown format {format!r}; {nearest(format, LINEAR_FORMATS)}")
+    formats = {name: target for name, target in load_extensions(ExtensionKind.EXPORTS).items() if target.linear}
+    if format not in formats:
+        raise ModelError(f"unknown format {format!r}; {nearest(format, formats)}")
     model = linearise(plant, at, dt=dt, method=method, delay=delay)
     family = None
     if samples:
@@ -107,7 +110,7 @@ def write_linear(
     for finding in (*model.findings, *(family.findings if family else ())):
         warnings.warn(str(finding), GreyboxWarning, stacklevel=2)
     reduced = minimal_realisation(model) if minimal else model
-    return LINEAR_FORMATS[format](reduced, path, plant=to_plant(plant), family=family)
+    return formats[format].write(reduced, path, plant=to_plant(plant), family=family)
 
 
 def to_mat(
@@ -337,14 +340,10 @@ def write_control(
     return write_file(target, "\n".join(lines))
 
 
-LinearWriter = Callable[..., Path]
-
-LINEAR_FORMATS: Mapping[str, LinearWriter] = {
-    "control": write_control,
-    "mat": write_mat,
-    "json": write_json,
-    "numpy": write_npz,
-}
+CONTROL = ExportTarget("a Python file for python-control", ".py", write_control, linear=True, ending="_ss.py")
+MAT = ExportTarget("a MATLAB file", ".mat", write_mat, linear=True, options=frozenset(["samples"]))
+JSON = ExportTarget("JSON", ".json", write_json, linear=True, options=frozenset(["samples"]))
+NUMPY = ExportTarget("NumPy arrays", ".npz", write_npz, linear=True, options=frozenset(["samples"]))
 
 
 def _contents(model: Linearisation) -> dict[str, Any]:

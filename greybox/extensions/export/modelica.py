@@ -16,6 +16,7 @@ from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_lin
 from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.balance import Balance
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, Printed, Printer
@@ -276,3 +277,6 @@ def _brackets(inside: Sequence[str]) -> str:
 def _string(text: str) -> str:
     """Text inside a Modelica string, without backslashes: not every reader takes them as the standard has it."""
     return to_line(text).replace("\\", "/").replace('"', "'")
+
+
+TARGET = ExportTarget("Modelica", ".mo", to_modelica)

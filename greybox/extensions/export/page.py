@@ -63,3 +63,7 @@ def _files(export: Export) -> Iterator[Block]:
     for file in export.files:
         if file.suffix in READABLE and file.stat().st_size <= REPORT.listing:
             yield Details(phrase(PageText.EXPORT_CONTENT, file.name), [CodeBlock(file.read_text(encoding="utf-8"))])
+
+
+PAGES = {"Export": build_export_page}
+"""Class of a result -> the function that builds its page."""

@@ -15,8 +15,9 @@ from greybox.base.texts import to_identifier
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
+from greybox.extensions.export.target import ExportTarget
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import CATALOGUE
+from greybox.model.effects.catalogue import catalogue
 from greybox.model.effects.placement import AT, place_effect
 from greybox.model.equations import equations_text
 from greybox.model.expressions.printer import NUMPY, PYTHON, Printer
@@ -225,7 +226,7 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
-    entries = [entry for entry in CATALOGUE if effect.name.startswith(entry.name)]
+    entries = [entry for entry in catalogue() if effect.name.startswith(entry.name)]
     placed = [place_effect(e, effect.site) for e in entries if effect.name == f"{e.name}{AT}{effect.site}"]
     return next((entry for entry in (*entries, *placed) if parts(entry) == parts(effect)), None)
 
@@ -295,3 +296,6 @@ def _effect_names(bound: BoundEffect, model: Model) -> dict[str, str]:
             name = effect_names.get(s.name, s.name)
             names[s.name] = f"{letter}.{name}" if name.isidentifier() else f"{letter}[{literal(name)}]"
     return names
+
+
+TARGET = ExportTarget("a Python model file", ".py", to_python, options=frozenset(["observer"]))

@@ -1,29 +1,37 @@
 """Plants that come as an FMU: read, simulated beside a record, fitted, and searched for missing effects like a model."""
 
-from greybox.extensions.fmu.description import FmuPlant, FmuVariable, read_fmu
-from greybox.extensions.fmu.effects import (
-    FmuDiscovery,
-    FmuEffectFit,
-    PreparedFmu,
-    discover_fmu,
-    fit_fmu_effects,
-    prepare_fmu,
-)
-from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
-from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "FmuDiscovery",
-    "FmuEffectFit",
-    "FmuFit",
-    "FmuPlant",
-    "FmuRunError",
-    "FmuSimulator",
-    "FmuVariable",
-    "PreparedFmu",
-    "discover_fmu",
-    "fit_fmu",
-    "fit_fmu_effects",
-    "prepare_fmu",
-    "read_fmu",
-]
+from greybox.base.faces import lazy_face
+
+if TYPE_CHECKING:
+    from greybox.extensions.fmu.description import FmuPlant, FmuVariable, read_fmu
+    from greybox.extensions.fmu.effects import (
+        FmuDiscovery,
+        FmuEffectFit,
+        PreparedFmu,
+        compare_fmu,
+        discover_fmu,
+        fit_fmu_effects,
+        prepare_fmu,
+    )
+    from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
+    from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
+
+__getattr__, __all__ = lazy_face(
+    __name__,
+    {
+        "greybox.extensions.fmu.description": ("FmuPlant", "FmuVariable", "read_fmu"),
+        "greybox.extensions.fmu.effects": (
+            "FmuDiscovery",
+            "FmuEffectFit",
+            "PreparedFmu",
+            "compare_fmu",
+            "discover_fmu",
+            "fit_fmu_effects",
+            "prepare_fmu",
+        ),
+        "greybox.extensions.fmu.fit_fmu": ("FmuFit", "fit_fmu"),
+        "greybox.extensions.fmu.simulator": ("FmuRunError", "FmuSimulator"),
+    },
+)

@@ -12,6 +12,7 @@ import typer
 from greybox.base.errors import DataError, GreyboxError
 from greybox.shell.inputs import layout_of, print_record_notes
 from greybox.shell.options import check_writable
+from greybox.shell.plants import PlantDiscovery, PlantKind
 from greybox.shell.study import CHECK, COMPARE, DISCOVER, FIT, Study, fields_of
 from greybox.shell.terminal import ExitCode
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.extensions.fmu.effects import PreparedFmu
     from greybox.extensions.fmu.fit_fmu import FmuFit
+
+    Records = tuple[Experiment, ...]
 
 SIGNALS = ["hold", "columns", "headers", "sampling_time", "read_limit", "interpolation", "split_holes", "free_decay"]
 ALWAYS = frozenset(["model", "estimation", "validation", "fixed", "start", "free", "noise", *SIGNALS])
@@ -30,11 +33,6 @@ USED = {
     DISCOVER: ALWAYS | {"candidates", "skip", "beginning", "without", "without_family", "further", "time_limit"},
 }
 """Command -> fields of a study that it uses with an FMU."""
-
-
-def is_fmu(study: Study) -> bool:
-    """Whether the model of a study is an FMU."""
-    return Path(study.model).suffix.lower() == ".fmu"
 
 
 def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
@@ -65,8 +63,8 @@ def run_fmu_check(study: Study, output: Path | None) -> tuple[Any, Path]:
     return check(prepared.local.model, prepared.estimation, noise=dict(study.noise), options=AT_REST), folder
 
 
-def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str], **options: Any) -> tuple[Any, Path]:
-    """The discovery around the FMU of a study, and the folder for it. Raises GreyboxError."""
+def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str], **options: Any) -> PlantDiscovery:
+    """The discovery around the FMU of a study. Raises GreyboxError."""
     from greybox.extensions.fmu.effects import discover_fmu, prepare_fmu
     from greybox.model.effects.catalogue import effect
 
@@ -75,7 +73,7 @@ def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str],
     result, records, validation, folder = _fit(study, DISCOVER, output)
     prepared = prepare_fmu(result, records, validation)
     candidates = [effect(name) for name in study.candidates] or None
-    return discover_fmu(
+    answer = discover_fmu(
         prepared,
         noise=dict(study.noise) or None,
         effects=candidates,
@@ -84,47 +82,26 @@ def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str],
         without=without,
         further=study.further,
         **options,
-    ), folder
+    )
+    fitted = answer.with_effects or prepared.fit
+    return PlantDiscovery(answer.discovery, str(answer), folder, lambda: fitted.save(folder / "fmu_fit.json"))
 
 
-def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, PreparedFmu, Path]:
-    """The FMU of a study beside black boxes, and the folder for that. Raises GreyboxError."""
-    from greybox.comparison.black_box_candidates import fit_black_boxes
-    from greybox.comparison.compare import NamedModel, compare_named
-    from greybox.discovery.effect_test import try_effect
-    from greybox.estimation.fit import fit
-    from greybox.extensions.fmu.effects import AT_REST, prepare_fmu
+def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, Records, Records, Path]:
+    """The FMU of a study beside black boxes, its records and the others, and the folder for that. Raises GreyboxError."""
+    from greybox.extensions.fmu.effects import compare_fmu, prepare_fmu
 
     result, records, validation, folder = _fit(study, COMPARE, output)
     prepared = prepare_fmu(result, records, validation)
-    noise, plant = dict(study.noise) or None, result.plant
-    grey = [fit(prepared.local.model, prepared.estimation, noise=noise, options=AT_REST)]
-    for text in study.candidates:
-        extended = grey[0]
-        for name in text.split("+"):
-            extended = try_effect(extended, name.strip(), nominal=prepared.local.model).larger
-        grey.append(extended)
-    measured = [o for o in plant.outputs if any(o.label in e.outputs for e in records)]
-    black, findings = (
-        fit_black_boxes(
-            records,
-            [o.label for o in measured],
-            [i.label for i in plant.inputs],
-            units={s.label: s.unit for s in (*plant.inputs, *measured)},
-        )
-        if plant.inputs
-        else ((), ())
-    )
-    comparison = compare_named(
-        [*(NamedModel(each.model.title, each) for each in grey), *black],
-        prepared.validation,
-        prepared.estimation,
+    comparison = compare_fmu(
+        prepared,
+        study.candidates,
+        noise=dict(study.noise) or None,
         skip=study.skip,
         beginning=study.beginning,
-        steps=[k for k in study.predict if k],
-        findings=findings,
+        steps=study.predict,
     )
-    return comparison, prepared, folder
+    return comparison, prepared.records, prepared.others, folder
 
 
 def _fit(
@@ -190,3 +167,7 @@ def _fit_effects(prepared: PreparedFmu, names: Sequence[str], study: Study) -> A
     start = {n: v for n, v in extended.model.values.items() if n not in plain}
     start |= {n: v for n, v in study.start.items() if n in start}
     return fit_fmu_effects(prepared, extended.model.effects, start=start, noise=noise)
+
+
+FMU = PlantKind((".fmu",), run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
+"""An FMU in the place of a model."""

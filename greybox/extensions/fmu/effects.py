@@ -12,8 +12,12 @@ import numpy as np
 
 from greybox.base.files import write_file
 from greybox.base.values import Printable
+from greybox.comparison.black_box_candidates import fit_black_boxes
+from greybox.comparison.compare import NamedModel, compare_named
+from greybox.comparison.result import Comparison
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
+from greybox.discovery.effect_test import try_effect
 from greybox.discovery.pipeline import discover
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.result import Discovery
@@ -353,6 +357,70 @@ def discover_fmu(
         with_effects = again or with_effects
         runs += again.runs if again else 0
     return FmuDiscovery(prepared, answer, with_effects, runs)
+
+
+def compare_fmu(
+    prepared: PreparedFmu,
+    candidates: Sequence[str] = (),
+    *,
+    noise: Mapping[str, float] | None = None,
+    skip: int = 0,
+    beginning: int = 0,
+    steps: Sequence[int] = (),
+) -> Comparison:
+    """An FMU, alone and with effects, beside black boxes on its validation records.
+
+    Parameters
+    ----------
+    prepared
+        A fitted FMU with its records, from `prepare_fmu`.
+    candidates
+        Effects to add, each a model of its own; ``"a+b"`` adds two.
+    noise
+        Standard deviation of the sensor noise by output, in its unit; estimated where not given.
+    skip, beginning
+        Rows that are not compared, and rows from which an initial state is estimated, as in `greybox.compare`.
+    steps
+        Numbers of samples to predict ahead, besides the free run.
+
+    Returns
+    -------
+    Comparison
+        The errors of each model.
+
+    Raises
+    ------
+    GreyboxError
+        For an unknown effect, or records that no model can be compared on.
+    """
+    local, plant = prepared.local.model, prepared.fit.plant
+    grey = [fit(local, prepared.estimation, noise=noise, options=AT_REST)]
+    for text in candidates:
+        extended = grey[0]
+        for name in text.split("+"):
+            extended = try_effect(extended, name.strip(), nominal=local).larger
+        grey.append(extended)
+    # Black boxes see the record itself: the FMU's own inputs and the outputs that were measured.
+    measured = [o for o in plant.outputs if any(o.label in e.outputs for e in prepared.records)]
+    black, findings = (
+        fit_black_boxes(
+            prepared.records,
+            [o.label for o in measured],
+            [i.label for i in plant.inputs],
+            units={s.label: s.unit for s in (*plant.inputs, *measured)},
+        )
+        if plant.inputs
+        else ((), ())
+    )
+    return compare_named(
+        [*(NamedModel(each.model.title, each) for each in grey), *black],
+        prepared.validation,
+        prepared.estimation,
+        skip=skip,
+        beginning=beginning,
+        steps=[k for k in steps if k],
+        findings=findings,
+    )
 
 
 def _restore_objective(

@@ -13,11 +13,12 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.units import convert
+from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_size, check_width, parse_header, raise_limit
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
-from greybox.extensions.formats.array_table import ArrayInfo, ArrayTable
 
 
 @dataclass(frozen=True)
@@ -142,3 +143,6 @@ def _to_number(cell: Any) -> float | None:
     if isinstance(cell, datetime.timedelta):
         return cell.total_seconds()
     return None
+
+
+EXCEL = FileFormat("Excel", (".xlsx", ".xlsm"), read_excel, "save the sheet as CSV", (("openpyxl", "excel"),))

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.base.units import convert
+from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
-from greybox.extensions.formats.array_table import ArrayInfo, ArrayTable
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 PLACES = (0, 512, 1024, 2048)
@@ -170,3 +171,6 @@ def _describe_content(data: Any) -> str:
     if "MATLAB_empty" in data.attrs:
         return "nothing"
     return "" if data.dtype.kind in "biuf" else str(data.dtype)
+
+
+HDF5 = FileFormat("HDF5", (".h5", ".hdf5", ".hdf"), read_hdf5_file, "export it as CSV", (("h5py", "hdf5"),))

@@ -12,9 +12,10 @@ from typing import BinaryIO
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width, raise_limit
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.extensions.formats.array_table import ArrayInfo, ArrayTable
 from greybox.extensions.formats.hdf5_file import is_hdf5, read_hdf5
 
 # MATLAB files of versions 5 to 7: numbers and structs, every size checked against the bytes that are there.
@@ -272,3 +273,6 @@ def _read_mat4(path: Path, policy: ReadingPolicy) -> ArrayTable:
         return {name: np.asarray(arrays[name]) for name in names}
 
     return ArrayTable.from_infos(infos, load, policy)
+
+
+MAT = FileFormat("MATLAB", (".mat",), read_mat, "save it again with '-v7', or export it as CSV", (("h5py", "hdf5"),))

@@ -11,6 +11,7 @@ import numpy as np
 
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_width
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -95,3 +96,6 @@ def _to_samples(signal: Any) -> Samples:
     if invalid is not None and len(invalid) == len(values):
         values = np.where(np.asarray(invalid, dtype=bool), np.nan, values)
     return Samples(np.asarray(signal.timestamps, dtype=np.float64), values)
+
+
+MDF = FileFormat("MDF", (".mf4", ".mdf"), read_mdf, "export it as CSV", (("asammdf", "mdf"),))

@@ -10,9 +10,10 @@ from typing import IO, Any
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.extensions.formats.array_table import ArrayInfo, ArrayTable
 
 
 def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
@@ -94,3 +95,9 @@ def _read_info(file: IO[bytes], size: int) -> ArrayInfo:
         raise DataError(f"an array claims the shape {shape}, which its {size} bytes cannot hold; write the file again")
     holds = {"U": "text", "S": "text"}.get(dtype.kind, str(dtype))
     return ArrayInfo(shape, "" if dtype.kind in "biuf" else holds)
+
+
+NPZ = FileFormat(".npz", (".npz",), read_npz, "write it with numpy.savez(file, time=..., u=...)")
+PARQUET = FileFormat(
+    "Parquet", (".parquet",), read_parquet, "write it again, or export the record as CSV", (("pyarrow", "parquet"),)
+)

@@ -16,6 +16,7 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -208,3 +209,8 @@ def _list_numbers(content: Any, prefix: str, policy: ReadingPolicy, depth: int =
     for name, value in members:
         if not (depth == 0 and name == "header"):
             yield from _list_numbers(value, f"{prefix}.{name}" if prefix else name, policy, depth + 1)
+
+
+BAG = FileFormat("ROS 1", (".bag",), read_bag, "repair it with rosbag reindex", (("rosbags", "ros"),))
+MCAP = FileFormat("MCAP", (".mcap",), read_mcap, "repair it with mcap recover", (("mcap", "ros"), ("rosbags", "ros")))
+ROS2 = FileFormat("ROS 2", (".db3",), read_ros2_database, "repair it with ros2 bag reindex", (("rosbags", "ros"),))

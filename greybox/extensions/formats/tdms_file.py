@@ -14,6 +14,7 @@ from greybox.base.units import convert
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header
 from greybox.data.findings import RecordCode
+from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -113,3 +114,6 @@ def _to_seconds(clock: Any) -> np.ndarray:
     unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
     time = np.asarray(values, dtype=np.float64)
     return np.asarray(convert(time, unit, "s")) if unit else time
+
+
+TDMS = FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),))

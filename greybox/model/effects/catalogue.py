@@ -9,7 +9,10 @@ law, ``linear_input`` and ``band_limited_input`` say how the input moves between
 
 from __future__ import annotations
 
+from functools import cache
+
 from greybox.base.errors import ModelError, nearest
+from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.model.effect import Effect
 from greybox.model.effects.elasticity import CONTACT, ELASTICITY
 from greybox.model.effects.electrical import ELECTRICAL, THERMAL
@@ -60,6 +63,7 @@ __all__ = [
     "SignalRole",
     "applicable_effects",
     "bound_delays",
+    "catalogue",
     "effect",
     "find_placements",
     "formula_effect",
@@ -67,6 +71,28 @@ __all__ = [
     "place_effect",
     "tailor_to_record",
 ]
+
+
+@cache
+def catalogue() -> tuple[Effect, ...]:
+    """The shipped effects, and those of extensions after them.
+
+    Raises
+    ------
+    ModelError
+        Where an extension gives something else than an effect, or a name that is taken.
+    """
+    entries = list(CATALOGUE)
+    for name, value in load_extensions(ExtensionKind.EFFECTS).items():
+        for entry in (value,) if isinstance(value, Effect) else tuple(value):
+            if not isinstance(entry, Effect):
+                raise ModelError(f"extension {name}: {entry!r} is no effect; give a greybox.Effect, or several")
+            if any(entry.name == known.name for known in entries):
+                raise ModelError(
+                    f"extension {name}: the catalogue has an effect {entry.name!r} already; choose another name"
+                )
+            entries.append(entry)
+    return tuple(entries)
 
 
 def effect(name: str) -> Effect:
@@ -92,7 +118,7 @@ def effect(name: str) -> Effect:
     >>> effect("coulomb_friction").equation
     '-Fc sign(v)'
     """
-    entries = {entry.name: entry for entry in CATALOGUE}
+    entries = {entry.name: entry for entry in catalogue()}
     base, at, site = name.partition(AT)
     if name not in entries and at and base in entries:
         return place_effect(entries[base], site)
@@ -129,7 +155,7 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
         If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
     wanted = {effect(name).name for name in model.candidates}
-    entries = tuple(e for e in CATALOGUE if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
+    entries = tuple(e for e in catalogue() if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
     placed = [p.effect for p in find_placements(model, entries) if p.effect is not None]
     fitting = [entry for entry in placed if not wanted or entry.name in wanted]
     names = {entry.name for entry in (*fitting, *model.effects)}

@@ -5,33 +5,25 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
     from greybox.show.figures.figure import Axis, Figure, Panel, Role
     from greybox.show.figures.pictures import draw_comparison, draw_discovery, draw_fit, draw_gap, draw_residual_tests
 
-# Loaded when first asked for: the figures of one page do not need what those of another one import.
-_HOME = {
-    **dict.fromkeys(("Axis", "Figure", "Panel", "Role"), "figure"),
-    **dict.fromkeys(("draw_comparison", "draw_discovery", "draw_fit", "draw_gap", "draw_residual_tests"), "pictures"),
-}
-
-__all__ = [
-    "Axis",
-    "Figure",
-    "Panel",
-    "Role",
-    "draw_comparison",
-    "draw_discovery",
-    "draw_fit",
-    "draw_gap",
-    "draw_residual_tests",
-]
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"greybox.show.figures.{_HOME[name]}"), name)
+# The figures of one page do not need what those of another one import.
+__getattr__, __all__ = lazy_face(
+    __name__,
+    {
+        "greybox.show.figures.figure": ("Axis", "Figure", "Panel", "Role"),
+        "greybox.show.figures.pictures": (
+            "draw_comparison",
+            "draw_discovery",
+            "draw_fit",
+            "draw_gap",
+            "draw_residual_tests",
+        ),
+    },
+)

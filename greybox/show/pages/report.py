@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,17 +14,13 @@ from greybox.show.pages.page import Page
 
 # Classes that have a page: the module of its builder, ``build_<module>``, is loaded when needed. A check does not load what a fit needs.
 PAGES = {
-    "Fit": "show.pages.fit_page:fit_page",
-    "ModelCheck": "show.pages.check_page:check_page",
-    "Campaign": "extensions.design.page:campaign_page",
-    "ChangeDetection": "extensions.changes.page:changed_page",
-    "Comparison": "show.pages.comparison_page:comparison_page",
-    "Demo": "show.pages.demo_page:demo_page",
-    "Design": "extensions.design.page:design_page",
-    "Discovery": "show.pages.discovery_page:discovery_page",
-    "Export": "extensions.export.page:export_page",
-    "Linearisation": "show.pages.linearisation_page:linearisation_page",
-    "Simulation": "show.pages.simulation_page:simulation_page",
+    "Fit": "fit_page",
+    "ModelCheck": "check_page",
+    "Comparison": "comparison_page",
+    "Demo": "demo_page",
+    "Discovery": "discovery_page",
+    "Linearisation": "linearisation_page",
+    "Simulation": "simulation_page",
 }
 
 
@@ -64,8 +62,21 @@ def report(value: Any, path: str | Path, *, command: str = "", **options: Any) -
 def build_page(value: Any, **options: Any) -> Page:
     """The page of ``value``, by its type. Raises GreyboxError where that has none."""
     for kind in type(value).__mro__:
-        if kind.__name__ in PAGES and kind.__module__.startswith("greybox."):
-            module, _, builder = PAGES[kind.__name__].partition(":")
-            page: Page = getattr(import_module(f"greybox.{module}"), f"build_{builder}")(value, **options)
+        builder = _find_builder(kind)
+        if builder is not None:
+            page: Page = builder(value, **options)
             return page
     raise GreyboxError(f"report: a {type(value).__name__} has no page; give one of {', '.join(PAGES)}")
+
+
+def _find_builder(kind: type) -> Callable[..., Page] | None:
+    """``build_<module>`` of this package; an extension has a module ``page`` beside the class, with a table ``PAGES`` by class."""
+    if kind.__name__ in PAGES and kind.__module__.startswith("greybox."):
+        module = PAGES[kind.__name__]
+        builder: Callable[..., Page] = getattr(import_module(f"{__package__}.{module}"), f"build_{module}")
+        return builder
+    package = kind.__module__.rpartition(".")[0]
+    if not package or find_spec(f"{package}.page") is None:
+        return None
+    table: Mapping[str, Callable[..., Page]] = getattr(import_module(f"{package}.page"), "PAGES", {})
+    return table.get(kind.__name__)

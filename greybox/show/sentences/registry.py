@@ -102,9 +102,11 @@ def _load_for(kind: type) -> None:
 
 def _sentences_of(module: str) -> list[str]:
     """``greybox.estimation.linear.sampling`` -> the modules ``estimation`` and ``linear`` here; an extension has its own ``sentences``."""
-    if module.startswith(f"{EXTENSIONS}."):
-        return [own for own in _own_sentences() if module.startswith(own.removesuffix("sentences"))]
-    return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
+    if module.startswith("greybox.") and not module.startswith(f"{EXTENSIONS}."):
+        return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
+    package = module.rpartition(".")[0]
+    own = f"{package}.sentences"
+    return [own] if package and find_spec(own) is not None else []
 
 
 @cache

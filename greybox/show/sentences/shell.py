@@ -13,6 +13,7 @@ from greybox.show.sentences.registry import register, renders
 from greybox.show.sentences.wording import format_table, format_with_std
 
 if TYPE_CHECKING:
+    from greybox.base.extensions import Extension
     from greybox.base.findings import Finding
     from greybox.estimation.result_parts import Estimate
     from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer
@@ -196,3 +197,10 @@ def demo_answer(demo: Demo, folder: Path) -> str:
             f"  greybox export {folder / 'fit.json'} --to control",
         ]
     )
+
+
+def extensions_text(entries: Sequence[Extension]) -> str:
+    """What `greybox extensions` prints: kind, name, place and origin of each entry; those that failed follow with their reason."""
+    rows = [[e.kind, e.name, e.place, f"{e.distribution} {e.version}".strip()] for e in entries if not e.failure]
+    failed = [f"{e.kind} {e.name} of {e.distribution}: not loaded ({e.failure})" for e in entries if e.failure]
+    return "\n".join([*format_table(["kind", "name", "place", "from"], rows), *failed])

@@ -27,8 +27,8 @@ from greybox.base.parallel.cluster import DaskHealth, open_cluster
 from greybox.base.parallel.jobs import run_jobs
 from greybox.estimation.fit import fit
 from greybox.estimation.multistart import multistart
-from tests.oracles.independent import linear_record
 from tests.base.parallel.test_jobs import dies_once, lag
+from tests.oracles.independent import linear_record
 from tests.support.reliability import note_row
 
 needs_dask = pytest.mark.skipif(find_spec("distributed") is None, reason="the extra 'dask' is not installed")

@@ -10,8 +10,8 @@ from greybox.base.json_file import ResultKind
 from greybox.estimation.uncertainty.bootstrap import Bootstrap, load_bootstrap
 from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
 from greybox.estimation.uncertainty.profile import Profile, load_profile, profile
-from tests.support.result_schema import strict_offences
 from tests.estimation.uncertainty.test_intervals import saturation_fit
+from tests.support.result_schema import strict_offences
 
 
 def test_a_profile_is_read_back(tmp_path):

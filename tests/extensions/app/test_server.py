@@ -18,8 +18,8 @@ from greybox.extensions.app.command import StudyOnFile
 from greybox.extensions.app.server import page_policy, page_text
 from greybox.extensions.app.session import Session
 from greybox.extensions.app.workbench import Workbench
-from greybox.shell.inputs import build_model
 from greybox.shell.commands import app
+from greybox.shell.inputs import build_model
 from greybox.shell.study import Study
 
 pytest.importorskip("tornado", reason="the app's server is not installed")

@@ -6,9 +6,10 @@ import numpy as np
 
 import greybox as gb
 from fits.design_bounds import bound_precision
+from greybox.data.signals import SignalLimit
 from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.problem import DesignProblem, SignalLimit
+from greybox.extensions.design.problem import DesignProblem
 from tests.support.first_order import first_order
 
 

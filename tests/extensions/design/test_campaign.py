@@ -20,9 +20,9 @@ import greybox as gb
 from greybox.base.errors import DataError
 from greybox.base.files import hold_file
 from greybox.base.json_file import ResultKind, read_json
+from greybox.data.signals import SignalLimit
 from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, Knowledge, choose_shares, run_campaign
 from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
-from greybox.extensions.design.problem import SignalLimit
 from greybox.shell.commands import app
 from greybox.show.pages.report import build_page
 from greybox.show.sentences.pages import PageText

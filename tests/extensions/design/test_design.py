@@ -11,12 +11,13 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.json_file import ResultKind
+from greybox.data.signals import SignalLimit
 from greybox.estimation.result_parts import to_json_data
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import HiddenEffect, make_detection, make_discrimination, make_precision
 from greybox.extensions.design.plant import make_plant
 from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, GoalName, SignalLimit
+from greybox.extensions.design.problem import DesignProblem, GoalName
 from greybox.extensions.design.result import design_data
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator

@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.data.signals import SignalLimit
 from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.inputs import Multisine, play
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
 from greybox.extensions.design.plant import list_plants
 from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, SignalLimit
+from greybox.extensions.design.problem import DesignProblem
 from greybox.extensions.design.refinement import InputRefinement, refine
 from tests.support.oscillator import oscillator
 

@@ -13,10 +13,10 @@ import pytest
 import greybox as gb
 from greybox.base.findings import Finding
 from greybox.comparison.compare import compare
+from greybox.data.signals import SignalLimit
 from greybox.estimation.check import check
 from greybox.extensions.design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep
 from greybox.extensions.design.findings import CampaignCode
-from greybox.extensions.design.problem import SignalLimit
 from greybox.extensions.export.page import Export
 from greybox.show.pages.html import mathml, render_page, write_page
 from greybox.show.pages.page import Page

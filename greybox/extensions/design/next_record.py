@@ -11,6 +11,7 @@ import numpy as np
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.data.experiment import Experiment, Hold
+from greybox.data.signals import SignalLimit
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -32,7 +33,7 @@ from greybox.extensions.design.goals import (
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits, largest_usage
 from greybox.extensions.design.plant import PlantScenario, list_plants
 from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
-from greybox.extensions.design.problem import CriterionName, DesignProblem, GoalName, SignalLimit, range_of_inputs
+from greybox.extensions.design.problem import CriterionName, DesignProblem, GoalName, range_of_inputs
 from greybox.extensions.design.result import Design, PredictedConstant, PredictedDetection
 from greybox.extensions.design.rivals import Source, read_source
 from greybox.extensions.design.search import TriedInput, find_bands, flat_multisine, search_inputs

@@ -1,0 +1,124 @@
+"""Extensions: what this package and others add to the core, found through entry points.
+
+A package adds a kind of file, an export target, a kind of plant, a command or an effect by an entry point in one of five groups. The
+core names no extension; it asks for what is there. An entry that cannot be loaded is kept with its reason and hurts nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from greybox.base.errors import GreyboxError, nearest
+
+OWN = "greybox-sysid"
+"""The distribution whose entries come first."""
+
+
+class ExtensionKind(StrEnum):
+    """What can be added; the group of its entry points is ``greybox.`` and the kind."""
+
+    READERS = "readers"
+    """Kinds of files that records are read from: a `greybox.data.formats.FileFormat`."""
+    EXPORTS = "exports"
+    """Targets of an export: a `greybox.extensions.export.ExportTarget`."""
+    PLANTS = "plants"
+    """What may stand in the place of a model file: a `greybox.shell.plants.PlantKind`."""
+    COMMANDS = "commands"
+    """Commands of the terminal: a `greybox.shell.commands.Command`."""
+    EFFECTS = "effects"
+    """Effects of the catalogue: a `greybox.Effect`, or several."""
+
+
+@dataclass(frozen=True)
+class Extension:
+    """One entry: its name, where it is, and which distribution brought it. ``value`` is None where ``failure`` says why."""
+
+    kind: ExtensionKind
+    name: str
+    place: str
+    distribution: str
+    version: str
+    value: Any = None
+    failure: str = ""
+
+
+@cache
+def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
+    """All entries of a kind, this package's own first, each loaded once.
+
+    Parameters
+    ----------
+    kind
+        The kind.
+
+    Returns
+    -------
+    tuple of Extension
+        Those that failed among them, with the reason.
+    """
+    result: list[Extension] = []
+    for entry in _sorted_entries(kind):
+        taken = next((e for e in result if e.name == entry.name and not e.failure), None)
+        reason = f"{taken.distribution} has the name {entry.name!r} already" if taken else ""
+        result.append(_load(kind, entry, reason))
+    return tuple(result)
+
+
+def extension_names(kind: ExtensionKind) -> tuple[str, ...]:
+    """The names of the entries of a kind, in order; nothing is loaded."""
+    return tuple(dict.fromkeys(entry.name for entry in _sorted_entries(kind)))
+
+
+def load_extensions(kind: ExtensionKind) -> Mapping[str, Any]:
+    """Name -> value of the entries of a kind that could be loaded."""
+    return {entry.name: entry.value for entry in list_extensions(kind) if not entry.failure}
+
+
+def load_extension(kind: ExtensionKind, name: str) -> Any:
+    """The value of one entry. Raises GreyboxError where it is not there, with the nearest names and what could not be loaded."""
+    values = load_extensions(kind)
+    if name not in values:
+        raise GreyboxError(
+            f"{name}: none of the {kind} has this name; {nearest(name, values)}{describe_failures(kind)}"
+        )
+    return values[name]
+
+
+def describe_failures(kind: ExtensionKind) -> str:
+    """A half sentence that names the entries of a kind that could not be loaded, or nothing."""
+    failed = [f"{e.name} of {e.distribution} ({e.failure})" for e in list_extensions(kind) if e.failure]
+    return f"; not loaded: {', '.join(failed)}" if failed else ""
+
+
+@cache
+def _entries() -> Any:
+    return entry_points()  # reads the metadata of every installed distribution, once
+
+
+def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
+    """Own entries first, so that nobody's package takes the place of what is shipped."""
+    return sorted(_entries().select(group=f"greybox.{kind}"), key=lambda entry: _distribution(entry) != OWN)
+
+
+def _load(kind: ExtensionKind, entry: EntryPoint, reason: str) -> Extension:
+    found = Extension(
+        kind, entry.name, entry.value, _distribution(entry), entry.dist.version if entry.dist else "", failure=reason
+    )
+    if reason:
+        return found
+    try:
+        value = entry.load()
+    except Exception as error:  # a stranger's module may raise anything while it is imported
+        if found.distribution == OWN:  # a bug of ours is not an extension that is missing
+            raise
+        return replace(found, failure=f"{type(error).__name__}: {error}")
+    return replace(found, value=value)
+
+
+def _distribution(entry: EntryPoint) -> str:
+    return entry.dist.name if entry.dist else ""
