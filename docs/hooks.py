@@ -226,7 +226,7 @@ def commands() -> str:
     """What each command says when asked for help."""
     from typer.testing import CliRunner
 
-    from greybox.cli.app import app
+    from greybox.shell.commands import app
 
     runner = CliRunner()
 
@@ -241,7 +241,7 @@ def commands() -> str:
 
 def study_fields() -> str:
     """Each place in a study file with the option that does the same, and the commands that use it."""
-    from greybox.cli.study import SPECS, STUDY_COMMANDS
+    from greybox.shell.study import SPECS, STUDY_COMMANDS
 
     rows = ["| In the file | Option | Used by |", "| --- | --- | --- |"]
     for spec in SPECS.values():
@@ -254,7 +254,7 @@ def study_fields() -> str:
 
 def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
-    from greybox.schemas import ResultKind, read_schema
+    from greybox.base.json_file import ResultKind, read_schema
 
     definitions = read_schema()["$defs"]
     sections = []

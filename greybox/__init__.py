@@ -52,8 +52,9 @@ if TYPE_CHECKING:
 
     from greybox import comparison, discovery, estimation, simulation  # isort: skip
     from greybox import data as experiment  # isort: skip
+    from greybox import estimation as result  # isort: skip
     from greybox.comparison import blackbox, frequency  # isort: skip
-    from greybox.estimation import identifiability, residuals, result, uncertainty  # isort: skip
+    from greybox.estimation import identifiability, residuals, uncertainty  # isort: skip
     from greybox.show import figures as plots  # isort: skip
     from greybox.show import sentences as rendering  # isort: skip
 
@@ -101,7 +102,7 @@ _NAMESPACES = {
     "project": "shell.project",
     "rendering": "show.sentences",
     "residuals": "estimation.residuals",
-    "result": "estimation.result",
+    "result": "estimation",
     "signals": "data.signals",
     "simulation": "simulation",
     "uncertainty": "estimation.uncertainty",

@@ -106,18 +106,18 @@ def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
 
 
 def _load(kind: ExtensionKind, entry: EntryPoint, reason: str) -> Extension:
-    found = Extension(
+    entered = Extension(
         kind, entry.name, entry.value, _distribution(entry), entry.dist.version if entry.dist else "", failure=reason
     )
     if reason:
-        return found
+        return entered
     try:
         value = entry.load()
     except Exception as error:  # a stranger's module may raise anything while it is imported
-        if found.distribution == OWN:  # a bug of ours is not an extension that is missing
+        if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
             raise
-        return replace(found, failure=f"{type(error).__name__}: {error}")
-    return replace(found, value=value)
+        return replace(entered, failure=f"{type(error).__name__}: {error}")
+    return replace(entered, value=value)
 
 
 def _distribution(entry: EntryPoint) -> str:

@@ -17,6 +17,8 @@ from numpy.typing import ArrayLike
 from greybox.base.errors import DataError
 from greybox.base.numerics import TIME_ROUNDING
 
+__all__ = ["SignalLimit", "chirp", "multisine", "prbs", "steps"]
+
 
 def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: np.random.Generator) -> np.ndarray:
     """Sines of equal amplitude at every multiple of one over the record's length in a band, with random phases.

@@ -15,7 +15,7 @@ from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import CandidateFit, StartValues
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import applicable_effects, catalogue
+from greybox.model.effects.catalogue import all_effects, applicable_effects
 from greybox.model.effects.placement import AT
 from greybox.model.effects.scales import Scales, measure_scales, tailor_to_record
 from greybox.model.model import Model
@@ -55,7 +55,7 @@ def list_candidates(
         For a name in ``without`` that neither ``effects`` nor the catalogue has, and where none of ``effects`` has a place.
     """
     entries = tuple(effects) if effects else tuple(applicable_effects(model))
-    _check_names(without, [e.name for e in (*entries, *catalogue())])
+    _check_names(without, [e.name for e in (*entries, *all_effects())])
     left_out = [e.name for e in entries if {e.name, e.name.partition(AT)[0]} & set(without)]
     not_tried = {name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=name) for name in left_out}
     candidates: list[Effect] = []
@@ -74,7 +74,7 @@ def list_candidates(
         reasons = "; ".join(dict.fromkeys(str(f.values.get("reason", f)) for f in not_tried.values()))
         raise ModelError(f"none of the effects to try finds a place in model {model.title!r}: {reasons}")
     if not effects:
-        for entry in catalogue():
+        for entry in all_effects():
             if not {entry.name} & {e.name.partition(AT)[0] for e in entries}:
                 obstacle = _find_obstacle(model, entry)
                 not_tried[entry.name] = obstacle or Finding(DiscoveryCode.NOT_A_CANDIDATE, subject=entry.name)
@@ -101,7 +101,7 @@ def family_of(name: str, entries: Sequence[Effect] | None = None) -> tuple[str, 
     >>> "lugre_friction" in family_of("coulomb_friction")
     True
     """
-    entries = catalogue() if entries is None else entries
+    entries = all_effects() if entries is None else entries
     family = {name}
     while True:
         children = {e.name for e in entries if family & {*e.parents, *e.approaches}}

@@ -8,7 +8,7 @@ from greybox.estimation.fit import fit
 from greybox.estimation.multistart import MultiStartResult, multistart
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import Predictor, SmoothedStates, predict, predictor, smooth
-from greybox.estimation.result import Fit, fit_data, load_fit, restore_fit
+from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.result_parts import (
     Estimate,
     FitConstraints,
@@ -25,8 +25,6 @@ from greybox.estimation.result_parts import (
     StartResult,
     Trace,
     Validation,
-    format_json,
-    to_json_data,
 )
 from greybox.estimation.validate import validate
 
@@ -52,14 +50,10 @@ __all__ = [
     "Trace",
     "Validation",
     "fit",
-    "fit_data",
-    "format_json",
     "load_fit",
     "multistart",
     "predict",
     "predictor",
-    "restore_fit",
     "smooth",
-    "to_json_data",
     "validate",
 ]

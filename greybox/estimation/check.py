@@ -25,7 +25,7 @@ from greybox.estimation.identifiability.sensitivity import simulate_generic_reco
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.model.effects.catalogue import catalogue
+from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import Placement, find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Parameter, State
@@ -257,7 +257,7 @@ def check(
         structure,
         analyse_problem(problem, structure, policy),
         doubt,
-        tuple(find_placements(model, catalogue())),
+        tuple(find_placements(model, all_effects())),
         policy,
         options,
     )

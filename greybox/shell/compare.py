@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.base.errors import GreyboxError
+from greybox.shell import ExitCode
 from greybox.shell.inputs import (
     add_effects,
     build_model,
@@ -40,7 +41,7 @@ from greybox.shell.plants import plant_kind
 from greybox.shell.policy import PROGRESS
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.shell.study import COMPARE, Study
-from greybox.shell.terminal import ExitCode, exit_with_error, write_report
+from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding

@@ -41,10 +41,10 @@ def commands(incomplete: str) -> list[Offer]:
 
 def effects(incomplete: str) -> list[Offer]:
     """Effects of the catalogue; after a comma or plus the next one."""
-    from greybox.model.effects.catalogue import catalogue
+    from greybox.model.effects.catalogue import all_effects
 
     before = incomplete[: max(incomplete.rfind(","), incomplete.rfind("+")) + 1]
-    return _beginning(((before + e.name, e.equation) for e in catalogue()), incomplete)
+    return _beginning(((before + e.name, e.equation) for e in all_effects()), incomplete)
 
 
 def constants(ctx: typer.Context, incomplete: str) -> list[Offer]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from greybox.base.extensions import ExtensionKind, load_extension
+from greybox.shell import ExitCode
 from greybox.shell.inputs import (
     build_model,
     check_skip,
@@ -21,7 +22,7 @@ from greybox.shell.options import Cluster, Figures, Json, NoReport, Workers, che
 from greybox.shell.plants import PlantKind, plant_kind
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import DISCOVER, Study
-from greybox.shell.terminal import ExitCode, exit_with_error, write_report
+from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
     from greybox.discovery.result import Discovery

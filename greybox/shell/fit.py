@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.base.errors import FitError, GreyboxError
+from greybox.shell import ExitCode
 from greybox.shell.answers import FitAnswer, RecordMisfit
 from greybox.shell.inputs import (
     build_model,
@@ -42,7 +43,7 @@ from greybox.shell.plants import plant_kind
 from greybox.shell.policy import COMMANDS
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import FIT, Study
-from greybox.shell.terminal import ExitCode, exit_with_error, hold_interrupts, write_report
+from greybox.shell.terminal import exit_with_error, hold_interrupts, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment

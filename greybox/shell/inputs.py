@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
+from greybox.shell import ExitCode
 from greybox.shell.policy import COMMANDS, CommandPolicy
 from greybox.shell.study import MethodName, Study
 from greybox.shell.study_values import Numbers, Table, parse_number
-from greybox.shell.terminal import CommandCode, ExitCode, exit_with_error, print_findings, print_note
+from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment

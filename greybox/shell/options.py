@@ -15,12 +15,12 @@ import typer
 
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import completion
+from greybox.shell import ExitCode, completion
 from greybox.shell.study import STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.shell.study_file import is_study_file, read_study, with_overrides
 from greybox.shell.study_file import write_study as store_study
 from greybox.shell.study_values import Count, Numbers
-from greybox.shell.terminal import CommandCode, ExitCode, describe_missing_argument, exit_with_error, print_findings
+from greybox.shell.terminal import CommandCode, describe_missing_argument, exit_with_error, print_findings
 
 STARTS_FILE = "starts.jsonl"
 """Finished starts of a command that was interrupted, in its output folder."""

@@ -14,7 +14,7 @@ from greybox.base.json_file import ResultKind, read_json
 from greybox.base.texts import escape_line, to_comment
 from greybox.base.units import parse_unit
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import catalogue, effect
+from greybox.model.effects.catalogue import all_effects, effect
 from greybox.model.effects.formula import formula_effect
 from greybox.model.effects.placement import AT
 from greybox.model.python_text import literal
@@ -66,9 +66,9 @@ def find_effect(name: str, folder: Path | None = None) -> Effect:
     kept = {e.name: e for e in find_own_effects(folder)}
     if name in kept:
         return kept[name]
-    if kept and name.partition(AT)[0] not in {e.name for e in catalogue()}:
+    if kept and name.partition(AT)[0] not in {e.name for e in all_effects()}:
         raise ModelError(
-            f"neither the project nor the catalogue has an effect {name!r}; {nearest(name, [*kept, *(e.name for e in catalogue())])}"
+            f"neither the project nor the catalogue has an effect {name!r}; {nearest(name, [*kept, *(e.name for e in all_effects())])}"
         )
     return effect(name)
 
@@ -100,7 +100,7 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
         raise ModelError("no project here to keep an effect in: a project has a folder models/; see greybox init")
     if not name.isidentifier() or keyword.iskeyword(name):
         raise ModelError(f"effect {name!r}: give a name of letters, digits and underscores, such as soft_stop")
-    if name in {e.name for e in (*catalogue(), *find_own_effects(folder))}:
+    if name in {e.name for e in (*all_effects(), *find_own_effects(folder))}:
         raise ModelError(f"effect {name!r}: there is one of this name already; give another one")
     source = result or _newest_result(root)
     laws = [e for e in read_json(source, ResultKind.DISCOVERY)["effects"] if "formula" in e]

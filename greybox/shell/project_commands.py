@@ -10,13 +10,13 @@ import typer
 
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import completion
+from greybox.shell import ExitCode, completion
 from greybox.shell.inputs import add_effects
 from greybox.shell.options import Figures, Json, NoReport, Texts, check_writable
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import FIT, SPECS
 from greybox.shell.study_values import parse_names
-from greybox.shell.terminal import CommandCode, ExitCode, exit_with_error, print_findings, print_note, write_report
+from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.model.effects.placement import EffectListing
@@ -214,7 +214,7 @@ def effects(
 
     Prints name, site, parameters with units, and equation of each, and why an effect has no place.
     """
-    from greybox.model.effects.catalogue import catalogue
+    from greybox.model.effects.catalogue import all_effects
     from greybox.model.effects.placement import EffectListing, find_placements
     from greybox.shell.own_effects import find_own_effects, keep_effect
     from greybox.shell.project import find_model
@@ -238,7 +238,7 @@ def effects(
         raise GreyboxError(
             f"--effect {effect[0]} has no effect without a model; write greybox effects MODEL --effect {effect[0]}"
         )
-    entries = (*catalogue(), *find_own_effects())
+    entries = (*all_effects(), *find_own_effects())
     if model is None:
         listing = EffectListing("", entries)
     else:
@@ -303,10 +303,10 @@ def extensions(json: Json = False) -> None:
     from greybox.base.extensions import ExtensionKind, list_extensions
     from greybox.show.sentences.shell import extensions_text
 
-    found = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
+    entries = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
     if json:
         shown = ("kind", "name", "place", "distribution", "version", "failure")
-        rows = [{name: getattr(entry, name) for name in shown} for entry in found]
+        rows = [{name: getattr(entry, name) for name in shown} for entry in entries]
         typer.echo(json_format.dumps({"extensions": rows}, indent=2))
         return
-    typer.echo(extensions_text(found))
+    typer.echo(extensions_text(entries))

@@ -11,14 +11,14 @@ import typer
 
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import completion
+from greybox.shell import ExitCode, completion
 from greybox.shell.answers import SimulationAnswer
 from greybox.shell.inputs import add_effects, check_substeps, layout_of, parse_limits, refuse_broken_limits
 from greybox.shell.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study
 from greybox.shell.policy import COMMANDS
 from greybox.shell.study import SIMULATE, Study
 from greybox.shell.study_values import Numbers
-from greybox.shell.terminal import CommandCode, ExitCode, exit_with_error, print_findings, print_note, write_report
+from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment

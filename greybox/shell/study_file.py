@@ -263,18 +263,18 @@ def study_script(study: Study, path: Path, *, searched: Study | None = None) -> 
 
 def effect_has_delay(name: str) -> bool:
     """Whether an effect of the catalogue delays an input, so that the records bound how long it may be."""
-    from greybox.model.effects.catalogue import catalogue
+    from greybox.model.effects.catalogue import all_effects
     from greybox.model.effects.placement import AT
 
-    return any(e.delay is not None for e in catalogue() if e.name == name.partition(AT)[0])
+    return any(e.delay is not None for e in all_effects() if e.name == name.partition(AT)[0])
 
 
 def _is_shipped(name: str) -> bool:
     """Whether an effect is one of the catalogue, and none of the project."""
-    from greybox.model.effects.catalogue import catalogue
+    from greybox.model.effects.catalogue import all_effects
     from greybox.model.effects.placement import AT
 
-    return name.partition(AT)[0] in {e.name for e in catalogue()}
+    return name.partition(AT)[0] in {e.name for e in all_effects()}
 
 
 def _model_lines(study: Study, folder: Path, variable: str = "model") -> list[str]:

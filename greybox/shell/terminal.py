@@ -1,4 +1,4 @@
-"""How a command ends: the codes that scripts rely on."""
+"""The terminal: how a command begins and ends, and errors, warnings and mistakes in what was typed, each told in one line."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -24,21 +24,10 @@ from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
 from greybox.base.errors import GreyboxError, OutputError, WorkersLostError, nearest
 from greybox.base.extensions import ExtensionKind, describe_failures
+from greybox.shell import ExitCode
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding
-
-
-class ExitCode(IntEnum):
-    """How a command ended: a contract with whoever runs it from a script."""
-
-    SUCCESS = 0
-    UNSUCCESSFUL = 1
-    """The computation ran and did not succeed, for instance a fit that did not converge."""
-    BAD_INPUT = 2
-    """Something that was typed or read cannot be used; nothing was computed or written."""
-    INTERRUPTED = 130
-    """Ctrl-C, as shells report it: 128 plus the number of the signal."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from greybox import files
+from greybox.base import files
 from greybox.base.errors import GreyboxError, OutputError
 from greybox.base.files import append_line, write_file
 
@@ -99,8 +99,8 @@ def test_text_that_is_no_unicode_and_a_folder_in_the_way_are_named(tmp_path):
 LIMITED = """
     import resource, signal, sys
     signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    from greybox.errors import OutputError
-    from greybox.files import append_line, write_file
+    from greybox.base.errors import OutputError
+    from greybox.base.files import append_line, write_file
     resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
     try:
         (append_line if sys.argv[3] == "line" else write_file)(sys.argv[1], "n" * 20_000)
@@ -127,7 +127,7 @@ def test_on_a_disk_with_little_room_the_file_is_old_or_new(tmp_path, kind):
 
 KILLED = """
     import sys
-    from greybox.files import write_file
+    from greybox.base.files import write_file
     print("go", flush=True)
     k = 0
     while True:
@@ -162,7 +162,7 @@ def test_what_a_killed_process_left_is_removed_later(tmp_path):
 
 APPENDING = """
     import json, sys
-    from greybox.files import append_line
+    from greybox.base.files import append_line
     for k in range(200):
         append_line(sys.argv[1], json.dumps({"who": sys.argv[2], "k": k, "text": "x" * 5000}))
 """

@@ -6,7 +6,7 @@ import itertools
 
 import pytest
 
-from tests.export import test_hostile_texts as languages
+from tests.extensions.export import test_hostile_texts as languages
 from tests.extensions.export.test_hostile_texts import plain  # noqa: F401
 from tests.show.pages.test_hostile_pages import KINDS, pages, poison, write_page  # noqa: F401
 from tests.support.browser import opened

@@ -59,7 +59,7 @@ SHOW = "greybox fit --help"
         ),
         (
             "export f.json --to contrl",
-            "--to contrl: there is no such choice; did you mean 'control'? (known: control, mat",
+            "--to contrl: there is no such choice; did you mean 'control'? (known: c, casadi",
         ),
         ("fit rig d.csv --starts 0", f"--starts 0: give 1 or more; see {SHOW}"),
         ("fit rig d.csv --skip=-1", f"--skip -1: give 0 or more; see {SHOW}"),

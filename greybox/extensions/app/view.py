@@ -12,7 +12,7 @@ from greybox.discovery.localisation import ResidualLocalisation
 from greybox.estimation.result_parts import Misfit
 from greybox.extensions.app.session import APP_POLICY, Session, ValueRange
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import catalogue
+from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
@@ -97,7 +97,7 @@ def _show_range(reach: ValueRange) -> dict[str, Any]:
 
 def list_effects(model: Model, beside: tuple[Effect, ...] = ()) -> tuple[EffectPlace, ...]:
     """Every effect that has a place in ``model``, and the place."""
-    places = find_placements(model, (*beside, *catalogue()))
+    places = find_placements(model, (*beside, *all_effects()))
     return tuple((place.effect, place.site) for place in places if place.effect is not None)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from greybox.base.errors import DataError, GreyboxError, ModelError
-from greybox.shell import completion
+from greybox.shell import ExitCode, completion
 from greybox.shell.inputs import load_fit_with_model, parse_limits
 from greybox.shell.options import (
     Cluster,
@@ -29,7 +29,7 @@ from greybox.shell.options import (
 )
 from greybox.shell.study import HoldName
 from greybox.shell.study_values import Numbers, parse_names
-from greybox.shell.terminal import Command, ExitCode, exit_with_error, print_note, write_report
+from greybox.shell.terminal import Command, exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment

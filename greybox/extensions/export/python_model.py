@@ -17,7 +17,7 @@ from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import catalogue
+from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import AT, place_effect
 from greybox.model.equations import equations_text
 from greybox.model.expressions.printer import NUMPY, PYTHON, Printer
@@ -226,7 +226,7 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
-    entries = [entry for entry in catalogue() if effect.name.startswith(entry.name)]
+    entries = [entry for entry in all_effects() if effect.name.startswith(entry.name)]
     placed = [place_effect(e, effect.site) for e in entries if effect.name == f"{e.name}{AT}{effect.site}"]
     return next((entry for entry in (*entries, *placed) if parts(entry) == parts(effect)), None)
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from greybox.base.errors import DataError, GreyboxError
+from greybox.shell import ExitCode
 from greybox.shell.inputs import layout_of, print_record_notes
 from greybox.shell.options import check_writable
 from greybox.shell.plants import PlantDiscovery, PlantKind
 from greybox.shell.study import CHECK, COMPARE, DISCOVER, FIT, Study, fields_of
-from greybox.shell.terminal import ExitCode
 
 if TYPE_CHECKING:
     from greybox.comparison.result import Comparison

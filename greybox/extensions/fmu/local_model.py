@@ -19,7 +19,7 @@ from greybox.extensions.fmu.linear_response import LinearResponse
 from greybox.extensions.fmu.search import FmuObjective
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import catalogue
+from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -55,7 +55,7 @@ class LocalModel:
         sites = {o.label for o in self.plant.outputs}
         if self.response is not None:
             sites |= {i.label for i in self.plant.inputs}
-        places = find_placements(self.model, tuple(e for e in catalogue() if not e.hold))
+        places = find_placements(self.model, tuple(e for e in all_effects() if not e.hold))
         return [p.effect for p in places if p.effect is not None and p.site in sites]
 
 

@@ -7,7 +7,7 @@ until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exceptions have no 
 law, ``linear_input`` and ``band_limited_input`` say how the input moves between samples.
 """
 
-from greybox.model.effects.catalogue import CATALOGUE, applicable_effects, catalogue, effect
+from greybox.model.effects.catalogue import CATALOGUE, all_effects, applicable_effects, effect
 from greybox.model.effects.elasticity import CONTACT, ELASTICITY
 from greybox.model.effects.electrical import ELECTRICAL, THERMAL
 from greybox.model.effects.flow import FLOW, LEVEL
@@ -38,9 +38,9 @@ __all__ = [
     "Placement",
     "Scales",
     "SignalRole",
+    "all_effects",
     "applicable_effects",
     "bound_delays",
-    "catalogue",
     "effect",
     "find_placements",
     "formula_effect",

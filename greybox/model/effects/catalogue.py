@@ -61,9 +61,9 @@ __all__ = [
     "Placement",
     "Scales",
     "SignalRole",
+    "all_effects",
     "applicable_effects",
     "bound_delays",
-    "catalogue",
     "effect",
     "find_placements",
     "formula_effect",
@@ -74,7 +74,7 @@ __all__ = [
 
 
 @cache
-def catalogue() -> tuple[Effect, ...]:
+def all_effects() -> tuple[Effect, ...]:
     """The shipped effects, and those of extensions after them.
 
     Raises
@@ -118,7 +118,7 @@ def effect(name: str) -> Effect:
     >>> effect("coulomb_friction").equation
     '-Fc sign(v)'
     """
-    entries = {entry.name: entry for entry in catalogue()}
+    entries = {entry.name: entry for entry in all_effects()}
     base, at, site = name.partition(AT)
     if name not in entries and at and base in entries:
         return place_effect(entries[base], site)
@@ -155,7 +155,7 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
         If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
     wanted = {effect(name).name for name in model.candidates}
-    entries = tuple(e for e in catalogue() if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
+    entries = tuple(e for e in all_effects() if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
     placed = [p.effect for p in find_placements(model, entries) if p.effect is not None]
     fitting = [entry for entry in placed if not wanted or entry.name in wanted]
     names = {entry.name for entry in (*fitting, *model.effects)}

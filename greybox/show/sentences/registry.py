@@ -105,8 +105,8 @@ def _sentences_of(module: str) -> list[str]:
     if module.startswith("greybox.") and not module.startswith(f"{EXTENSIONS}."):
         return [f"{__package__}.{part}" for part in module.split(".") if part in _modules()]
     package = module.rpartition(".")[0]
-    own = f"{package}.sentences"
-    return [own] if package and find_spec(own) is not None else []
+    beside = f"{package}.sentences"
+    return [beside] if package and find_spec(beside) is not None else []
 
 
 @cache

@@ -132,7 +132,7 @@ def test_ctrl_c_keeps_what_is_finished():
 def test_a_script_without_main_guard_works(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
-        "from greybox.base.parallel import run_jobs\nresults, _ = run_jobs(lambda c, i: c * i, 2, [1, 2, 3], workers=2)\n"
+        "from greybox.base.parallel.jobs import run_jobs\nresults, _ = run_jobs(lambda c, i: c * i, 2, [1, 2, 3], workers=2)\n"
         "print([r.value for r in results])\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}

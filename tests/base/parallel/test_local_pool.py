@@ -37,7 +37,7 @@ def start(folder: Path, doing: str, main: str = "") -> tuple[subprocess.Popen, l
         textwrap.dedent(f"""
         import os, sys, time
         from pathlib import Path
-        from greybox.parallel import run_jobs
+        from greybox.base.parallel.jobs import run_jobs
 
         def job(folder, item):
             Path(folder, f"worker-{{os.getpid()}}").touch()

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.base.texts import escape_line, to_comment, to_line
 from greybox.estimation.linear.plant import to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import make_discrete_step
 from greybox.extensions.export.fmu import write_description
-from greybox.extensions.export.linear_files import LINEAR_FORMATS
 from models.micro_actuator import micro_actuator
 from tests.support.hostile import CODE, MARKUP
 
@@ -92,7 +92,9 @@ def test_modelica_is_read_by_another_program(plain, tmp_path, text):
 def test_python_files_import_and_run_nothing_of_the_text(plain, tmp_path, text):
     fit = carry(plain, text)
     gb.export.to_python(fit, tmp_path / "written.py")
-    LINEAR_FORMATS["control"](gb.linearise(fit), tmp_path / "linear.py", plant=to_plant(fit))
+    load_extension(ExtensionKind.EXPORTS, "control").write(
+        gb.linearise(fit), tmp_path / "linear.py", plant=to_plant(fit)
+    )
     for file in ("written.py", "linear.py"):
         code = compile((tmp_path / file).read_bytes(), file, "exec")
         assert "hurt" not in code.co_names and "os" not in code.co_names
@@ -162,7 +164,9 @@ def test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, tex
 @pytest.mark.parametrize("text", TEXTS)
 def test_matrices_are_written_with_any_text(plain, tmp_path, kind, text):
     fit = carry(plain, text)
-    file = LINEAR_FORMATS[kind](gb.linearise(fit), tmp_path / "linear", plant=to_plant(fit))
+    file = load_extension(ExtensionKind.EXPORTS, kind).write(
+        gb.linearise(fit), tmp_path / "linear", plant=to_plant(fit)
+    )
     assert file.stat().st_size > 500
 
 
