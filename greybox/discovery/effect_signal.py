@@ -22,10 +22,12 @@ from greybox.discovery.disturbance_sites import (
     DisturbanceSite,
     LinearisedRun,
     SignalSmoother,
+    SiteKind,
     SmoothedSignal,
     absorbed_basis,
     linearise_run,
     list_disturbance_sites,
+    site_label,
     unwhitened_shooting,
     whiten_columns,
 )
@@ -99,14 +101,20 @@ def measure_remaining_error(
         From when on an error grows with the amplitude.
     """
     relevant = next((d for d in location.dependences if d.is_relevant), None)
+    sensors = {site_label(SiteKind.SENSOR, name): name for name in fit.misfit}
+
+    def sites(output: str) -> tuple[str, ...]:
+        # What a sensor adds stands in its own output and in no other; what acts in the plant may show in all of them.
+        return tuple(label for label in location.likeliest if sensors.get(label, output) == output)
+
     return {
         name: RemainingError(
             name,
             error.after,
             error.unit,
             error.after / error.floor if error.is_floor_known else None,
-            location.likeliest,
-            relevant,
+            sites(name),
+            relevant if sites(name) or not location.likeliest else None,
             _grows_with_amplitude(fit, name, uncounted, policy),
         )
         for name, error in holdout.items()
@@ -166,6 +174,22 @@ class EffectSignal(ReadOnly):
     def explained(self) -> float:
         """One minus the variance of the difference over that of the signal."""
         return 1 - float(np.var(self.value - self.modelled) / max(np.var(self.value), TINY))
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the signal from the data, in ``unit``."""
+        return float(np.sqrt(np.mean(self.value**2)))
+
+    def to_values(self) -> dict[str, Any]:
+        """What it says, without the signals, ready for JSON."""
+        return {
+            "effect": self.effect,
+            "site": self.site,
+            "unit": self.unit,
+            "rms": self.rms,
+            "explained": self.explained,
+            "dependence": self.dependence.to_values(),
+        }
 
 
 def estimate_effect_signals(

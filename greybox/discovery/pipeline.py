@@ -718,7 +718,7 @@ def _propose_for_part(
     if not location.is_missing:
         return tuple(steps)
     records = judged.scores.validation.records
-    return (*steps, *propose_next_steps(judged.base, location, None, records, policy))
+    return (*steps, *propose_next_steps(judged.base, location, None, records, policy, left=judged.best))
 
 
 def _propose_for_unknown(

@@ -15,15 +15,16 @@ from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
 from greybox.data.signals import chirp, multisine
 from greybox.discovery.certainty import to_features
-from greybox.discovery.curve_shape import ShapeKind
+from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
-from greybox.discovery.localisation import ResidualLocalisation
+from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, ProposalPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
-from greybox.discovery.surrogate import Surrogate, SurrogateTone
+from greybox.discovery.surrogate import Surrogate
+from greybox.estimation.policy import DEFAULT_POLICY
 from greybox.estimation.result import Fit
 from greybox.model.signals import Input
 from greybox.model.sites import DRIVE, VALVE
@@ -189,6 +190,7 @@ def propose_next_steps(
     validation: Sequence[Experiment],
     policy: DiscoveryPolicy,
     look_alike: str = "",
+    left: Fit | None = None,
 ) -> tuple[Finding, ...]:
     """What to do about something unknown, the most promising first.
 
@@ -204,9 +206,16 @@ def propose_next_steps(
         The decision numbers.
     look_alike
         The nearest effects, where they explain the larger part of the gap on the validation records.
+    left
+        The model that leaves what ``location`` says, where that is not the plain one.
+
+    Returns
+    -------
+    tuple of Finding
+        Each follows from what was seen: a noise that may hide something, a shape, a loop, a tone, a stretch of time, a missing sensor.
     """
     first = [Finding(DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE, subject=look_alike)] if look_alike else []
-    return (*first, *_propose(base, location, surrogate, validation, policy, bool(look_alike)))
+    return (*first, *_propose(base, location, surrogate, validation, policy, bool(look_alike), left or base))
 
 
 def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
@@ -288,9 +297,16 @@ def _propose(
     validation: Sequence[Experiment],
     policy: DiscoveryPolicy,
     has_look_alike: bool,
+    left: Fit,
 ) -> Iterator[Finding]:
     suffices = surrogate is not None and surrogate.explained_fraction >= policy.selection.holdout_share
-    guessed = [name for name in base.misfit if not is_level_measured(base.noise, name)]
+    # Far above the ceiling something is missing whatever the noise is: then to know it better would decide nothing.
+    guessed = [
+        name
+        for name in base.misfit
+        if not is_level_measured(base.noise, name)
+        and _over_ceiling(base, left, name) < DEFAULT_POLICY.reporting.far_noise_ratio
+    ]
     if guessed and not suffices:
         yield Finding(DiscoveryCode.STATE_NOISE, Severity.WARNING, ", ".join(guessed), {"outputs": guessed})
     if not location.is_missing:
@@ -298,44 +314,102 @@ def _propose(
     beyond = None if suffices else _range_beyond_estimation(base, location, surrogate, validation, policy.proposals)
     if beyond is not None:
         yield beyond
-    if surrogate is not None and surrogate.tone is not None:
-        yield from _about_tone(surrogate.tone, policy.proposals)
-    elif surrogate is not None:
-        yield from _about_curve(surrogate, suffices)
+    # A stand-in that explains nothing says nothing of the cause; what the localisation saw does.
+    helps = surrogate is not None and surrogate.explained_fraction > 0
+    if surrogate is not None and helps and surrogate.tone is not None:
+        yield _about_tone(surrogate.tone.frequency, policy.proposals)
+        yield Finding(DiscoveryCode.USE_TONE_MODEL, values={"frequency": surrogate.tone.frequency})
+    elif surrogate is not None and helps:
+        yield from _about_curve(surrogate, location, suffices)
     elif location.is_missing and not (beyond or has_look_alike):
-        yield Finding(DiscoveryCode.SUSPECT_MEMORY)
+        yield _about_signal(location, policy.proposals)
     unmeasured = [o.name for o in base.model.outputs if o.name not in base.misfit]
     if unmeasured and (len(location.likeliest) > 1 or not suffices):
         yield Finding(DiscoveryCode.MEASURE_MORE, subject=", ".join(unmeasured), values={"outputs": unmeasured})
 
 
-def _about_tone(tone: SurrogateTone, policy: ProposalPolicy) -> Iterator[Finding]:
+def _over_ceiling(base: Fit, left: Fit, output: str) -> float:
+    """Misfit that a model leaves in ``output`` over the most that its noise can have."""
+    bound = base.noise.bound(output)
+    ceiling = base.noise.std[output] if bound is None else bound.level
+    return left.misfit[output].rmse / ceiling if ceiling > 0 else math.inf
+
+
+def _about_signal(location: ResidualLocalisation, policy: ProposalPolicy) -> Finding:
+    """What the missing signal looks like, and the record or the check that shows its cause."""
+    dependence = next((d for d in location.dependences if d.is_relevant), None)
+    if dependence is not None and dependence.tone is not None:
+        return _about_tone(dependence.tone, policy)
+    if dependence is not None:
+        return _about_dependence(dependence)
+    timing = location.timing
+    if timing is not None and timing.stretches:
+        # Neither a variable nor a frequency, but a time: something happened then.
+        return _look_at(timing)
+    return Finding(DiscoveryCode.SUSPECT_MEMORY)
+
+
+def _about_dependence(dependence: Dependence) -> Finding:
+    """A part of the rig where the shape names one; else the record that shows the loop, or the curve, by itself."""
+    if dependence.has_loop:
+        return Finding(DiscoveryCode.TRACE_LOOP, subject=dependence.variable, values={"loop": dependence.loop})
+    part = _suspect_part(dependence.variable, dependence.unit, dependence.period, dependence.shape)
+    return part or Finding(DiscoveryCode.TRACE_CURVE, subject=dependence.variable, values={"share": dependence.share})
+
+
+def _about_tone(frequency: float, policy: ProposalPolicy) -> Finding:
     mains = [
         mains
         for mains in policy.mains_frequencies
         for k in range(1, policy.mains_multiples + 1)
-        if abs(tone.frequency - k * mains) < policy.mains_tolerance * mains
+        if abs(frequency - k * mains) < policy.mains_tolerance * mains
     ]
-    values = {"frequency": tone.frequency}
     if mains:
-        yield Finding(DiscoveryCode.SUSPECT_MAINS, values={**values, "mains": mains[0]})
-    else:
-        yield Finding(DiscoveryCode.SUSPECT_MACHINE, values=values)
-    yield Finding(DiscoveryCode.USE_TONE_MODEL, values=values)
+        return Finding(DiscoveryCode.SUSPECT_MAINS, values={"frequency": frequency, "mains": mains[0]})
+    return Finding(DiscoveryCode.SUSPECT_MACHINE, values={"frequency": frequency})
 
 
-def _about_curve(surrogate: Surrogate, suffices: bool) -> Iterator[Finding]:
+def _about_curve(surrogate: Surrogate, location: ResidualLocalisation, suffices: bool) -> Iterator[Finding]:
     variable = surrogate.variable
-    if surrogate.dependence.period is not None:
-        values = {"period": surrogate.dependence.period, "unit": surrogate.variable_unit}
-        yield Finding(DiscoveryCode.SUSPECT_PERIODIC_PART, subject=variable, values=values)
-    elif surrogate.shape.kind in (ShapeKind.FLAT_MIDDLE, ShapeKind.BEND):
-        values = {"position": surrogate.shape.position, "unit": surrogate.variable_unit}
-        yield Finding(DiscoveryCode.SUSPECT_CONTACT, subject=variable, values=values)
+    part = _suspect_part(variable, surrogate.variable_unit, surrogate.dependence.period, surrogate.shape)
+    if part is not None:
+        yield part
     if suffices:
         yield Finding(DiscoveryCode.USE_CURVE_MODEL, subject=variable)
     else:
-        yield Finding(DiscoveryCode.VARY_SPEED_AND_AMPLITUDE, subject=variable)
+        yield _about_rest(surrogate, location)
+
+
+def _about_rest(surrogate: Surrogate, location: ResidualLocalisation) -> Finding:
+    """What a curve leaves: a loop over its variable, another variable, a stretch of time, or none of these."""
+    variable, timing = surrogate.variable, location.timing
+    if surrogate.dependence.has_loop:
+        return Finding(DiscoveryCode.TRACE_LOOP, subject=variable, values={"loop": surrogate.dependence.loop})
+    others = [d for d in location.dependences if d.is_relevant and d.tone is None and d.variable != variable]
+    if others:
+        values = {"other": others[0].variable, "share": others[0].share + others[0].loop}
+        return Finding(DiscoveryCode.VARY_OTHER_VARIABLE, subject=variable, values=values)
+    if timing is not None and timing.stretches:
+        return _look_at(timing)
+    return Finding(DiscoveryCode.VARY_SPEED_AND_AMPLITUDE, subject=variable)
+
+
+def _look_at(timing: MisfitTiming) -> Finding:
+    """The longest of the stretches in which most of the misfit happens."""
+    record, start, end = max(timing.stretches, key=lambda stretch: stretch[2] - stretch[1])
+    values = {"start": start, "end": end, "share": timing.share, "time_share": timing.time_share}
+    return Finding(DiscoveryCode.LOOK_AT_STRETCH, subject=record, values=values)
+
+
+def _suspect_part(variable: str, unit: str, period: float | None, shape: CurveShape) -> Finding | None:
+    """The part of a rig that a curve over ``variable`` points to: what repeats, or what begins somewhere."""
+    if period is not None:
+        values = {"period": period, "unit": unit}
+        return Finding(DiscoveryCode.SUSPECT_PERIODIC_PART, subject=variable, values=values)
+    if shape.kind in (ShapeKind.FLAT_MIDDLE, ShapeKind.BEND):
+        values = {"position": shape.position, "unit": unit}
+        return Finding(DiscoveryCode.SUSPECT_CONTACT, subject=variable, values=values)
+    return None
 
 
 def _range_beyond_estimation(

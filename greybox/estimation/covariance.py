@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,23 @@ from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
+
+# Standard deviation with the constants at their bounds free, over the one with them held, from which it is told: an interval half as wide
+# as it would be is read as a result of the records, and is one of the bound.
+LEAST_GROWTH = 2.0
+
+
+@dataclass(frozen=True)
+class NarrowedInterval:
+    """What a constant's interval owes to others that lie on their bounds and count as known.
+
+    ``growth``: standard deviation of ``constant`` with those ``at_bounds`` free, over the one with them held; infinite where the data
+    would not determine it then.
+    """
+
+    constant: str
+    at_bounds: tuple[str, ...]
+    growth: float
 
 
 @dataclass(frozen=True)
@@ -41,6 +58,8 @@ class ParameterCovariance:
     scores: np.ndarray | None = None
     log_noise: np.ndarray = field(default_factory=lambda: np.empty(0))
     """Standard deviation of the logarithm of each noise level that was estimated with the rest (k,)."""
+    held: tuple[NarrowedInterval, ...] = ()
+    """Constants whose intervals rest on others being exactly at their bounds."""
 
     @classmethod
     def unknown(cls, variables: DecisionVector) -> ParameterCovariance:
@@ -128,7 +147,7 @@ def estimate_covariance(
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation = np.sqrt(np.diag(spread) / white)
         kind, degrees = IntervalKind.SANDWICH, colour.degrees
-    return ParameterCovariance.of(
+    result = ParameterCovariance.of(
         variables,
         spread,
         decomposition,
@@ -138,6 +157,7 @@ def estimate_covariance(
         information=information,
         scores=scores,
     )
+    return replace(result, held=find_narrowed_intervals(variables, data + known))
 
 
 def estimate_likelihood_covariance(
@@ -172,9 +192,46 @@ def estimate_likelihood_covariance(
         inflation = np.sqrt(np.diag(spread) / np.diag(inverse))
     data = whole - np.diag(np.pad(v.penalty(v.here)[2] / 2, (0, v.size - n)))
     information = _reduce_information(data, inside, np.arange(n, v.size))
-    return ParameterCovariance.of(
+    result = ParameterCovariance.of(
         v, spread, decomposition, kind=kind, inflation=inflation, information=information, scores=information
     )
+    return replace(result, held=find_narrowed_intervals(v, expected))
+
+
+def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) -> tuple[NarrowedInterval, ...]:
+    """Constants that look better determined than the data make them, since others at their bounds count as known.
+
+    Parameters
+    ----------
+    variables
+        The unknowns, ``z = 0`` at the optimum.
+    information
+        The Gauss-Newton matrix (size, size) of half the cost in ``z``, constants at their bounds included.
+    """
+    inside, bounds = np.flatnonzero(~variables.active), np.flatnonzero(variables.active)
+    if not len(bounds) or not len(inside) or not np.isfinite(information).all():
+        return ()
+
+    def variances(freed: np.ndarray) -> np.ndarray:
+        # The Schur complement estimates initial states and noise levels as well; what is left out of it counts as known.
+        kept, others = np.concatenate([inside, freed]), np.arange(len(variables.which), len(information))
+        reduced = _reduce_information(information, kept, others)
+        decomposition = decompose_symmetric(reduced)
+        variance = np.where(decomposition.is_open, np.inf, np.diag(decomposition.pseudo_inverse))
+        return variance[: len(inside)]
+
+    held = variances(bounds[:0])
+    # What is open with the bounds held is told as such, and owes nothing to them.
+    limit = np.where(np.isfinite(held) & (held > 0), LEAST_GROWTH**2 * held, np.inf)
+    all_free = variances(bounds)
+    alone = [variances(np.array([k])) > limit for k in bounds]
+    result = []
+    for j in np.flatnonzero(all_free > limit):
+        # Where none of them does it alone, they do it together.
+        causes = [k for k, grows in zip(bounds, alone, strict=True) if grows[j]] or list(bounds)
+        growth = float(np.sqrt(all_free[j] / held[j]))
+        result.append(NarrowedInterval(variables.names[inside[j]], tuple(variables.names[k] for k in causes), growth))
+    return tuple(result)
 
 
 def compute_observed_information(optimum: LikelihoodMaximum, policy: IntervalPolicy) -> np.ndarray:

@@ -19,7 +19,9 @@ class EstimationCode(StrEnum):
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     DIRECTION_UNDETERMINED = "direction_undetermined"
     STOPPED_BY_BOUND = "stopped_by_bound"
+    NARROWED_BY_BOUND = "narrowed_by_bound"
     PARAMETER_UNDETERMINED = "parameter_undetermined"
+    NOTHING_TO_EXPLAIN = "nothing_to_explain"
     MISFIT_ABOVE_NOISE = "misfit_above_noise"
     MISFIT_ABOVE_DIFFERENCE_NOISE = "misfit_above_difference_noise"
     PARAMETER_NOT_CONSTANT = "parameter_not_constant"
@@ -45,3 +47,5 @@ class EstimationCode(StrEnum):
     # Several starts.
     STARTS = "starts"
     STARTS_NOT_BEGUN = "starts_not_begun"
+    OTHER_START_TAKEN = "other_start_taken"
+    NO_START_HELPS = "no_start_helps"

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base.errors import FitError, ModelError, nearest
+from greybox.base.findings import Finding, Severity
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
 from greybox.estimation.covariance import (
@@ -18,6 +19,7 @@ from greybox.estimation.covariance import (
     to_model_covariance,
     to_tied_estimates,
 )
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit_issues import (
     add_record_findings,
     find_fit_issues,
@@ -25,7 +27,9 @@ from greybox.estimation.fit_issues import (
     find_status_details,
     find_validation_issues,
 )
+from greybox.estimation.multistart import draw_starts
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.prediction_error import (
@@ -42,13 +46,22 @@ from greybox.estimation.result_parts import (
     PredictionReport,
     Provenance,
     SolverReport,
+    StartResult,
 )
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
 from greybox.estimation.validate import validate
 from greybox.estimation.versions import read_versions
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
 from greybox.simulation.records import to_experiments
+
+# Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at
+# the beginning or a trend explains already.
+LEAST_BEST_FIT = 5.0
+# Where the model's own start explains nothing, others lie between value / factor and value x factor: three decades, as whoever
+# guesses a constant seldom misses it by more.
+STARTS_FACTOR = 30.0
 
 
 def fit(
@@ -72,7 +85,8 @@ def fit(
     Minimises the sum of squared free-run errors, each output over its noise standard deviation, ``sum ((y - yhat) / noise)^2``, over
     the free parameters and each experiment's initial state, with IPOPT and a Gauss-Newton Hessian. A model with process noise
     (`State`) is fitted by its likelihood through a Kalman filter instead. Priors of parameters (`Model.prior`) are weighed as
-    measurements. The parameters start at the values of ``model`` (`Model.start`), each record's estimated initial state at the declared
+    measurements. The parameters start at the values of ``model`` (`Model.start`); where the search from there explains nothing, others
+    are tried by themselves (`FitOptions.other_starts`), and the result says so. Each record's estimated initial state at the declared
     values, or at the first readings of an output that is a state.
 
     Parameters
@@ -137,6 +151,8 @@ def fit(
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
     optimum: Optimum
+    starts: tuple[StartResult, ...] = ()
+    notices: tuple[Finding, ...] = ()
     if model.noisy_states:
         if colour == ColourTreatment.RESIDUAL:
             raise ModelError(
@@ -153,7 +169,12 @@ def fit(
             refuse_long_time_gaps(judges)
         solution = estimate_by_simulation_error(problem, options, colour, report)
         optimum = SimulationOptimum(model, solution, options.policy)
+        # A search that goes on from where another one ended is not to end elsewhere.
+        if not initial and _is_lost(optimum):
+            optimum, starts, notices = _try_other_starts(optimum, problem, experiments, options, colour, report)
     result = assemble_fit(optimum, options)
+    if starts or notices:
+        result = replace(result, starts=starts, findings=(*notices, *result.findings))
     if judges and result.success:
         judged = validate(
             result.model,
@@ -168,6 +189,107 @@ def fit(
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
     return result
+
+
+def _is_lost(optimum: SimulationOptimum) -> bool:
+    """Whether another start may do better: the search explains nothing, or stands where it began."""
+    if not optimum.model.free_parameters or optimum.status is TerminationStatus.INTERRUPTED:
+        return False
+    return explains_nothing(optimum) or stands_where_it_began(optimum)
+
+
+def explains_nothing(optimum: SimulationOptimum) -> bool:
+    """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
+    if not np.isfinite(optimum.evaluation.cost):
+        return True
+    # At a noise that is known there is nothing to explain. A level that is the residual's own says no such thing.
+    at_noise = all(
+        m.noise_ratio <= optimum.policy.excess.noise_ratio
+        and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
+        for name, m in optimum.misfit.items()
+    )
+    return not at_noise and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
+
+
+def stands_where_it_began(optimum: SimulationOptimum) -> bool:
+    """Whether a search got stuck without having moved any free constant in its digits."""
+    end, begin = optimum.fitted_model.values, optimum.model.values
+    digit = optimum.policy.reporting.last_digit
+    return optimum.status is TerminationStatus.STUCK and all(
+        abs(end[q.name] - begin[q.name]) <= digit * abs(begin[q.name]) for q in optimum.model.free_parameters
+    )
+
+
+def _try_other_starts(
+    first: SimulationOptimum,
+    problem: EstimationProblem,
+    experiments: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    colour: ColourTreatment | str,
+    report: FitProgressCallback | None,
+) -> tuple[SimulationOptimum, tuple[StartResult, ...], tuple[Finding, ...]]:
+    """The best end of ``first`` and of other starts, where each ended, best first, and what is to be said of it.
+
+    Of many starts, drawn far about the model's own, those are searched whose first run fits best: one run tells most of what a search
+    from there is worth, and a search takes dozens.
+    """
+    model = first.model
+    # Ten draws for each search: a draw takes one run, and a search dozens.
+    drawn = draw_starts(model, 10 * options.other_starts, seed=0, factor=STARTS_FACTOR)
+    costs = []
+    for begin in drawn:
+        variables = problem.variables.with_values(begin)
+        costs.append(problem.shooting(variables).evaluate(variables.here).cost)
+    order = [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]
+    ends = [({q.name: q.value for q in model.free_parameters}, first)]
+    for k in order:
+        other = prepare_estimation(model.start(**drawn[k]), experiments, problem.noise, options)
+        solution = estimate_by_simulation_error(other, options, colour, report)
+        ends.append((drawn[k], SimulationOptimum(model, solution, options.policy)))
+        if solution.status is TerminationStatus.INTERRUPTED:
+            break
+    # Under the noise that was known before any of them: a level that each learns from its own residual makes all alike.
+    std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
+    ratios = [_compute_ratio(end, std) for _, end in ends]
+    ranked = sorted(range(len(ends)), key=lambda k: ratios[k])
+    best = ends[ranked[0]][1]
+    before, after = ({n: m.best_fit_percent for n, m in end.misfit.items()} for end in (first, best))
+    starts = tuple(
+        StartResult(
+            ends[k][0],
+            {q.name: ends[k][1].fitted_model.values[q.name] for q in model.free_parameters}
+            if np.isfinite(ratios[k])
+            else {},
+            ratios[k],
+            str(ends[k][1].status),
+            ends[k][1].search.seconds,
+        )
+        for k in ranked
+    )
+    starts = starts if drawn else ()
+    counts = {"drawn": len(drawn), "searched": len(ends) - 1}
+    if explains_nothing(best):
+        is_run = bool(np.isfinite(ratios[ranked[0]]))
+        values = {**counts, "best_fit": after if is_run else {}}
+        # Without a run, and without another start, the status has said it.
+        is_news = is_run or bool(drawn)
+        return best, starts, (Finding(EstimationCode.NO_START_HELPS, Severity.WARNING, "", values),) * is_news
+    if best is first:
+        return best, starts, ()
+    values = {
+        **counts,
+        "stands": stands_where_it_began(first) and not explains_nothing(first),
+        "before": before if np.isfinite(first.evaluation.cost) else {},
+        "after": after,
+    }
+    return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
+
+
+def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:
+    """Rms of the misfits of all outputs over the noise ``std``; infinite where there is no run."""
+    if not np.isfinite(end.evaluation.cost) or not end.misfit:
+        return float(np.inf)
+    return float(np.sqrt(np.mean([(m.rmse / std[name]) ** 2 for name, m in end.misfit.items()])))
 
 
 def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:

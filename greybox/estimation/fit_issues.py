@@ -184,7 +184,9 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     result = [] if predicts else _find_other_plant(misfit, optimum.policy)
     result += _find_undetermined_directions(covariance)
     result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
+    result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
+    result += [] if predicts else _find_nothing_to_explain(optimum.problem, misfit, optimum.policy)
     result += [] if predicts else _find_excess_misfit(optimum.problem, misfit, optimum.policy)
     result += _find_shifts(optimum.parameter_shifts, limits.listed_shifts)
     result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
@@ -361,6 +363,34 @@ def _find_undetermined_directions(covariance: ParameterCovariance) -> list[Findi
     return [
         Finding(EstimationCode.DIRECTION_UNDETERMINED, Severity.WARNING, "", {"direction": dict(direction)})
         for direction in covariance.open_directions
+    ]
+
+
+def _find_nothing_to_explain(
+    problem: EstimationProblem, misfit: Mapping[str, Misfit], policy: EstimationPolicy
+) -> list[Finding]:
+    """Records whose every output is at its noise already with a constant in the place of the model."""
+    best_fit = {n: m.best_fit_percent for n, m in misfit.items()}
+    at_noise = all(
+        m.noise_ratio <= policy.excess.noise_ratio and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
+        for n, m in misfit.items()
+    )
+    is_useless = bool(misfit) and at_noise and not any(percent > 0 for percent in best_fit.values())
+    values = {"best_fit": best_fit}
+    return [Finding(EstimationCode.NOTHING_TO_EXPLAIN, Severity.WARNING, "", values)] if is_useless else []
+
+
+def _find_narrowed(covariance: ParameterCovariance, at_bound: Sequence[str]) -> list[Finding]:
+    """Constants whose intervals hold only if others are exactly at their bounds, by these others."""
+    groups: dict[tuple[str, ...], dict[str, float | None]] = {}
+    for narrowed in covariance.held:
+        # An intensity of process noise that is zero is no constant at a bound: there is no such noise.
+        if all(name in at_bound for name in narrowed.at_bounds):
+            growth = narrowed.growth if np.isfinite(narrowed.growth) else None
+            groups.setdefault(narrowed.at_bounds, {})[narrowed.constant] = growth
+    return [
+        Finding(EstimationCode.NARROWED_BY_BOUND, Severity.WARNING, ", ".join(bounds), {"growth": growth})
+        for bounds, growth in groups.items()
     ]
 
 

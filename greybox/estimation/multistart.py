@@ -33,7 +33,7 @@ from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
 
-# Finished starts of a multi-start, kept in a file so that an interrupted run goes on.
+# Starts of a search: how they are drawn, which of them end at the same optimum, and a file that keeps those that are finished.
 
 StartEnd = tuple[dict[str, float], float, str]
 """Where a start ended: values, misfit over noise, status."""
@@ -93,6 +93,58 @@ def _parse(data: Mapping[str, Any]) -> tuple[str, JobResult]:
     values = {str(name): float(value) for name, value in data["values"].items()}
     ratio = float("inf") if data["ratio"] is None else float(data["ratio"])
     return str(data["key"]), JobResult((values, ratio, str(data["status"])), "", float(data["seconds"]))
+
+
+def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
+    """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
+
+    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
+    for a factor of one or less.
+    """
+    if not factor > 1:
+        raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
+    rng = np.random.default_rng(seed)
+    return [{q.name: _draw(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
+
+
+def _draw(q: Parameter, factor: float, share: float) -> float:
+    low, high = q.bounds
+    if q.value == 0:
+        return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
+    smaller, larger = sorted((q.value / factor, q.value * factor))
+    a, b = max(smaller, low), min(larger, high)
+    size = np.sign(q.value)
+    return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
+
+
+def group_by_optimum(
+    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
+) -> list[list[StartResult]]:
+    """Results at the same optimum, best first; starts without a result are left out."""
+    groups: list[list[StartResult]] = []
+    for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
+        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio, policy):
+            groups[-1].append(result)
+        else:
+            groups.append([result])
+    return groups
+
+
+def summarise_starts(
+    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
+) -> Finding:
+    """How many starts ended at each optimum, the best first, and how many have no result."""
+    groups = group_by_optimum(start_results, policy)
+    values = {
+        "counts": [len(group) for group in groups],
+        "ratios": [group[0].noise_ratio for group in groups],
+        "without_result": sum(not result.values for result in start_results),
+    }
+    return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
+
+
+def _is_same_optimum(a: float, b: float, policy: MultistartPolicy) -> bool:
+    return b**2 <= (1 + policy.same_cost) * a**2 or b - a <= policy.same_noise_ratio
 
 
 @dataclass(frozen=True)
@@ -256,66 +308,15 @@ def multistart(
         validation=validation,
         skip=skip,
         beginning=beginning,
-        options=options,
+        options=replace(options, other_starts=0),  # they have been tried
     )
+    best = replace(best, provenance=replace(best.provenance, options=options.to_data()))
     policy = options.policy.multistart
     summary = summarise_starts(start_results, policy)
     values = {"left": left, "starts": len(begins), "seconds": time_limit}
     late = (Finding(EstimationCode.STARTS_NOT_BEGUN, Severity.WARNING, "", values),) if is_late else ()
     best = replace(best, findings=(summary, *late, *best.findings), starts=tuple(start_results))
     return MultiStartResult(best, tuple(start_results), interrupted, policy)
-
-
-def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
-    """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
-
-    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
-    for a factor of one or less.
-    """
-    if not factor > 1:
-        raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
-    rng = np.random.default_rng(seed)
-    return [{q.name: _draw(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
-
-
-def _draw(q: Parameter, factor: float, share: float) -> float:
-    low, high = q.bounds
-    if q.value == 0:
-        return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
-    smaller, larger = sorted((q.value / factor, q.value * factor))
-    a, b = max(smaller, low), min(larger, high)
-    size = np.sign(q.value)
-    return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
-
-
-def group_by_optimum(
-    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
-) -> list[list[StartResult]]:
-    """Results at the same optimum, best first; starts without a result are left out."""
-    groups: list[list[StartResult]] = []
-    for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
-        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio, policy):
-            groups[-1].append(result)
-        else:
-            groups.append([result])
-    return groups
-
-
-def summarise_starts(
-    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
-) -> Finding:
-    """How many starts ended at each optimum, the best first, and how many have no result."""
-    groups = group_by_optimum(start_results, policy)
-    values = {
-        "counts": [len(group) for group in groups],
-        "ratios": [group[0].noise_ratio for group in groups],
-        "without_result": sum(not result.values for result in start_results),
-    }
-    return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
-
-
-def _is_same_optimum(a: float, b: float, policy: MultistartPolicy) -> bool:
-    return b**2 <= (1 + policy.same_cost) * a**2 or b - a <= policy.same_noise_ratio
 
 
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:

@@ -62,6 +62,8 @@ class FitOptions(SolverOptions):
         standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.loss.Loss`.
     per_experiment
         Parameters of which each experiment has a value of its own.
+    other_starts
+        How many other starts are searched where the fit from the model's own explains nothing; 0 for none.
     policy
         The numbers that steer decisions, see `greybox.estimation.policy.EstimationPolicy`.
 
@@ -80,6 +82,7 @@ class FitOptions(SolverOptions):
     at_rest: bool = False
     loss: str = "squares"
     per_experiment: tuple[str, ...] = ()
+    other_starts: int = 6
 
     def __post_init__(self) -> None:
         object.__setattr__(
@@ -88,6 +91,10 @@ class FitOptions(SolverOptions):
             (self.per_experiment,) if isinstance(self.per_experiment, str) else tuple(self.per_experiment),
         )
         self.to_loss()
+        if self.other_starts < 0:
+            raise ModelError(
+                f"other_starts {self.other_starts}: give how many other starts are searched, or 0 for none"
+            )
         super().__post_init__()
 
     @classmethod

@@ -174,7 +174,9 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         "findings": fit.findings,
         "status_details": fit.solver.details,
         "search": strategy,
+        "misfit_at_least": _least_ratios(fit, fit.misfit),
         "validation": fit.validation.misfit,
+        "validation_at_least": _least_ratios(fit, fit.validation.misfit),
         "validation_traces": fit.validation.traces,
         "noise_sources": fit.noise.sources,
         "noise_colour": fit.noise.colour,
@@ -196,6 +198,13 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         "prediction": fit.prediction.one_step,
         "log_likelihood": fit.prediction.log_likelihood,
     }
+
+
+def _least_ratios(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, float]:
+    """How many times the noise each error is at least, of the outputs whose noise has no more than a ceiling."""
+    bounds = {name: fit.noise.bound(name) for name in misfit}
+    ratios = {name: bound.least_ratio(misfit[name].rmse) for name, bound in bounds.items() if bound is not None}
+    return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
 def load_fit(path: str | Path, model: Model) -> Fit:

@@ -95,9 +95,10 @@ def compare(
             folder,
             records,
             validation,
-            None if no_report else {},
+            {},
             quiet=silent,
             json=json,
+            page=not no_report,
             pictures=figures,
         )
         return
@@ -145,8 +146,8 @@ def compare(
             findings=findings,
         )
     journal.unlink(missing_ok=True)
-    by_title = None if no_report else {fit.model.title: fit for fit, _ in fits}
-    _write(result, folder, records, validation, by_title, quiet=silent, json=json, pictures=figures)
+    by_title = {fit.model.title: fit for fit, _ in fits}
+    _write(result, folder, records, validation, by_title, quiet=silent, json=json, page=not no_report, pictures=figures)
 
 
 def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
@@ -234,10 +235,11 @@ def _write(
     folder: Path,
     records: Sequence[Experiment],
     validation: Sequence[Experiment],
-    fits: Mapping[str, Fit] | None,
+    fits: Mapping[str, Fit],
     *,
     quiet: bool,
     json: bool,
+    page: bool,
     pictures: bool,
 ) -> None:
     from greybox.comparison.result import save_comparison
@@ -248,8 +250,11 @@ def _write(
 
     known = sentences(collect_record_findings([*records, *validation]))
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
+    constants = {title: fit.parameters for title, fit in fits.items()}
     saved = save_comparison(
-        result, folder / "compare.json", {"data": fingerprints, "remarks": known, "versions": read_versions()}
+        result,
+        folder / "compare.json",
+        {"data": fingerprints, "remarks": known, "constants": constants, "versions": read_versions()},
     )
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
@@ -258,9 +263,7 @@ def _write(
     try:
         figures = _draw_pictures(result, folder) if pictures else []
         report = (
-            None
-            if fits is None
-            else write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known)
+            write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known) if page else None
         )
     except KeyboardInterrupt:
         exit_with_error(f"interrupted while drawing; the comparison is in {saved}", ExitCode.INTERRUPTED)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -47,7 +48,7 @@ from greybox.shell.terminal import exit_with_error, hold_interrupts, write_repor
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
-    from greybox.estimation.residuals import ResidualTests
+    from greybox.estimation.residuals import ResidualTest, ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
     from greybox.estimation.uncertainty.bootstrap import Bootstrap
@@ -147,11 +148,13 @@ def fit(
         intervals: dict[str, Any] = {}
         if (profiled or study.bootstrap) and result.success and not interrupted:
             intervals = _intervals(result, profiled, study.bootstrap, _share(executor, workers))
-            _store_intervals(saved, intervals)
+        answer = _answer(result, tests, study, validation, intervals, short=interrupted)
+        with hold_interrupts():
+            _store_answer(saved, answer)
         if json:
             typer.echo(saved.read_text(encoding="utf-8"), nl=False)
         elif not silent:
-            typer.echo(str(_answer(result, tests, study, validation, intervals, short=interrupted)))
+            typer.echo(str(answer))
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
         exit_with_error(
@@ -258,18 +261,36 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     return intervals
 
 
-def _store_intervals(saved: Path, intervals: Mapping[str, Any]) -> None:
-    """Put the intervals that were asked for into fit.json, which was written before they took their time."""
+def _store_answer(saved: Path, answer: FitAnswer) -> None:
+    """Put what is shown beside the fit into fit.json, which was written before it took its time: a number that is printed stands there."""
     from greybox.base.files import write_file
     from greybox.base.json_file import ResultKind, read_json
-    from greybox.estimation.result_parts import iterate_json
+    from greybox.estimation.result_parts import iterate_json, to_json_data
 
-    stored = {name: value for name, value in intervals.items() if name != "bootstrap" and value}
-    if "profiles" in stored:
-        stored["profiles"] = [profile.to_data() for profile in stored["profiles"]]
-    if "bootstrap" in intervals:
-        stored["bootstrap"] = intervals["bootstrap"].to_data()
-    write_file(saved, iterate_json({**read_json(saved, ResultKind.FIT), **stored}))
+    stored: dict[str, Any] = {
+        "profiles": [profile.to_data() for profile in answer.profiles],
+        "zero_noise": answer.zero_noise,
+        "bootstrap": answer.bootstrap and answer.bootstrap.to_data(),
+        "refusal": answer.refusal,
+        "remedies": answer.remedies,
+        "tests": [_to_test_data(test) for test in answer.tests.tests] if answer.tests else [],
+        "scores": answer.scores and answer.scores.outputs,
+        "validation_scores": answer.validation_scores and answer.validation_scores.outputs,
+        "record_misfits": [{"record": r, "output": o, **asdict(m)} for r, o, m in answer.misfits],
+        "validation_record_misfits": [{"record": r, "output": o, **asdict(m)} for r, o, m in answer.validation_misfits],
+    }
+    stored = {name: to_json_data(values) for name, values in stored.items() if values}
+    if stored:
+        write_file(saved, iterate_json({**read_json(saved, ResultKind.FIT), **stored}))
+
+
+def _to_test_data(test: ResidualTest) -> dict[str, Any]:
+    """A test of a residual as fit.json has it; the colour as its order and the correlation from sample to sample."""
+    correlation = float(test.colour.autocorrelation(2)[1]) if test.colour.order else 0.0
+    figures = {
+        name: getattr(test, name) for name in ("output", "kind", "statistic", "p_value", "alarm", "lags", "input")
+    }
+    return {**figures, "order": test.colour.order, "correlation": correlation}
 
 
 def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:

@@ -318,7 +318,8 @@ def seed_of(study: Study) -> int:
 
 def check_workers(workers: int, cluster: str, shared: Mapping[str, object]) -> None:
     """Refuse workers where there is nothing to share; ``shared``: the options whose work they share, with their values."""
-    given = f"--cluster {cluster}" if cluster else f"--workers {workers}" if workers else ""
+    # One worker asks for nothing to be shared, and that is what happens.
+    given = f"--cluster {cluster}" if cluster else f"--workers {workers}" if workers > 1 else ""
     if given and not any(shared.values()):
         raise GreyboxError(f"{given} has no effect: there is one computation; give {' or '.join(shared)} too")
 

@@ -36,8 +36,6 @@ class ProgressPolicy:
     """Iterations that a stage of a fit usually takes."""
     usual_refits: int = 40
     """Refits that a discovery usually takes."""
-    overtime: int = 3
-    """Beyond the usual number of steps a search is expected to take one ``overtime``-th of its steps so far again."""
     minimum_share: float = 0.02
     """Share that must be done before the time left is shown: below it the extrapolation is a guess."""
     scan_times: Mapping[str, float] = field(

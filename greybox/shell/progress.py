@@ -112,15 +112,15 @@ def describe_progress(progress: FitProgress) -> str:
     )
 
 
-def share_done(progress: FitProgress) -> float:
-    """Share of a fit that is done, from the usual duration of each stage; the number of iterations left is unknown."""
+def share_done(progress: FitProgress) -> float | None:
+    """Share of a fit that is done, from the usual duration of each stage; None where a stage takes longer than usual."""
     within = expected_share(max(progress.iteration, 0), PROGRESS.usual_iterations)
-    return (progress.stage - 1 + within) / max(progress.stages, progress.stage)
+    return None if within is None else (progress.stage - 1 + within) / max(progress.stages, progress.stage)
 
 
-def expected_share(done: int, usual: int) -> float:
-    """Share that is done of what takes ``usual`` steps as a rule, and may take more."""
-    return done / (done + max(usual - done, done / PROGRESS.overtime))
+def expected_share(done: int, usual: int) -> float | None:
+    """Share that is done of what takes ``usual`` steps as a rule; None from there on, where nothing says how many are left."""
+    return done / usual if done < usual else None
 
 
 @contextmanager

@@ -84,11 +84,14 @@ def test_a_validation_record_that_reaches_beyond_the_estimation_records_is_repor
     without_curve = propose_next_steps(base, location, None, (same,), POLICY)
     (more,) = with_code(without_curve, DiscoveryCode.MEASURE_MORE)
     assert more.values["outputs"] == ["p_a", "p_b"]
-    assert with_code(without_curve, DiscoveryCode.SUSPECT_MEMORY)
+    # The signal is a function of the position: to trace it shows the cause, and a memory is none.
+    (trace,) = with_code(without_curve, DiscoveryCode.TRACE_CURVE)
+    assert trace.subject == "s"
+    assert not with_code(without_curve, DiscoveryCode.SUSPECT_MEMORY)
     beside = propose_next_steps(base, location, None, (same,), POLICY, "coulomb_friction")
     assert beside[0].code == DiscoveryCode.CONTINUE_WITH_LOOK_ALIKE
     assert beside[0].subject == "coulomb_friction"
-    assert not with_code(beside, DiscoveryCode.SUSPECT_MEMORY)
+    assert not with_code(beside, DiscoveryCode.TRACE_CURVE)
 
 
 def test_an_estimated_noise_is_doubted_where_nothing_seems_missing():

@@ -27,6 +27,7 @@ from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import experiment, linear_record, multisine, solved_record
 from tests.support.explosive import explosive
 from tests.support.findings import codes, find
+from tests.support.linear_regression import LINE
 
 REST = FitOptions(at_rest=True)
 
@@ -232,6 +233,34 @@ def test_a_bound_that_stops_a_constant_is_reported():
     found = fit(truth.start(K=5000).bound(K=(10.0, 5500.0)), data, options=REST)
     assert found.parameters["K"].at_bound and found.parameters["K"].value == 5500.0
     assert "K" in find(found.findings, EstimationCode.STOPPED_BY_BOUND).values["parameters"]
+
+
+def bounded_line(low=1.0):
+    """A record of the line over inputs from ``low`` on, its design, and the fit with ``b`` stopped at zero."""
+    u = np.random.default_rng(3).uniform(low, 2.0, 60)
+    design = np.column_stack([u, u**2, np.ones(60)])
+    y = design @ [1.2, -0.4, 0.7] + 0.01 * np.random.default_rng(4).normal(size=60)
+    data = Experiment("line", np.arange(60) * 0.1, {"u": u}, {"y": y})
+    return design, fit(LINE.start(b=0.1).bound(b=(0.0, 10.0)), data, noise={"y": 0.01}, options=REST)
+
+
+def test_a_bound_that_narrows_the_other_intervals_is_told_with_the_factor():
+    """Beside a free curvature the slope is known much less well than with the curvature held at zero: as the normal equations say."""
+    design, found = bounded_line()
+    assert found.parameters["b"].at_bound
+    narrowed = find(found.findings, EstimationCode.NARROWED_BY_BOUND)
+    free, held = np.linalg.inv(design.T @ design), np.linalg.inv(design[:, [0, 2]].T @ design[:, [0, 2]])
+    expected = {"a": np.sqrt(free[0, 0] / held[0, 0]), "c": np.sqrt(free[2, 2] / held[1, 1])}
+    assert narrowed.subject == "b" and expected["a"] > 5
+    assert dict(narrowed.values["growth"]) == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_bound_that_the_other_intervals_do_not_rest_on_is_not_told():
+    """Over inputs to both sides slope and curvature are told apart by themselves."""
+    _, found = bounded_line(low=-2.0)
+    assert found.parameters["b"].at_bound
+    growth = find(found.findings, EstimationCode.NARROWED_BY_BOUND)
+    assert growth is None or "a" not in growth.values["growth"]
 
 
 def test_a_wrong_model_says_so_beside_its_status():

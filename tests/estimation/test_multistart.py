@@ -1,17 +1,27 @@
 """Many starts: the optimum that most of them find, and how many did."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from greybox import GreyboxError
 from greybox.base.errors import ModelError
+from greybox.base.findings import Severity
+from greybox.data.experiment import Experiment
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit import fit, stands_where_it_began
 from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions
+from greybox.estimation.policy import DEFAULT_POLICY
 from greybox.estimation.result_parts import StartResult
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
 from tests.support.explosive import explosive
+from tests.support.findings import codes, find
+from tests.support.first_order import rooney_biegler
 
 REST = FitOptions(at_rest=True)
 
@@ -80,3 +90,66 @@ def test_a_model_that_can_be_simulated_from_no_start_says_so():
     data = experiment(model, t, np.ones((100, 1)), np.cos(t)[:, None])
     with pytest.raises(GreyboxError, match="none of 3 starts has a result"):
         multistart(model, data, starts=3, options=REST, workers=1)
+
+
+TIME = 0.05 * np.arange(200)
+
+
+def growth(y):
+    """A record of Rooney and Biegler's curve, or of what is not."""
+    return Experiment("growth", TIME, {"u": np.zeros(200)}, {"y": y})
+
+
+def noise(seed=0):
+    return 0.05 * np.random.default_rng(seed).normal(size=200)
+
+
+@pytest.mark.parametrize("known", [{"y": 0.05}, None], ids=["noise given", "noise not given"])
+def test_where_the_first_start_explains_nothing_others_are_tried_by_themselves(known):
+    """At a rate of 1000/s the curve is a jump, and no slope leads back from it."""
+    record, far = growth(15 * (1 - np.exp(-0.5 * TIME)) + noise()), rooney_biegler(asymptote=1.0, rate=1000.0)
+    alone = fit(far, record, noise=known, options=FitOptions(at_rest=True, other_starts=0))
+    assert alone.misfit["y"].best_fit_percent < 5 and find(alone.findings, EstimationCode.NO_START_HELPS)
+    found = fit(far, record, noise=known, options=REST)
+    assert found.parameters["asymptote"].value == pytest.approx(15.0, rel=0.01)
+    assert found.parameters["rate"].value == pytest.approx(0.5, rel=0.01)
+    told = find(found.findings, EstimationCode.OTHER_START_TAKEN)
+    assert told.values["searched"] == 6 == len(found.starts) - 1
+    assert told.values["after"]["y"] == found.misfit["y"].best_fit_percent
+    assert [s.noise_ratio for s in found.starts] == sorted(s.noise_ratio for s in found.starts)
+    again = fit(far, record, noise=known, options=REST)
+    assert again.model.values == found.model.values  # the draws are seeded
+
+
+def test_where_no_start_helps_a_warning_says_so():
+    record = growth(np.sin(3 * TIME) + noise())
+    found = fit(rooney_biegler(), record, noise={"y": 0.05}, options=REST)
+    told = find(found.findings, EstimationCode.NO_START_HELPS)
+    assert told.severity is Severity.WARNING and told.values["searched"] == 6
+    assert told.values["best_fit"] == {"y": found.misfit["y"].best_fit_percent}
+
+
+def test_a_start_that_finds_the_way_tries_no_other():
+    found = fit(rooney_biegler(rate=5.0), growth(15 * (1 - np.exp(-0.5 * TIME)) + noise()), options=REST)
+    assert found.starts == ()
+    assert not codes(found.findings) & {EstimationCode.OTHER_START_TAKEN, EstimationCode.NO_START_HELPS}
+
+
+def test_records_of_nothing_but_noise_are_told_and_not_searched():
+    found = fit(rooney_biegler(), growth(noise()), noise={"y": 0.05}, options=REST)
+    assert found.starts == ()
+    assert EstimationCode.NOTHING_TO_EXPLAIN in codes(found.findings)
+
+
+@pytest.mark.parametrize(
+    ("status", "end", "stands"),
+    [
+        (TerminationStatus.STUCK, 0.5, True),
+        (TerminationStatus.STUCK, 0.6, False),
+        (TerminationStatus.CONVERGED, 0.5, False),
+    ],
+)
+def test_a_search_that_got_stuck_where_it_began_is_known(status, end, stands):
+    begin = rooney_biegler(rate=0.5)
+    optimum = SimpleNamespace(model=begin, fitted_model=begin.start(rate=end), status=status, policy=DEFAULT_POLICY)
+    assert stands_where_it_began(optimum) is stands

@@ -31,10 +31,16 @@ def test_times_are_told_as_people_do(seconds: float, text: str) -> None:
 
 
 def test_a_fit_gets_on_and_is_never_done_before_it_ends() -> None:
-    shares = [share_done(FitProgress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 15, 40)]
-    assert shares[0] == 0 and shares[5] == 0.5
-    assert shares[:5] == sorted(shares[:5]) and shares[5:] == sorted(shares[5:])
-    assert shares[4] < 0.5 and shares[9] < 1
+    shares = [share_done(FitProgress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 14)]
+    assert shares[0] == 0 and shares[4] == 0.5
+    assert shares == sorted(shares) and shares[-1] < 1
+
+
+@pytest.mark.parametrize("iteration", [15, 40, 400])
+def test_a_search_longer_than_usual_does_not_say_when_it_ends(iteration: int) -> None:
+    """A share of the steps so far would be no forecast: it says a third of the time so far, however long that is."""
+    share = share_done(FitProgress(1, 1, iteration, 1.0))
+    assert share is None and time_left(9.0, share) is None
 
 
 def test_a_comparison_weighs_its_scans() -> None:
@@ -104,4 +110,4 @@ def test_a_discovery_says_its_steps_and_how_many_refits_are_done(
         ("plain model: misfit 50 times the noise; refit 10", 0.25),
     ]
     assert capsys.readouterr().err == "plain model: misfit 50 times the noise\n"
-    assert expected_share(400, 40) < 1
+    assert expected_share(400, 40) is None

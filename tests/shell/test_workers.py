@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
+from greybox.shell.inputs import check_workers
 from greybox.shell.terminal import exit_on_error
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
@@ -56,6 +57,13 @@ def test_workers_without_anything_to_share_are_refused(record, tmp_path, command
     assert done.exit_code == 2
     assert "no effect" in done.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_one_worker_is_what_a_command_has_anyway(record, tmp_path):
+    check_workers(1, "", {"--starts N": False})
+    words = f"fit micro_actuator {record} --fix M --fix Ra --no-report -q --workers 1 --output {tmp_path / 'out'}"
+    done = CliRunner().invoke(app, words.split(), prog_name="greybox")
+    assert done.exit_code == 0, done.stderr
 
 
 @pytest.mark.parametrize("command", ["fit", "discover"])

@@ -106,7 +106,8 @@ def analyse_excitation(
         measured = [o.name for o in model.outputs if o.name in experiment.outputs]
         structure = structure or analyse_structural_identifiability(model, measured or None)
         needed = math.ceil(structure.rank / len(structure.outputs))
-    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, policy)
+    moves = any(np.ptp(experiment.inputs[name]) > 0 for name in names)
+    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, policy, moves)
     return Excitation(orders, bands, limit, needed, fastest, tuple(findings))
 
 
@@ -156,9 +157,11 @@ def _find_poor_excitation(
     needed: int | None,
     fastest: float,
     policy: ExcitationPolicy,
+    moves: bool,
 ) -> list[Finding]:
     total = sum(orders.values())
-    if not total:
+    # The order is that of the median segment: an input that steps now and then and rests at zero between has order 0, and moves.
+    if not (total or moves):
         return [Finding(IdentifiabilityCode.NO_INPUT_MOVES, Severity.WARNING)]
     findings = []
     if needed is not None and total < needed and max(orders.values()) < limit:

@@ -87,7 +87,7 @@ def changed(
         raise GreyboxError("--skip has no effect here: it leaves out rows of validation records; add --validate FILE")
     if validate and (population or chart or no_effects):
         raise GreyboxError("--validate has no effect here: no effect is looked for; leave it out")
-    if (workers or cluster) and (population or chart or no_effects):
+    if (workers > 1 or cluster) and (population or chart or no_effects):
         given = f"--cluster {cluster}" if cluster else f"--workers {workers}"
         raise GreyboxError(f"{given} has no effect here: no effect is looked for; leave it out")
     result = (

@@ -528,6 +528,14 @@ def _first_effect(finding: Finding) -> str:
     return f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise"
 
 
+def _look_at_stretch(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"look at what happens from {v['start']:.4g} to {v['end']:.4g} s of {finding.subject}: {_percent(v['share'], 2)} of the misfit lies"
+        f" in {_percent(v['time_share'], 2)} of the time, so something acts then that the model does not have"
+    )
+
+
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
     return f"{finding.subject} is not detectable below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
@@ -612,6 +620,15 @@ register(
         " and its tone generator",
         DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
         " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
+        DiscoveryCode.LOOK_AT_STRETCH: _look_at_stretch,
+        DiscoveryCode.TRACE_LOOP: lambda f: (
+            f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"
+            " the way down; a loop that stays when slow is play or hysteresis, one that shrinks is a lag or a loss that grows with speed"
+        ),
+        DiscoveryCode.TRACE_CURVE: lambda f: (
+            f"record {f.subject} slowly over its whole range: the missing signal is a function of it (explains"
+            f" {_percent(f.values['share'], 2)}), and there its curve shows by itself"
+        ),
         DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
         " missing signal is periodic in {subject}",
         DiscoveryCode.SUSPECT_CONTACT: "inspect the rig where {subject} is about {position:.3g} {unit}: the curve bends there, as with"
@@ -620,6 +637,10 @@ register(
         " own effect",
         DiscoveryCode.VARY_SPEED_AND_AMPLITUDE: "record the same motion slowly and fast, and at two amplitudes: the curve explains a part,"
         " and the rest depends on more than {subject}",
+        DiscoveryCode.VARY_OTHER_VARIABLE: lambda f: (
+            f"record the same range of {f.subject} at several levels of {f.values['other']}: the curve over {f.subject} explains a part,"
+            f" and the missing signal depends on {f.values['other']} too (explains {_percent(f.values['share'], 2)})"
+        ),
         DiscoveryCode.MEASURE_MORE: lambda f: (
             f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"
         ),

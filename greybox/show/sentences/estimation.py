@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
-from greybox.data.noise.noise_model import AutoRegression, BoundDirection
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
@@ -171,6 +171,18 @@ def _write_residual_correlated(finding: Finding) -> str:
     )
 
 
+def _write_narrowed(finding: Finding) -> str:
+    finite = {name: growth for name, growth in finding.values["growth"].items() if growth is not None}
+    widened = ", ".join(f"{name} {growth:.2g} times" for name, growth in finite.items())
+    open_names = [name for name in finding.values["growth"] if name not in finite]
+    parts = [f"the intervals would be wider: {widened}"] if finite else []
+    if open_names:
+        parts.append(f"{', '.join(open_names)} would not be determined")
+    several = "," in finding.subject
+    where = "are at their bounds and count" if several else "is at its bound and counts"
+    return f"{finding.subject} {where} as exactly known there; with {'them' if several else 'it'} free, {' and '.join(parts)}"
+
+
 def _write_step_shifts(finding: Finding) -> str:
     shifts = ", ".join(f"{name} by {shift:.2g}" for name, shift in finding.values["shifts"].items())
     return (
@@ -239,6 +251,32 @@ def _write_starts(finding: Finding) -> str:
     return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
 
 
+def _write_best_fits(best_fit: Mapping[str, float]) -> str:
+    return ", ".join(f"{percent:.2f} % of {name}" for name, percent in best_fit.items())
+
+
+def _write_other_start(finding: Finding) -> str:
+    v = finding.values
+    before = f" (best fit {_write_best_fits(v['before'])})" if v["before"] else ""
+    outcome = "stands where it began" if v["stands"] else "explains nothing"
+    return (
+        f"the search from the model's own start values {outcome}{before}; of {v['drawn']} other starts the {v['searched']} most"
+        f" promising were searched, and the best follows {_write_best_fits(v['after'])}"
+    )
+
+
+def _write_no_start_helps(finding: Finding) -> str:
+    v = finding.values
+    remedy = "give start values nearer to physical ones, and check units, signs and bounds"
+    if not v["best_fit"]:
+        return f"no start helps: the model cannot be simulated from any of {v['drawn']} other starts either; {remedy}"
+    others = f" from the model's own start values and from {v['searched']} others" if v["searched"] else ""
+    return (
+        f"the fit explains nothing{others}: its free run is hardly better than a constant output (best fit"
+        f" {_write_best_fits(v['best_fit'])}); {remedy}"
+    )
+
+
 register(
     {
         EstimationCode.MISFIT_RATIO: _write_misfit_ratio,
@@ -261,8 +299,13 @@ register(
         EstimationCode.STOPPED_BY_BOUND: lambda f: (
             f"stopped by a bound: {', '.join(f.values['parameters'])}; widen the bound, or add the effect that the model lacks"
         ),
+        EstimationCode.NARROWED_BY_BOUND: _write_narrowed,
         EstimationCode.PARAMETER_UNDETERMINED: lambda f: (
             f"not determined (the 95 % interval exceeds half the value): {', '.join(f.values['parameters'])}"
+        ),
+        EstimationCode.NOTHING_TO_EXPLAIN: lambda f: (
+            f"the records move no more than their noise (best fit {_write_best_fits(f.values['best_fit'])}): a constant output does as"
+            " well, and the parameters mean nothing; use an input that moves the plant"
         ),
         EstimationCode.MISFIT_ABOVE_NOISE: (
             "the misfit exceeds the noise: the model is incomplete, and its parameters may be biased"
@@ -312,6 +355,8 @@ register(
             "the noise is coloured, but a fit with process noise assumes white noise"
         ),
         EstimationCode.STARTS: _write_starts,
+        EstimationCode.OTHER_START_TAKEN: _write_other_start,
+        EstimationCode.NO_START_HELPS: _write_no_start_helps,
         EstimationCode.STARTS_NOT_BEGUN: (
             "{left:d} of {starts:d} starts were not finished within {seconds:.3g} s; repeat the command to continue with them"
         ),
@@ -443,9 +488,10 @@ def to_constant_cells(name: str, e: Estimate) -> list[str]:
 
 def to_misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
     """rmse, best fit and rmse over noise, as tables show them; over noise that is only bounded it is at least that."""
-    ratio = f"{format_number(m.noise_ratio, 4)} x noise"
-    if bound is not None and bound.direction is BoundDirection.AT_MOST and bound.level > 0:
-        ratio = f"at least {format_number(m.rmse / bound.level, 4)} x noise"
+    least = None if bound is None else bound.least_ratio(m.rmse)
+    ratio = (
+        f"{format_number(m.noise_ratio, 4)} x noise" if least is None else f"at least {format_number(least, 4)} x noise"
+    )
     return [
         f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
         f"{m.best_fit_percent:.2f} %",

@@ -281,7 +281,8 @@ TEMPLATES: Mapping[str, Template] = {
         f" ({100 * f.values['explained']:.0f} % less)"
     ),
     FigureText.EFFECT_SIGNAL_SIZE: lambda f: (
-        f"The plain model lacks a signal of {_quantity(f.values['rms'], f.values['unit'])} rms at the {f.values['site']}. {f.subject}"
+        f"Beside the other constants of the extended model a signal of {_quantity(f.values['rms'], f.values['unit'])} rms is missing at the"
+        f" {f.values['site']}. {f.subject}"
         f" explains {100 * f.values['explained']:.1f} % of its variance. The signal is"
         f" {f.values['dependence'] or 'a function of no single variable'}"
     ),

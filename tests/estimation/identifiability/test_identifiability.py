@@ -348,6 +348,18 @@ def test_a_step_is_too_little_for_the_actuator() -> None:
     assert analyse_excitation(rich, micro_actuator).findings == ()
 
 
+def test_an_input_that_steps_now_and_then_moves() -> None:
+    """Most segments see it at zero: its order is 0, and yet it carries what there is to know."""
+    u = np.zeros(2000)
+    u[300:340], u[1200:1240] = 7.0, 11.0
+    found = analyse_excitation(driven(u, 2.5e-4), micro_actuator)
+    assert found.orders == {"u": 0}
+    assert [f.code for f in found.findings if f.code == Code.NO_INPUT_MOVES] == []
+    assert [f.code for f in analyse_excitation(driven(np.zeros(2000), 2.5e-4), micro_actuator).findings] == [
+        Code.NO_INPUT_MOVES
+    ]
+
+
 def test_excitation_without_a_model_and_without_the_input() -> None:
     found = analyse_excitation(driven(np.sin(np.arange(3000.0))))
     assert found.orders == {"u": 2}

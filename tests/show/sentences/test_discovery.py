@@ -217,6 +217,24 @@ FINDINGS = [
         " so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
     ),
     (
+        Code.LOOK_AT_STRETCH,
+        *("run", {"start": 1.25, "end": 1.5, "share": 0.83, "time_share": 0.1}),
+        "look at what happens from 1.25 to 1.5 s of run: 83 % of the misfit lies in 10 % of the time, so something acts then that the"
+        " model does not have",
+    ),
+    (
+        Code.TRACE_LOOP,
+        *("x", {"loop": 0.4}),
+        "record x up and down over its range, once slowly and once fast: the missing signal differs between the way up and the way down;"
+        " a loop that stays when slow is play or hysteresis, one that shrinks is a lag or a loss that grows with speed",
+    ),
+    (
+        Code.TRACE_CURVE,
+        *("v", {"share": 0.87}),
+        "record v slowly over its whole range: the missing signal is a function of it (explains 87 %), and there its curve shows by"
+        " itself",
+    ),
+    (
         Code.SUSPECT_PERIODIC_PART,
         *("s", {"period": 0.01, "unit": "m"}),
         "look for magnets, teeth, a thread or a bearing with a period of 0.01 m: the missing signal is periodic in s",
@@ -235,6 +253,12 @@ FINDINGS = [
         Code.VARY_SPEED_AND_AMPLITUDE,
         *("x", {}),
         "record the same motion slowly and fast, and at two amplitudes: the curve explains a part, and the rest depends on more than x",
+    ),
+    (
+        Code.VARY_OTHER_VARIABLE,
+        *("v", {"other": "x", "share": 0.42}),
+        "record the same range of v at several levels of x: the curve over v explains a part, and the missing signal depends on x too"
+        " (explains 42 %)",
     ),
     (
         Code.MEASURE_MORE,

@@ -110,7 +110,55 @@ GOLDEN = [
         "not determined by these data: Kf, La can change together without changing the outputs: fix one of them, or measure another output",
     ),
     ("stopped_by_bound", "", TWO, "stopped by a bound: K, B; widen the bound, or add the effect that the model lacks"),
+    (
+        "narrowed_by_bound",
+        "p5",
+        {"growth": {"p4": 9.83}},
+        "p5 is at its bound and counts as exactly known there; with it free, the intervals would be wider: p4 9.8 times",
+    ),
+    (
+        "narrowed_by_bound",
+        "p5, p6",
+        {"growth": {"p3": 2.41, "p4": None}},
+        "p5, p6 are at their bounds and count as exactly known there; with them free, the intervals would be wider: p3 2.4 times and p4"
+        " would not be determined",
+    ),
     ("parameter_undetermined", "", TWO, "not determined (the 95 % interval exceeds half the value): K, B"),
+    (
+        "nothing_to_explain",
+        "",
+        {"best_fit": {"y": -0.372}},
+        "the records move no more than their noise (best fit -0.37 % of y): a constant output does as well, and the parameters mean"
+        " nothing; use an input that moves the plant",
+    ),
+    (
+        "other_start_taken",
+        "",
+        {"drawn": 60, "searched": 6, "stands": False, "before": {"y": -0.002}, "after": {"y": 98.72}},
+        "the search from the model's own start values explains nothing (best fit -0.00 % of y); of 60 other starts the 6 most promising"
+        " were searched, and the best follows 98.72 % of y",
+    ),
+    (
+        "other_start_taken",
+        "",
+        {"drawn": 60, "searched": 6, "stands": True, "before": {"y": 40.0}, "after": {"y": 98.72}},
+        "the search from the model's own start values stands where it began (best fit 40.00 % of y); of 60 other starts the 6 most"
+        " promising were searched, and the best follows 98.72 % of y",
+    ),
+    (
+        "no_start_helps",
+        "",
+        {"drawn": 60, "searched": 6, "best_fit": {"y": -0.002}},
+        "the fit explains nothing from the model's own start values and from 6 others: its free run is hardly better than a constant"
+        " output (best fit -0.00 % of y); give start values nearer to physical ones, and check units, signs and bounds",
+    ),
+    (
+        "no_start_helps",
+        "",
+        {"drawn": 60, "searched": 0, "best_fit": {}},
+        "no start helps: the model cannot be simulated from any of 60 other starts either; give start values nearer to physical ones, and"
+        " check units, signs and bounds",
+    ),
     (
         "misfit_above_noise",
         "",

@@ -186,12 +186,14 @@ GOLDEN = [
     ),
     (
         phrase(T.EFFECT_SIGNAL_SIZE, "drag", site="force", rms=2.0, unit="mN", explained=0.9, dependence=None),
-        "The plain model lacks a signal of 2 mN rms at the force. drag explains 90.0 % of its variance. The signal is a function of no"
+        "Beside the other constants of the extended model a signal of 2 mN rms is missing at the force."
+        " drag explains 90.0 % of its variance. The signal is a function of no"
         " single variable",
     ),
     (
         phrase(T.EFFECT_SIGNAL_SIZE, "creep", site="force", rms=2.0, unit="mN", explained=0.9, dependence="odd"),
-        "The plain model lacks a signal of 2 mN rms at the force. creep explains 90.0 % of its variance. The signal is odd",
+        "Beside the other constants of the extended model a signal of 2 mN rms is missing at the force."
+        " creep explains 90.0 % of its variance. The signal is odd",
     ),
     (phrase(T.SURROGATE_STATEMENT, statement="A curve over x."), "A curve over x."),
     (phrase(T.DEPENDENCES, statements=["odd", "even"]), "The signal is odd; even"),
