@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 import greybox as gb
-from greybox.shell.main import app
+from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
