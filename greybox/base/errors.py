@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from enum import IntEnum
 from typing import Any
 
 
@@ -96,3 +97,15 @@ def nearest(name: str, known: Iterable[str], most: int = 30) -> str:
         return f"known: {listing}"
     beside = f"known: {listing}" if len(names) <= most else f"{len(names)} are known"
     return f"did you mean {' or '.join(repr(c) for c in close)}? ({beside})"
+
+
+class ExitCode(IntEnum):
+    """How a command ended: a contract with whoever runs it from a script."""
+
+    SUCCESS = 0
+    UNSUCCESSFUL = 1
+    """The computation ran and did not succeed, for instance a fit that did not converge."""
+    BAD_INPUT = 2
+    """Something that was typed or read cannot be used; nothing was computed or written."""
+    INTERRUPTED = 130
+    """Ctrl-C, as shells report it: 128 plus the number of the signal."""

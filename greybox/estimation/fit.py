@@ -27,7 +27,6 @@ from greybox.estimation.fit_issues import (
     find_status_details,
     find_validation_issues,
 )
-from greybox.estimation.multistart import draw_starts
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
@@ -48,6 +47,7 @@ from greybox.estimation.result_parts import (
     SolverReport,
     StartResult,
 )
+from greybox.estimation.starts import draw_starts
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
 from greybox.estimation.validate import validate

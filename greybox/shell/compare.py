@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.base.errors import GreyboxError
-from greybox.shell import ExitCode
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.shell.inputs import (
     add_effects,
     build_model,

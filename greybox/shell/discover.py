@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from greybox.base.errors import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.shell import ExitCode
 from greybox.shell.inputs import (
     build_model,
     check_skip,

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.base.errors import FitError, GreyboxError
-from greybox.shell import ExitCode
+from greybox.base.errors import ExitCode, FitError, GreyboxError
 from greybox.shell.answers import FitAnswer, RecordMisfit
 from greybox.shell.inputs import (
     build_model,

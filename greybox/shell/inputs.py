@@ -8,9 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
+from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
-from greybox.shell import ExitCode
 from greybox.shell.policy import COMMANDS, CommandPolicy
 from greybox.shell.study import MethodName, Study
 from greybox.shell.study_values import Numbers, Table, parse_number

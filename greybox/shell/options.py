@@ -13,9 +13,9 @@ from typing import Annotated, Any
 
 import typer
 
-from greybox.base.errors import GreyboxError
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import ExitCode, completion
+from greybox.shell import completion
 from greybox.shell.study import STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.shell.study_file import is_study_file, read_study, with_overrides
 from greybox.shell.study_file import write_study as store_study

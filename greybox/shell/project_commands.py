@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.base.errors import GreyboxError
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import ExitCode, completion
+from greybox.shell import completion
 from greybox.shell.inputs import add_effects
 from greybox.shell.options import Figures, Json, NoReport, Texts, check_writable
 from greybox.shell.progress import show_search_progress

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.base.errors import GreyboxError
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import ExitCode, completion
+from greybox.shell import completion
 from greybox.shell.answers import SimulationAnswer
 from greybox.shell.inputs import add_effects, check_substeps, layout_of, parse_limits, refuse_broken_limits
 from greybox.shell.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study

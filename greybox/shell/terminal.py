@@ -22,9 +22,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import typer
 from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
 
-from greybox.base.errors import GreyboxError, OutputError, WorkersLostError, nearest
+from greybox.base.errors import ExitCode, GreyboxError, OutputError, WorkersLostError, nearest
 from greybox.base.extensions import ExtensionKind, describe_failures
-from greybox.shell import ExitCode
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding

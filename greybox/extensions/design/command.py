@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from greybox.base.errors import DataError, GreyboxError, ModelError
-from greybox.shell import ExitCode, completion
+from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError
+from greybox.shell import completion
 from greybox.shell.inputs import load_fit_with_model, parse_limits
 from greybox.shell.options import (
     Cluster,

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from greybox.base.errors import DataError, GreyboxError
-from greybox.shell import ExitCode
+from greybox.base.errors import DataError, ExitCode, GreyboxError
 from greybox.shell.inputs import layout_of, print_record_notes
 from greybox.shell.options import check_writable
 from greybox.shell.plants import PlantDiscovery, PlantKind
