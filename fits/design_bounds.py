@@ -23,7 +23,7 @@ import greybox as gb
 from fits.design_study import PLANTS, REST, USUAL
 from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.inputs import envelope
-from greybox.extensions.design.plant import PlantScenario, make_plant
+from greybox.extensions.design.plant import GOAL_PRIOR_SPREAD, PlantScenario, make_plant
 from greybox.extensions.design.problem import DesignProblem
 from greybox.shell.project import find_model
 
@@ -69,7 +69,7 @@ def bound_precision(question: DesignProblem, plant: PlantScenario) -> float:
             room = max(ends.high - still.outputs[0, j], still.outputs[0, j] - ends.low)
             matrix = make_matrix((struck.outputs - still.outputs)[:, j] / room)
             sizes.append(matrix.T @ matrix / rows)
-    return _smallest_bound(grams, sizes, np.eye(n) / question.policy.goal.prior_spread**2)
+    return _smallest_bound(grams, sizes, np.eye(n) / GOAL_PRIOR_SPREAD**2)
 
 
 def _smallest_bound(grams: Sequence[Sequence[np.ndarray]], sizes: Sequence[np.ndarray], prior: np.ndarray) -> float:

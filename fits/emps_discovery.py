@@ -22,7 +22,6 @@ import greybox as gb
 from fits.paper_page import markdown
 from fits.real_page import arguments, verdict_text, write
 from greybox.data.noise.noise_model import NoiseModel
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.refinement import Refinement
 from greybox.discovery.residual_noise import estimate_residual_noise
@@ -69,9 +68,7 @@ def study(folder: Path, say: Say = lambda _: None) -> Study:
     # `discover` has looked for smaller effects already, wherever more than noise was left.
     refinement = discovery.refinement or gb.discovery.refine(discovery.best, judge, plain=emps, on_message=say)
     # The answer has the small effects of a search whose noise is white; what it leaves remembers.
-    noise = estimate_residual_noise(
-        DiscoveryProblem.from_fit(discovery.best).to_candidate(discovery.best), DiscoveryPolicy().noise
-    )
+    noise = estimate_residual_noise(DiscoveryProblem.from_fit(discovery.best).to_candidate(discovery.best))
     held_out = {}
     for name in MODELS:
         held_out[name] = np.array([_kept_back(name, arcs, k, noise) for k in range(REPETITIONS)])

@@ -18,7 +18,14 @@ from matplotlib.figure import Figure
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
+from greybox.discovery.certainty import (
+    CERTAINTY_ESTABLISHED,
+    CERTAINTY_WEIGHTS,
+    Grade,
+    grade_effect,
+    probability_of,
+    to_features,
+)
 from greybox.discovery.policy import CertaintyPolicy
 
 RIDGE = 1.0  # inverse variance of the prior of each weight
@@ -52,7 +59,7 @@ def compute_features(effect: Row, policy: CertaintyPolicy) -> dict[str, float]:
     for loss, deviations in (("curve_loss", "curve_t"), ("static_loss", "static_t")):
         if math.isfinite(measures[loss]) and math.isnan(measures[deviations]):
             measures[deviations] = LARGEST
-    return to_features(measures, policy)
+    return to_features(measures)
 
 
 def fit_weights(features: np.ndarray, right: np.ndarray, mean: np.ndarray, ridge: float = RIDGE) -> np.ndarray:
@@ -88,7 +95,7 @@ def format_weights(rows: Sequence[Row]) -> str:
     effects, policy = list_effects(rows), CertaintyPolicy()
     w = fit_weights(*_tabulate(effects, policy), _library_weights(policy))
     return "\n".join(
-        [f"intercept: {w[0]:.2f}", *(f'"{n}": {v:.2f},' for n, v in zip(policy.weights, w[1:], strict=True))]
+        [f"intercept: {w[0]:.2f}", *(f'"{n}": {v:.2f},' for n, v in zip(CERTAINTY_WEIGHTS, w[1:], strict=True))]
     )
 
 
@@ -106,8 +113,7 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
     sure = [
         effect
         for effect, probability in zip(effects, stated, strict=True)
-        if grade_effect(probability, compute_features(effect, policy), bool(effect.get("alike")), policy)
-        is Grade.ESTABLISHED
+        if grade_effect(probability, compute_features(effect, policy), bool(effect.get("alike"))) is Grade.ESTABLISHED
     ]
     wrong = [e for e in sure if not e["right"]]
     text = [
@@ -120,7 +126,7 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
         "![Predicted probability against observed frequency](figures/certainty.svg)",
         f"Brier score: {np.mean((predicted - right) ** 2):.3f} (with the weights of the library:"
         f" {np.mean((stated - right) ** 2):.3f}).",
-        f"The grade asks for more than a probability of {policy.established:g}: no single test may speak against the effect, no stand-in"
+        f"The grade asks for more than a probability of {CERTAINTY_ESTABLISHED:g}: no single test may speak against the effect, no stand-in"
         " for a larger part of the error may stand beside it, and it must not be the same at every output. With the library's weights and"
         f" tests {len(sure)} of these effects pass on their own evidence, {len(wrong)} of them wrong"
         + (": " + "; ".join(f"`{e['name']}` in {e['case']}" for e in wrong) if wrong else "")
@@ -132,13 +138,13 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
 def _tabulate(effects: Sequence[Row], policy: CertaintyPolicy) -> tuple[np.ndarray, np.ndarray]:
     """Features (N, n) and outcomes (N,)."""
     features = [compute_features(e, policy) for e in effects]
-    return np.array([[f[n] for n in policy.weights] for f in features]), np.array(
+    return np.array([[f[n] for n in CERTAINTY_WEIGHTS] for f in features]), np.array(
         [e["right_or_equal"] for e in effects], float
     )
 
 
 def _library_weights(policy: CertaintyPolicy) -> np.ndarray:
-    return np.array([policy.intercept, *policy.weights.values()])
+    return np.array([policy.intercept, *CERTAINTY_WEIGHTS.values()])
 
 
 def _bins(predicted: np.ndarray) -> np.ndarray:

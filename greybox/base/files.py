@@ -14,7 +14,6 @@ import stat
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, BinaryIO
 
@@ -28,17 +27,6 @@ PART = ".greybox-{}.part"
 
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
 """Permissions of a file for one user."""
-
-
-@dataclass(frozen=True)
-class FilePolicy:
-    """When a file that lies about is nobody's."""
-
-    leftover_seconds: float = 3600.0
-    """A part that nobody has written to for so long belongs to a process that was killed."""
-
-
-FILE_POLICY = FilePolicy()
 
 
 def write_file(
@@ -231,11 +219,15 @@ def _replace(part: Path, final: Path) -> None:
     os.replace(part, final)
 
 
-def _remove_leftovers(folder: Path, policy: FilePolicy = FILE_POLICY) -> None:
+# A part that nobody has written to for so long belongs to a process that was killed.
+LEFTOVER_SECONDS = 3600.0
+
+
+def _remove_leftovers(folder: Path) -> None:
     """Remove what killed processes left behind in ``folder``."""
     with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
         for old in folder.glob(PART.format("*")):
-            if time.time() - old.stat().st_mtime > policy.leftover_seconds:
+            if time.time() - old.stat().st_mtime > LEFTOVER_SECONDS:
                 old.unlink()
 
 

@@ -6,7 +6,6 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
@@ -16,17 +15,6 @@ from typing import Any, NoReturn
 from greybox.base.errors import DataError, GreyboxError, nearest, shorten
 
 # How large a JSON file may be.
-
-
-@dataclass(frozen=True)
-class JsonPolicy:
-    """Limits that hold before a file is read."""
-
-    largest_file: int = 1_000_000_000
-    """Bytes of a file: the fit of a record of ten million rows."""
-
-
-JSON_POLICY = JsonPolicy()
 
 
 SCHEMA = "results.schema.json"
@@ -74,7 +62,11 @@ def read_schema() -> Mapping[str, Any]:
     return json.loads(files("greybox.base").joinpath(SCHEMA).read_text(encoding="utf-8"))
 
 
-def read_json(path: str | Path, kind: ResultKind, policy: JsonPolicy = JSON_POLICY) -> dict[str, Any]:
+# Bytes of a file: the fit of a record of ten million rows.
+LARGEST_FILE = 1000000000
+
+
+def read_json(path: str | Path, kind: ResultKind) -> dict[str, Any]:
     """The content of a result file, checked.
 
     Parameters
@@ -83,8 +75,6 @@ def read_json(path: str | Path, kind: ResultKind, policy: JsonPolicy = JSON_POLI
         The file.
     kind
         What it must be.
-    policy
-        How large it may be.
 
     Returns
     -------
@@ -102,9 +92,9 @@ def read_json(path: str | Path, kind: ResultKind, policy: JsonPolicy = JSON_POLI
     try:
         if source.exists() and not source.is_file():
             raise DataError(f"{source}: not a file; give the {remedy}")
-        if source.stat().st_size > policy.largest_file:
+        if source.stat().st_size > LARGEST_FILE:
             size = f"{source.stat().st_size / 1e6:.0f} MB"
-            raise DataError(f"{source}: {size}, at most {policy.largest_file / 1e6:.0f} MB are read; give the {remedy}")
+            raise DataError(f"{source}: {size}, at most {LARGEST_FILE / 1e6:.0f} MB are read; give the {remedy}")
         data = parse_json(source.read_bytes())
     except OSError as error:
         raise DataError(f"{refusal} ({error.strerror}); give the {remedy}") from None

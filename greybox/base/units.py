@@ -15,18 +15,6 @@ import numpy as np
 
 from greybox.base.errors import ModelError, UnitError, nearest
 
-
-@dataclass(frozen=True)
-class UnitPolicy:
-    """Limits of a unit's text."""
-
-    longest_unit: int = 100
-    """Characters of a unit; no rig has a longer one, and so brackets in brackets stay few."""
-
-
-UNIT_POLICY = UnitPolicy()
-
-
 # The value of a unit: a factor to SI and the exponents of the base units.
 
 Dimensions = tuple[tuple[str, float], ...]
@@ -91,6 +79,10 @@ SPELLINGS = {"°C": "degC", "°F": "degF", "°": "deg", "·": "*", "²": "^2", "
 SPELLINGS |= {"\u00b5": "u", "\u03bc": "u", "\u03a9": "ohm", "\u2126": "ohm"}
 
 
+# Characters of a unit; no rig has a longer one, and so brackets in brackets stay few.
+LONGEST_UNIT = 100
+
+
 @lru_cache(maxsize=4096)
 def parse_powers(unit: str) -> tuple[float, Powers]:
     """Number and powers of symbols in a unit's text, multiplied out from left to right."""
@@ -99,7 +91,7 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
         text = text.replace(special, plain)
     if text in ("", "-"):
         return 1.0, {}
-    longest = UNIT_POLICY.longest_unit
+    longest = LONGEST_UNIT
     shown = unit if len(unit) <= longest else f"{unit[:longest]}..."
     try:
         if len(text) > longest:

@@ -76,9 +76,9 @@ def fit_black_boxes(
             if report is not None:
                 report(f"{kind} of {output}", done, total)
 
-        records, sparse = _select_rows(regular, output, policy)
+        records, sparse = _select_rows(regular, output)
         findings += sparse
-        rest = at_rest and _begins_at_rest(records, output, policy)
+        rest = at_rest and _begins_at_rest(records, output)
         try:
             scans = best_black_boxes(
                 records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
@@ -99,7 +99,7 @@ def fit_black_boxes(
             seconds[STATE_SPACE] = time.perf_counter() - began
     for output in outputs:
         began = time.perf_counter()
-        smoothing, failed = _smooth_step(regular, output, inputs, units or {}, policy)
+        smoothing, failed = _smooth_step(regular, output, inputs, units or {})
         findings += failed
         if smoothing is not None:
             models.setdefault(SMOOTHING, []).append(smoothing)
@@ -112,12 +112,11 @@ def check_sampling_times(
     training: Sequence[Experiment],
     validation: Sequence[Experiment],
     outputs: Sequence[str],
-    policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> None:
     """DataError, before anything is fitted, for a validation record of another sampling time than the black boxes will have."""
     regular, _ = _make_regular(training)
     for output in outputs:
-        records, _ = _select_rows(regular, output, policy)
+        records, _ = _select_rows(regular, output)
         if records:
             for record in (e for e in validation if output in e.outputs):
                 match_sampling_time(record, output, float(np.median(records[0].intervals)), "a black box")
@@ -136,15 +135,17 @@ def _make_regular(records: Sequence[Experiment]) -> tuple[tuple[Experiment, ...]
     return tuple(result), findings
 
 
-def _select_rows(
-    records: Sequence[Experiment], output: str, policy: ComparisonPolicy
-) -> tuple[tuple[Experiment, ...], list[Finding]]:
+# An output measured in fewer than this share of the rows has its black boxes on the rows where it is measured.
+DENSE_SHARE = 0.5
+
+
+def _select_rows(records: Sequence[Experiment], output: str) -> tuple[tuple[Experiment, ...], list[Finding]]:
     """The records at the rows at which a slow sensor measures ``output``; as they are for any other output."""
     with_output = [e for e in records if output in e.outputs and np.isfinite(e.outputs[output]).any()]
     if not with_output:
         return (), []
     measured = np.concatenate([np.isfinite(e.outputs[output]) for e in with_output])
-    if np.mean(measured) >= policy.dense_share:
+    if np.mean(measured) >= DENSE_SHARE:
         return tuple(with_output), []
     sparse = [e for e in (keep_measured_rows(e, output) for e in with_output) if e is not None]
     steps = np.array([e.sampling_time or np.nan for e in sparse])
@@ -154,12 +155,16 @@ def _select_rows(
     return tuple(sparse), [Finding(ComparisonFinding.MEASURED_ROWS_ONLY, subject=output, values=values)]
 
 
-def _begins_at_rest(records: Sequence[Experiment], output: str, policy: ComparisonPolicy) -> bool:
+# Share of its range by which an output may begin away from zero and still count as at rest.
+REST_SHARE = 0.1
+
+
+def _begins_at_rest(records: Sequence[Experiment], output: str) -> bool:
     """Whether the ``output`` begins near zero, compared with how far it moves."""
     for record in records:
         y = record.outputs[output]
         y = y[np.isfinite(y)]
-        if len(y) and abs(y[0]) > policy.rest_share * np.ptp(y):
+        if len(y) and abs(y[0]) > REST_SHARE * np.ptp(y):
             return False
     return True
 
@@ -186,12 +191,15 @@ def _measure_error(model: StateSpaceModel, records: Sequence[Experiment]) -> flo
     return total if np.isfinite(total) else np.inf
 
 
+# Seed of Monte-Carlo smoothing, so that a comparison can be repeated.
+SMOOTHING_SEED = 1
+
+
 def _smooth_step(
     records: Sequence[Experiment],
     output: str,
     inputs: Sequence[str],
     units: Mapping[str, str],
-    policy: ComparisonPolicy,
 ) -> tuple[BlackBoxModel | None, list[Finding]]:
     """Monte-Carlo smoothing of the first record that is a single step from zero; None where none is, or it has no resonance."""
     findings: list[Finding] = []
@@ -200,9 +208,7 @@ def _smooth_step(
         if len(steps) != 1 or len(inputs) != 1 or output not in record.outputs:
             continue
         try:
-            smoothing = monte_carlo_smoothing(
-                record, seed=policy.smoothing_seed, output=output, input=steps[0], units=units
-            )
+            smoothing = monte_carlo_smoothing(record, seed=SMOOTHING_SEED, output=output, input=steps[0], units=units)
             return smoothing, findings
         except DataError as error:
             findings.append(Finding(ComparisonFinding.NO_SMOOTHING, Severity.NOTE, output, {"reason": str(error)}))

@@ -61,6 +61,10 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
     return (*best, *_remarks(comparison))
 
 
+# Relative difference of two errors that counts as none.
+EQUALLY_GOOD = 0.02
+
+
 def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | None:
     ranked = []
     for entry in comparison.entries:
@@ -83,12 +87,12 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
     rivals = [(error, entry) for error, entry in ranked if entry.kind == other_kind]
     if rivals:
         error, rival = rivals[0]
-        equal = bool(error <= (1 + comparison.policy.equally_good) * least)
+        equal = bool(error <= (1 + EQUALLY_GOOD) * least)
         values |= {
             "rival": _identify(rival),
             "rival_error": error,
             "equally_good": equal,
-            "tolerance": comparison.policy.equally_good,
+            "tolerance": EQUALLY_GOOD,
         }
     return Finding(ComparisonFinding.BEST_MODEL, subject=output, values=values)
 
@@ -194,6 +198,10 @@ def compare(
     )
 
 
+# Rows of a validation record that must be left after ``skip``.
+COMPARISON_FEWEST_ROWS = 2
+
+
 def compare_named(
     models: Sequence[NamedModel],
     validation: Sequence[Experiment],
@@ -219,8 +227,8 @@ def compare_named(
     if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
     skip = max(skip, beginning)
-    shortest = min((e.rows for e in validation), default=skip + policy.fewest_rows)
-    if skip < 0 or shortest - skip < policy.fewest_rows:
+    shortest = min((e.rows for e in validation), default=skip + COMPARISON_FEWEST_ROWS)
+    if skip < 0 or shortest - skip < COMPARISON_FEWEST_ROWS:
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
     for group in (validation, training):
         check_steps_ahead(steps, group)
@@ -275,7 +283,7 @@ class _Setup:
 def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> ComparisonEntry:
     options = resolve_options(model, setup.options)
     rows = sum(e.rows for e in (*setup.training, *setup.validation))
-    filter_predictor = choose_predictor(model, rows, setup.policy)
+    filter_predictor = choose_predictor(model, rows)
     fitted, validated = (
         run_grey_box(
             model,
@@ -334,7 +342,6 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
                 beginning=setup.beginning,
                 at_rest=setup.at_rest,
                 steps=setup.steps,
-                policy=setup.policy,
             )
         ]
         for group, training in ((setup.training, True), (setup.validation, False))

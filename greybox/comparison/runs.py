@@ -11,7 +11,6 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE, SAME_SAMPLING_TIME
 from greybox.comparison.blackbox.resample import keep_measured_rows, resample
-from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import BlackBoxModel, ComparisonRun
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
@@ -26,6 +25,10 @@ from greybox.simulation.simulate import declared_initial_state
 # ---- Black boxes ----
 
 
+# Rows that determine the initial state of a validation record, where ``skip`` is 0.
+COMPARISON_INITIAL_ROWS = 50
+
+
 def run_black_box(
     model: BlackBoxModel,
     experiments: Sequence[Experiment],
@@ -35,7 +38,6 @@ def run_black_box(
     beginning: int = 0,
     at_rest: bool,
     steps: Sequence[int] = (),
-    policy: ComparisonPolicy = DEFAULT_COMPARISON,
 ) -> list[ComparisonRun]:
     """Free run and one-step prediction of ``model`` over each record that has its output, and predictions ``steps`` samples ahead.
 
@@ -48,7 +50,7 @@ def run_black_box(
             continue
         record = match_sampling_time(experiment, model.output, model.sampling_time, model.label)
         ratio = record.rows / experiment.rows
-        rows = None if training else max(1, round(ratio * (beginning or skip or policy.initial_rows)))
+        rows = None if training else max(1, round(ratio * (beginning or skip or COMPARISON_INITIAL_ROWS)))
         initial = "zero" if at_rest else "estimated"
         free_run = model.simulate(record, initial=initial, rows=rows)[model.output]
         one_step, *ahead = (model.predict(record, k, initial=initial, rows=rows)[model.output] for k in (1, *steps))
@@ -127,12 +129,16 @@ def run_grey_box(
     ]
 
 
-def choose_predictor(model: Model | Fit, rows: int, policy: ComparisonPolicy = DEFAULT_COMPARISON) -> Predictor | None:
+# Rows of all records up to which the best prediction filter is searched for; the search takes longer with more.
+FILTERED_ROWS = 50000
+
+
+def choose_predictor(model: Model | Fit, rows: int) -> Predictor | None:
     """The filter that predicts best from sample to sample with the parameters of a fit, learnt from its own records; None for what
     is no successful fit, has parameters of single records, or where its own and the other ``rows`` are too many."""
     if not (isinstance(model, Fit) and model.success and not model.constraints.per_experiment):
         return None
-    return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= policy.filtered_rows else None
+    return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= FILTERED_ROWS else None
 
 
 def has_free_runs(fit: Fit) -> bool:

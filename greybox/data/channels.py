@@ -12,7 +12,7 @@ from greybox.base.errors import DataError, shorten
 from greybox.base.findings import Finding
 from greybox.data.columns import TIME, ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
 from greybox.data.experiment import Hold
-from greybox.data.policy import CHANNEL_POLICY, READING_POLICY, ChannelPolicy, ReadingPolicy
+from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.time_base import ChannelUse, Samples, bring_to_one_base, correct_clocks, find_stamp_problems
 
@@ -79,7 +79,6 @@ class ChannelTable:
     names: tuple[str, ...] | None = None
     findings: tuple[Finding, ...] = ()
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
-    channel_policy: ChannelPolicy = field(default=CHANNEL_POLICY, repr=False)
     headless = False
     header_line = 1
 
@@ -92,7 +91,7 @@ class ChannelTable:
         findings: Sequence[Finding] = (),
     ) -> ChannelTable:
         """The table of a file's channels. Raises DataError for none, and for more than the policy allows."""
-        check_width(len(channels), policy)
+        check_width(len(channels))
         if not channels:
             raise DataError("the file has no signals; record some, or export it as CSV")
         return cls(tuple(channels), load, findings=tuple(findings), policy=policy)
@@ -170,10 +169,10 @@ class ChannelTable:
             return {k: np.zeros(0) for k in positions}, problems, ()
         clocks = {k: self.channels[k - 1].clock for k in needed}
         pairs = [(*pair, self.channels[pair[0] - 1].name) for pair in shared]
-        samples, findings = correct_clocks(samples, wanted, clocks, pairs, self.channel_policy)
+        samples, findings = correct_clocks(samples, wanted, clocks, pairs)
         started = tuple(f for f in self.findings if f.subject in set(clocks.values()))
         uses = {k: self.uses.get(k, ChannelUse(self.headers[k], SignalKind.OUTPUT, "first", True)) for k in wanted}
-        base = bring_to_one_base({k: samples[k] for k in wanted}, uses, self.step, self.policy, self.channel_policy)
+        base = bring_to_one_base({k: samples[k] for k in wanted}, uses, self.step, self.policy)
         columns = {0: base.time, **base.columns}
         return {k: columns[k] for k in positions}, list(base.problems), (*started, *findings, *base.findings)
 

@@ -15,7 +15,7 @@ from greybox.base.errors import DataError, ModelError, nearest, shorten
 from greybox.base.findings import Finding
 from greybox.base.units import convert, unit_converter
 from greybox.data.findings import RecordCode
-from greybox.data.policy import READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
 from greybox.model.model import Model
 
@@ -63,11 +63,15 @@ class DataTable(Protocol):
         its signals to one time says what it did."""
 
 
-def check_width(columns: int, policy: ReadingPolicy) -> None:
+# Columns, or variables, of a file; rigs have tens, loggers hundreds.
+MOST_COLUMNS = 10000
+
+
+def check_width(columns: int) -> None:
     """Refuse a table of more columns than the policy allows, before anything of it is read. Raises DataError."""
-    if columns > policy.most_columns:
+    if columns > MOST_COLUMNS:
         raise DataError(
-            f"{columns} columns, at most {policy.most_columns} are read; export the needed ones, or raise the limit"
+            f"{columns} columns, at most {MOST_COLUMNS} are read; export the needed ones, or raise the limit"
             f" {raise_limit('most_columns')}"
         )
 
@@ -175,10 +179,14 @@ class ColumnMatch:
         return tuple(s for s, c in self.columns.items() if not c.unit and s.unit not in ("", "-", "1"))
 
 
+# Characters of a header; in a longer one neither unit nor name are looked for.
+LONGEST_HEADER = 200
+
+
 def parse_header(header: str, position: int) -> Column:
     """``x [um]`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
     text = header.strip()
-    if len(text) > READING_POLICY.longest_header:
+    if len(text) > LONGEST_HEADER:
         return Column(text, text, "", position)
     square = _BRACKETS.match(text)
     if square:
@@ -382,7 +390,7 @@ def _describe_missing(
 
 def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     wanted = signal.name.lower()
-    spare = [c for c in spare if len(c.name) <= READING_POLICY.longest_header]
+    spare = [c for c in spare if len(c.name) <= LONGEST_HEADER]
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
     near = [
         repr(shorten(c.header))
@@ -449,7 +457,6 @@ def read_conditions(
     columns: Mapping[str, np.ndarray],
     comments: Sequence[str],
     problems: list[str],
-    policy: RecordPolicy = RECORD_POLICY,
 ) -> tuple[dict[str, float], list[Finding]]:
     """The value of each condition, and a finding with its source; missing or invalid values go to ``problems``.
 
@@ -459,10 +466,11 @@ def read_conditions(
     findings: list[Finding] = []
     for signal in conditions:
         has_column = signal.name in columns
-        if has_column:
-            value = _average_column(signal, columns[signal.name], problems, policy)
-        else:
-            value = _find_in_comments(signal, comments, problems)
+        value = (
+            _average_column(signal, columns[signal.name], problems)
+            if has_column
+            else _find_in_comments(signal, comments, problems)
+        )
         if value is not None:
             values[signal.name] = value
             figures = {"value": value, "unit": signal.unit, "source": "column" if has_column else "comment"}
@@ -470,15 +478,17 @@ def read_conditions(
     return values, findings
 
 
-def _average_column(
-    signal: RequestedSignal, values: np.ndarray, problems: list[str], policy: RecordPolicy
-) -> float | None:
+# Largest standard deviation of a column over its mean for its mean to be a condition of the whole record.
+CONDITION_SPREAD = 0.05
+
+
+def _average_column(signal: RequestedSignal, values: np.ndarray, problems: list[str]) -> float | None:
     known = values[np.isfinite(values)]
     if not len(known):
         problems.append(f"{signal.label}: its column holds no number; fill it, or give the value")
         return None
     mean = float(known.mean())
-    if known.std() > policy.condition_spread * abs(mean):
+    if known.std() > CONDITION_SPREAD * abs(mean):
         problems.append(
             f"{signal.label}: its column runs from {known.min():.6g} to {known.max():.6g} {signal.unit}, so it is no condition of the"
             " whole record; give one value, or declare it as an input that a constant follows (Model.schedule)"

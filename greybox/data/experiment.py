@@ -17,8 +17,14 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Finding
 from greybox.base.values import Printable
 from greybox.data.findings import TIMING, RecordCode
-from greybox.data.policy import RECORD_POLICY, RecordPolicy
-from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, is_constant, raise_problems
+from greybox.data.problems import (
+    RECORD_MIN_ROWS,
+    RowLabels,
+    find_array_problems,
+    find_measurement_problems,
+    is_constant,
+    raise_problems,
+)
 from greybox.data.sampling import (
     find_common_sampling_time,
     find_pieces,
@@ -135,7 +141,6 @@ class Experiment(Printable):
         conditions: Mapping[str, float] | None = None,
         findings: tuple[Finding, ...] = (),
         allow_constant_input: bool = False,
-        policy: RecordPolicy = RECORD_POLICY,
     ) -> Experiment:
         """A measured record from arrays in the model's units; what it shows of time and sensors goes to ``findings``.
 
@@ -151,8 +156,6 @@ class Experiment(Printable):
             What is known of the record already; what is found here comes after.
         allow_constant_input
             Accept inputs that are zero throughout (free decay).
-        policy
-            When a record is long enough, and when a sensor is in doubt.
 
         Returns
         -------
@@ -166,10 +169,10 @@ class Experiment(Printable):
             and inputs that are all constant at zero unless ``allow_constant_input``.
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
-        problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input, policy)
+        problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
-        seen = inspect_signals(bare.time, bare.inputs, bare.outputs, policy)
-        return replace(bare, findings=(*findings, *seen, *inspect_timing(bare.time, bare.sampling_time, policy)))
+        seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
+        return replace(bare, findings=(*findings, *seen, *inspect_timing(bare.time, bare.sampling_time)))
 
     @property
     def rows(self) -> int:
@@ -243,9 +246,7 @@ class Experiment(Printable):
             )
         return self.window(0, row), self.window(row, self.rows)
 
-    def split_at_time_gaps(
-        self, min_rows: int | None = None, *, policy: RecordPolicy = RECORD_POLICY
-    ) -> tuple[Experiment, ...]:
+    def split_at_time_gaps(self, min_rows: int | None = None) -> tuple[Experiment, ...]:
         """The pieces between gaps in time, each a record of its own with an initial state of its own; itself without gaps.
 
         A gap is a step of more than one and a half usual ones (`greybox.data.sampling`): the logger dropped out, or two
@@ -256,8 +257,6 @@ class Experiment(Printable):
         ----------
         min_rows
             Pieces of fewer rows, or without a measured value, are left out, which ``findings`` say. None takes the policy's.
-        policy
-            When a step is a gap.
 
         Returns
         -------
@@ -269,8 +268,8 @@ class Experiment(Printable):
         DataError
             Where no piece is left.
         """
-        least = policy.min_rows if min_rows is None else min_rows
-        kept, dropped = find_pieces(self.time, self.outputs, least, policy)
+        least = RECORD_MIN_ROWS if min_rows is None else min_rows
+        kept, dropped = find_pieces(self.time, self.outputs, least)
         if len(kept) + len(dropped) == 1:
             return (self,)
         if not kept:
@@ -285,7 +284,7 @@ class Experiment(Printable):
             left_out = [[float(self.time[first]), float(self.time[end - 1]), end - first] for first, end in dropped]
             findings.append(Finding(RecordCode.PIECES_LEFT_OUT, values={"pieces": left_out}))
         parts = [replace(self.window(first, end), findings=tuple(findings)) for first, end in kept]
-        step = find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts], policy)
+        step = find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts])
         return tuple(parts) if step is None else tuple(_with_sampling_time(part, step) for part in parts)
 
     def with_hold(self, hold: Hold) -> Experiment:
@@ -402,10 +401,10 @@ class UnknownInputGap(NamedTuple):
     change: float
 
 
-def refuse_unknown_input(records: Iterable[Experiment], policy: RecordPolicy = RECORD_POLICY) -> None:
+def refuse_unknown_input(records: Iterable[Experiment]) -> None:
     """Raise DataError for a record with a long gap in which an input moves on, unknown; it names the longest."""
     for record in records:
-        gaps = _find_unknown_input(record, policy)
+        gaps = _find_unknown_input(record)
         if gaps:
             worst = max(gaps, key=lambda gap: gap.rows)
             more = f" (and {len(gaps) - 1} more)" if len(gaps) > 1 else ""
@@ -417,10 +416,10 @@ def refuse_unknown_input(records: Iterable[Experiment], policy: RecordPolicy = R
             _refuse_gap(record, worst.start, worst.stop, more, f"{reason}; {remedy}")
 
 
-def refuse_long_time_gaps(records: Iterable[Experiment], policy: RecordPolicy = RECORD_POLICY) -> None:
+def refuse_long_time_gaps(records: Iterable[Experiment]) -> None:
     """Raise DataError for a record with a long gap: of a model that is integrated in steps."""
     for record in records:
-        longest = max(_find_long_gaps(record, policy), key=lambda gap: gap[1], default=None)
+        longest = max(_find_long_gaps(record), key=lambda gap: gap[1], default=None)
         if longest:
             k, rows = longest
             reason = (
@@ -434,24 +433,36 @@ def _refuse_gap(record: Experiment, start: float, stop: float, more: str, reason
     raise_problems(f"experiment {record.name!r}", [f"time has a gap from {start:.6g} to {stop:.6g} s{more}: {reason}"])
 
 
-def _find_long_gaps(record: Experiment, policy: RecordPolicy) -> list[tuple[int, int]]:
+# Missing rows from which a gap is long; fewer do little harm to a simulation.
+LONG_GAP_ROWS = 20
+
+
+def _find_long_gaps(record: Experiment) -> list[tuple[int, int]]:
     """Each long gap of ``record``: the row before it, and how many rows are missing."""
     usual = float(np.median(np.diff(record.time)))
-    gaps = find_time_gaps(record.time, policy)
+    gaps = find_time_gaps(record.time)
     missing = [(int(k), round(float(record.time[k + 1] - record.time[k]) / usual) - 1) for k in gaps]
-    return [(k, rows) for k, rows in missing if rows >= policy.long_gap_rows]
+    return [(k, rows) for k, rows in missing if rows >= LONG_GAP_ROWS]
 
 
-def _find_unknown_input(record: Experiment, policy: RecordPolicy) -> list[UnknownInputGap]:
+# Rows before and after a gap in which an input that rests shows that it rests.
+NEIGHBOURHOOD_ROWS = 20
+# Time differences, up to the length of a gap, over which the change of an input is measured.
+LAGS_TRIED = 12
+# Change of an input (rms, over its standard deviation) in a gap, from which it is known no better than by its mean.
+LOST_INPUT_CHANGE = 1.0
+
+
+def _find_unknown_input(record: Experiment) -> list[UnknownInputGap]:
     """The gaps of ``record`` through which no simulation means anything."""
-    after, near = find_time_gaps(record.time, policy), policy.neighbourhood_rows
+    after, near = find_time_gaps(record.time), NEIGHBOURHOOD_ROWS
     unknown = []
-    for k, rows in _find_long_gaps(record, policy):
+    for k, rows in _find_long_gaps(record):
         around = slice(max(0, k + 1 - near), k + 1 + near)
         moving = {name: u for name, u in record.inputs.items() if not is_constant(u[around])}
-        changes = {name: _measure_change(u, after, k, rows, policy.lags_tried) for name, u in moving.items()}
+        changes = {name: _measure_change(u, after, k, rows, LAGS_TRIED) for name, u in moving.items()}
         worst = max(changes, key=lambda name: changes[name], default="")
-        if worst and changes[worst] >= policy.lost_input_change:
+        if worst and changes[worst] >= LOST_INPUT_CHANGE:
             start, stop = float(record.time[k]), float(record.time[k + 1])
             unknown.append(UnknownInputGap(start, stop, rows, worst, changes[worst]))
     return unknown

@@ -9,7 +9,6 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.numerics import LARGEST_VALUE, SMALLEST_VALUE
-from greybox.data.policy import RECORD_POLICY, RecordPolicy
 
 
 @dataclass(frozen=True)
@@ -74,17 +73,20 @@ def find_array_problems(
     return problems
 
 
+# Fewest rows of a measured record: with fewer there is nothing to learn from.
+RECORD_MIN_ROWS = 10
+
+
 def find_measurement_problems(
     inputs: Mapping[str, np.ndarray],
     outputs: Mapping[str, np.ndarray],
     rows: int,
     allow_constant_input: bool,
-    policy: RecordPolicy = RECORD_POLICY,
 ) -> list[str]:
     """Problems of a measured record from which nothing can be learnt."""
     problems: list[str] = []
-    if rows < policy.min_rows:
-        problems.append(f"{rows} rows; a record needs at least {policy.min_rows}")
+    if rows < RECORD_MIN_ROWS:
+        problems.append(f"{rows} rows; a record needs at least {RECORD_MIN_ROWS}")
     if not outputs:
         problems.append("no output; a record needs at least one measured output")
     if not rows:

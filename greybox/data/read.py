@@ -29,7 +29,7 @@ from greybox.data.columns import (
 from greybox.data.experiment import HOLDS, Experiment, Hold
 from greybox.data.findings import RecordCode
 from greybox.data.formats import RecordFile, open_record_file
-from greybox.data.policy import READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
 from greybox.model.model import Model
 
@@ -47,7 +47,6 @@ def read_csv(
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
-    policy: RecordPolicy = RECORD_POLICY,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read a record for ``model`` from a text, MATLAB, NumPy, Parquet, MDF, TDMS, HDF5, ROS, MCAP or Excel file.
@@ -84,8 +83,6 @@ def read_csv(
         (its mean is taken) or a comment line such as ``# P_S = 801 kPa``.
     allow_constant_input
         Accept inputs that are zero throughout (free decay).
-    policy
-        When a record is long enough, and when a sensor is in doubt.
     reading
         How large a file may be.
 
@@ -104,7 +101,7 @@ def read_csv(
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
     source = _RecordSource(columns, sampling_time, interpolation, reading)
-    (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, policy, split=False)
+    (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, split=False)
     return experiment
 
 
@@ -119,7 +116,6 @@ def read_experiments(
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     split: bool = False,
-    policy: RecordPolicy = RECORD_POLICY,
     reading: ReadingPolicy = READING_POLICY,
 ) -> tuple[Experiment, ...]:
     """Read several records for one model, each as `read_csv` does.
@@ -153,9 +149,7 @@ def read_experiments(
     for file in files:
         name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
         try:
-            experiments += _read_runs(
-                file, model, source, hold, name, conditions, allow_constant_input, policy, split=split
-            )
+            experiments += _read_runs(file, model, source, hold, name, conditions, allow_constant_input, split=split)
         except DataError as error:
             problems.append(str(error))
     if problems:
@@ -258,7 +252,6 @@ def _read_runs(
     name: str | None,
     conditions: Mapping[str, float | None] | None,
     allow_constant_input: bool,
-    policy: RecordPolicy,
     *,
     split: bool,
 ) -> list[Experiment]:
@@ -267,13 +260,13 @@ def _read_runs(
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
     record = read_arrays(path, model, conditions=requested, hold=hold, **source._asdict())
     file, table, problems = record.file.path, record.file.table, list[str]()
-    from_file, findings = read_conditions(requested, record.conditions, table.comments, problems, policy)
+    from_file, findings = read_conditions(requested, record.conditions, table.comments, problems)
     runs = _cut_runs(record.time, record.inputs, record.outputs, split)
     for rows, t, u, y in runs:
         # A file of too few rows is called so, and not by what else follows from it.
         if len(t) > 1:
             problems += find_array_problems(t, u, y, table.row_labels.select(rows))
-        problems += find_measurement_problems(u, y, len(t), allow_constant_input, policy)
+        problems += find_measurement_problems(u, y, len(t), allow_constant_input)
     raise_problems(file.name, problems)
     title = name or file.stem
     findings = [*_inspect_columns(record.match), *record.findings, *findings]
@@ -291,7 +284,6 @@ def _read_runs(
             conditions=given | from_file,
             findings=(*findings, *jumps),
             allow_constant_input=allow_constant_input,
-            policy=policy,
         )
         for (rows, t, u, _), (y, jumps) in zip(runs, unwrapped, strict=True)
     ]

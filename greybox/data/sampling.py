@@ -14,7 +14,7 @@ Coarser printing passes too: 4 kHz with four decimals has steps of 0.2 and 0.3 m
 printed unit of a straight line through them all, whose slope is the step, and every step within a unit of it. A missing
 row leaves any grid by about half a step and therefore makes the record irregular, however long it is.
 
-The limits stand in `greybox.data.policy.RecordPolicy`.
+The limits stand above the functions that they steer.
 """
 
 from __future__ import annotations
@@ -26,26 +26,32 @@ import numpy as np
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.findings import RecordCode
-from greybox.data.policy import RECORD_POLICY, RecordPolicy
+
+# A step may differ from the mean step by this share of it; clocks of loggers stay within.
+STEP_TOLERANCE = 0.001
+# A stamp may lie this share of the mean step off the uniform grid; beyond it, the clock drifts or jitters.
+GRID_TOLERANCE = 0.1
+# Printed units that rounding may change a step by: two roundings of half a unit, and the error of the mean step itself.
+ROUNDING_UNITS = 1.2
 
 
-def find_sampling_time(time: np.ndarray, policy: RecordPolicy = RECORD_POLICY) -> float | None:
+def find_sampling_time(time: np.ndarray) -> float | None:
     """Sampling time in seconds of the increasing stamps ``time`` (N,), N >= 2, or None when they are irregular."""
     step = float(time[-1] - time[0]) / (len(time) - 1)
-    on_grid = _measure_grid_offset(time, step) <= policy.grid_tolerance * step
+    on_grid = _measure_grid_offset(time, step) <= GRID_TOLERANCE * step
     off_step = np.diff(time)
     off_step -= step
     np.abs(off_step, out=off_step)
-    if on_grid and off_step.max() <= policy.step_tolerance * step:
+    if on_grid and off_step.max() <= STEP_TOLERANCE * step:
         return step
-    unit = estimate_time_resolution(time, policy)
+    unit = estimate_time_resolution(time)
     allowed = np.maximum(unit[:-1], unit[1:])
-    allowed *= policy.rounding_units
-    np.maximum(allowed, policy.step_tolerance * step, out=allowed)
+    allowed *= ROUNDING_UNITS
+    np.maximum(allowed, STEP_TOLERANCE * step, out=allowed)
     if on_grid and bool(np.all(off_step <= allowed)):
         return step
     del off_step, allowed
-    return _find_coarsely_printed_step(time, step, float(np.median(unit)), policy)
+    return _find_coarsely_printed_step(time, step, float(np.median(unit)))
 
 
 def _measure_grid_offset(time: np.ndarray, step: float) -> float:
@@ -58,43 +64,43 @@ def _measure_grid_offset(time: np.ndarray, step: float) -> float:
     return largest
 
 
-def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float, policy: RecordPolicy) -> float | None:
+# Largest printed unit, as a share of the step; with a coarser one a missing row could pass for two roundings.
+COARSEST_PRINT = 0.45
+
+
+def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float) -> float | None:
     """Slope of the line that every stamp was rounded from, to ``unit`` seconds; None where no line explains them."""
-    if not 0 < unit <= policy.coarsest_print * step:
+    if not 0 < unit <= COARSEST_PRINT * step:
         return None
     row = np.arange(len(time)) - (len(time) - 1) / 2
     centred = time - time.mean()
     slope = float(row @ centred / (row @ row))
-    on_line = np.abs(centred - slope * row).max() <= policy.rounding_units * unit / 2
-    return slope if on_line and np.abs(np.diff(time) - slope).max() <= policy.rounding_units * unit else None
+    on_line = np.abs(centred - slope * row).max() <= ROUNDING_UNITS * unit / 2
+    return slope if on_line and np.abs(np.diff(time) - slope).max() <= ROUNDING_UNITS * unit else None
 
 
-def inspect_timing(
-    time: np.ndarray, sampling_time: float | None, policy: RecordPolicy = RECORD_POLICY
-) -> tuple[Finding, ...]:
+def inspect_timing(time: np.ndarray, sampling_time: float | None) -> tuple[Finding, ...]:
     """What there is to know about the stamps ``time`` (N,): coarse printing, gaps, missing rows, irregular steps."""
     step = np.diff(time)
     spread = {"shortest": float(step.min()), "longest": float(step.max())}
     if sampling_time is not None:
-        if np.abs(step - sampling_time).max() <= policy.step_tolerance * sampling_time:
+        if np.abs(step - sampling_time).max() <= STEP_TOLERANCE * sampling_time:
             return ()
         return (Finding(RecordCode.TIME_ROUNDED, values={**spread, "sampling_time": sampling_time}),)
-    gap = find_longest_time_gap(time, policy)
+    gap = find_longest_time_gap(time)
     if gap is not None:
         return (gap,)
     usual = float(np.median(step))
     missing = np.round(step / usual) - 1
-    if np.all(np.abs(step / usual - 1 - missing) <= policy.grid_tolerance) and missing.any():
+    if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
         values = {"rows": int(missing.sum()), "places": int(np.count_nonzero(missing)), "usual_step": usual}
         return (Finding(RecordCode.TIME_ROWS_MISSING, Severity.WARNING, values=values),)
     return (Finding(RecordCode.TIME_IRREGULAR, values=spread),)
 
 
-def find_longest_time_gap(
-    time: np.ndarray, policy: RecordPolicy = RECORD_POLICY, code: RecordCode = RecordCode.TIME_GAP
-) -> Finding | None:
+def find_longest_time_gap(time: np.ndarray, code: RecordCode = RecordCode.TIME_GAP) -> Finding | None:
     """The longest gap in the stamps ``time`` (N,) as a finding with this ``code``; None where there is none."""
-    after, step = find_time_gaps(time, policy), np.diff(time)
+    after, step = find_time_gaps(time), np.diff(time)
     if not len(after):
         return None
     longest = after[np.argmax(step[after])]
@@ -107,21 +113,27 @@ def find_longest_time_gap(
     return Finding(code, Severity.WARNING, values=values)
 
 
-def find_time_gaps(time: np.ndarray, policy: RecordPolicy = RECORD_POLICY) -> np.ndarray:
+# A step of more than this many usual ones is a gap in time: at least one row is missing.
+GAP_STEPS = 1.5
+# Largest share of the steps that can be gaps; with more of them there is no usual step.
+MAX_GAP_SHARE = 0.05
+
+
+def find_time_gaps(time: np.ndarray) -> np.ndarray:
     """Rows (from 0) after which the stamps ``time`` (N,) leave a gap; none where there is no usual step."""
     step = np.diff(time)
-    after = np.flatnonzero(step > policy.gap_steps * float(np.median(step)))
-    return after if len(after) <= max(1, policy.max_gap_share * len(step)) else after[:0]
+    after = np.flatnonzero(step > GAP_STEPS * float(np.median(step)))
+    return after if len(after) <= max(1, MAX_GAP_SHARE * len(step)) else after[:0]
 
 
 def find_pieces(
-    time: np.ndarray, outputs: Mapping[str, np.ndarray], min_rows: int, policy: RecordPolicy = RECORD_POLICY
+    time: np.ndarray, outputs: Mapping[str, np.ndarray], min_rows: int
 ) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
     """Rows ``(first, after last)`` of the pieces between the gaps of a record: those to keep, and those to leave out.
 
     Kept are pieces of ``min_rows`` rows or more in which an output was measured.
     """
-    starts = (find_time_gaps(time, policy) + 1).tolist()
+    starts = (find_time_gaps(time) + 1).tolist()
     bounds = list(zip([0, *starts], [*starts, len(time)], strict=True))
 
     def is_usable(first: int, end: int) -> bool:
@@ -132,9 +144,7 @@ def find_pieces(
     return kept, [piece for piece in bounds if piece not in kept]
 
 
-def find_common_sampling_time(
-    pieces: Sequence[tuple[float | None, int, float]], policy: RecordPolicy = RECORD_POLICY
-) -> float | None:
+def find_common_sampling_time(pieces: Sequence[tuple[float | None, int, float]]) -> float | None:
     """The sampling time (s) of all ``pieces`` of one record together, None where they are not sampled alike.
 
     The stamps of each piece alone give it to as many digits as they were printed with; equal steps make equal discrete models.
@@ -146,20 +156,24 @@ def find_common_sampling_time(
     """
     usual = sum(duration for _, _, duration in pieces) / sum(rows - 1 for _, rows, _ in pieces)
     alike = all(
-        step is not None and abs(step - usual) * (rows - 1) <= policy.grid_tolerance * usual for step, rows, _ in pieces
+        step is not None and abs(step - usual) * (rows - 1) <= GRID_TOLERANCE * usual for step, rows, _ in pieces
     )
     return usual if alike else None
 
 
-def estimate_time_resolution(time: np.ndarray, policy: RecordPolicy = RECORD_POLICY) -> np.ndarray:
+# Units in which a file may have printed time, in seconds: the one in which its last place is coarsest counts.
+PRINTED_UNITS: tuple[float, ...] = (1.0, 60.0, 3600.0)
+
+
+def estimate_time_resolution(time: np.ndarray) -> np.ndarray:
     """Unit in the last place (N,) in seconds to which each stamp of ``time`` was rounded, printed or single precision.
 
     The printed places are those of the longest number of the same power of ten: 0.5 beside 0.501 was printed with
     three. A file may have printed them in minutes or hours: in seconds they have more places.
     """
     unit = np.zeros(len(time))
-    for seconds in policy.printed_units:
-        printed = seconds * _estimate_printed_unit(time if seconds == 1 else time / seconds, policy)
+    for seconds in PRINTED_UNITS:
+        printed = seconds * _estimate_printed_unit(time if seconds == 1 else time / seconds)
         unit = max(unit, printed, key=np.median)
     single = time.astype(np.float32)
     if np.array_equal(single, time):
@@ -167,18 +181,22 @@ def estimate_time_resolution(time: np.ndarray, policy: RecordPolicy = RECORD_POL
     return unit
 
 
-def _estimate_printed_unit(time: np.ndarray, policy: RecordPolicy) -> np.ndarray:
+# Printed decimal places that are looked for; double precision shows no more of a time in seconds.
+MAX_DECIMALS = 12
+
+
+def _estimate_printed_unit(time: np.ndarray) -> np.ndarray:
     """Unit in the last place (N,) of each stamp, in the unit of ``time``; 0 where it was not rounded to decimals."""
     places, decade = (np.empty(len(time), np.int16) for _ in range(2))
     for first in range(0, len(time), ROWS_AT_A_TIME):
         rows = slice(first, first + ROWS_AT_A_TIME)
-        places[rows] = _count_decimals(time[rows], policy.max_decimals)
-        decade[rows] = np.floor(np.log10(np.maximum(np.abs(time[rows]), 10.0**-policy.max_decimals)))
+        places[rows] = _count_decimals(time[rows], MAX_DECIMALS)
+        decade[rows] = np.floor(np.log10(np.maximum(np.abs(time[rows]), 10.0**-MAX_DECIMALS)))
     unit = np.zeros(len(time))
     for d in np.unique(decade):
         same = decade == d
         most = int(places[same].max())
-        unit[same] = 10.0**-most if most <= policy.max_decimals else 0.0
+        unit[same] = 10.0**-most if most <= MAX_DECIMALS else 0.0
     return unit
 
 

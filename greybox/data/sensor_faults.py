@@ -1,7 +1,7 @@
 """What a record shows of its sensors: those that freeze, jump for one row, or saturate before the motion ends.
 
 Nothing is repaired and nothing is left out: every finding says what was seen and where. The limits stand in
-`greybox.data.policy.RecordPolicy`.
+the constants above each function.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.findings import RecordCode
-from greybox.data.policy import RECORD_POLICY, RecordPolicy
 from greybox.data.problems import is_constant
 
 
@@ -22,7 +21,6 @@ def inspect_signals(
     time: np.ndarray,
     inputs: Mapping[str, np.ndarray],
     outputs: Mapping[str, np.ndarray],
-    policy: RecordPolicy = RECORD_POLICY,
 ) -> Iterator[Finding]:
     """What is accepted but should be known: what is constant, sensors in doubt, gaps."""
     for name, values in inputs.items():
@@ -33,7 +31,7 @@ def inspect_signals(
             value = float(values[~np.isnan(values)][0])
             yield Finding(RecordCode.OUTPUT_CONSTANT, Severity.WARNING, name, {"value": value})
         else:
-            for code, figures in _find_faults(time, values, list(inputs.values()), policy):
+            for code, figures in _find_faults(time, values, list(inputs.values())):
                 yield Finding(code, Severity.WARNING, name, figures)
         gaps = int(np.isnan(values).sum())
         if gaps:
@@ -41,10 +39,10 @@ def inspect_signals(
 
 
 def _find_faults(
-    time: np.ndarray, values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy
+    time: np.ndarray, values: np.ndarray, inputs: Sequence[np.ndarray]
 ) -> Iterator[tuple[RecordCode, dict[str, Any]]]:
-    frozen = _find_frozen_stretch(values, inputs, policy)
-    dead = None if frozen else _find_dead_end(values, inputs, policy)
+    frozen = _find_frozen_stretch(values, inputs)
+    dead = None if frozen else _find_dead_end(values, inputs)
     if frozen:
         first, last = frozen
         yield (
@@ -59,16 +57,20 @@ def _find_faults(
     elif dead is not None:
         figures: dict[str, Any] = {"value": float(values[dead]), "start": float(time[dead]), "rows": len(time) - dead}
         yield RecordCode.SENSOR_DEAD, figures
-    elif len(spikes := _find_spikes(values, inputs, policy)):
+    elif len(spikes := _find_spikes(values, inputs)):
         yield RecordCode.SENSOR_SPIKES, {"count": len(spikes), "times": [float(time[k]) for k in spikes[:5]]}
-    for end, rows, stays in _find_saturation(values, policy):
+    for end, rows, stays in _find_saturation(values):
         figures = {"end": end, "value": float(values[rows[0]]), "rows": len(rows), "stays": stays}
         yield RecordCode.SENSOR_SATURATED, figures
 
 
-def _find_frozen_stretch(
-    values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy
-) -> tuple[int, int] | None:
+# Rows with one value from which a sensor counts as frozen.
+FROZEN_ROWS = 20
+# Share of repeated values from which a sensor is coarse, or the plant rests, and a frozen stretch says nothing.
+REPEAT_SHARE = 0.05
+
+
+def _find_frozen_stretch(values: np.ndarray, inputs: Sequence[np.ndarray]) -> tuple[int, int] | None:
     """First and last row of the longest stretch in which an output repeats one value while an input moves.
 
     None for short stretches, for a sensor that repeats its values elsewhere too, and where the output comes and goes no
@@ -84,16 +86,20 @@ def _find_frozen_stretch(
     before = max(first - 1, 0)
     elsewhere = np.concatenate((step[:before], step[last + 1 :]))
     moves = elsewhere[np.isfinite(elsewhere)]
-    if last - first + 1 < policy.frozen_rows or _repeats_often(moves, policy):
+    if last - first + 1 < FROZEN_ROWS or _repeats_often(moves):
         return None
     at_limit = values[first] in (np.nanmin(values), np.nanmax(values))
     jumps = np.concatenate((step[before:first], step[last : last + 1]))
-    if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - policy.repeat_share)):
+    if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - REPEAT_SHARE)):
         return None
     return None if all(is_constant(u[first:last]) for u in inputs) else (first, last)
 
 
-def _find_dead_end(values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy) -> int | None:
+# Share of an input's earlier range that it must still cover for the plant to be moving.
+INPUT_GOES_ON = 0.5
+
+
+def _find_dead_end(values: np.ndarray, inputs: Sequence[np.ndarray]) -> int | None:
     """Row from which an output repeats one value to the end of the record, while an input moves about as far as before.
 
     None for a short stretch, for a sensor that repeats its values elsewhere too, and at the end of its range (an end stop, an overflow).
@@ -101,15 +107,21 @@ def _find_dead_end(values: np.ndarray, inputs: Sequence[np.ndarray], policy: Rec
     first = len(values) - int(np.argmax(np.append(values[::-1] != values[-1], True)))
     steps = np.diff(values[: first + 1])
     moves = steps[np.isfinite(steps)]
-    if len(values) - first < policy.frozen_rows or _repeats_often(moves, policy):
+    if len(values) - first < FROZEN_ROWS or _repeats_often(moves):
         return None
     if values[-1] in (np.nanmin(values), np.nanmax(values)):
         return None
-    goes_on = any(np.ptp(u[first:-1]) > policy.input_goes_on * np.ptp(u[: first + 1]) for u in inputs)
+    goes_on = any(np.ptp(u[first:-1]) > INPUT_GOES_ON * np.ptp(u[: first + 1]) for u in inputs)
     return first if goes_on else None
 
 
-def _find_saturation(values: np.ndarray, policy: RecordPolicy) -> Iterator[tuple[str, np.ndarray, int]]:
+# Times that a sensor stays at the same end of its range before it counts as saturated.
+MIN_STAYS = 3
+# Rows that it stays there altogether.
+MIN_SATURATED_ROWS = 10
+
+
+def _find_saturation(values: np.ndarray) -> Iterator[tuple[str, np.ndarray, int]]:
     """Each end of the range at which an output stays again and again: which, its rows, and how many times it stays.
 
     Not for a sensor that repeats its values elsewhere too: it is coarse.
@@ -122,12 +134,20 @@ def _find_saturation(values: np.ndarray, policy: RecordPolicy) -> Iterator[tuple
         edges = _find_edges(at_end)
         times = int(np.sum(edges[1::2] - edges[::2] > 1))
         rows = np.flatnonzero(at_end)
-        often = times >= policy.min_stays and len(rows) >= policy.min_saturated_rows
-        if often and not _repeats_often(moves, policy):
+        often = times >= MIN_STAYS and len(rows) >= MIN_SATURATED_ROWS
+        if often and not _repeats_often(moves):
             yield end, rows, times
 
 
-def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray], policy: RecordPolicy) -> np.ndarray:
+# Distance from both neighbours, over the distance that 95 % of the rows stay within, from which a row is a spike.
+SPIKE_RATIO = 5.0
+# Share of an input's range; an input that leaves so far for one row may have caused the spike.
+PULSE_SHARE = 0.25
+# Largest share of the rows that can be spikes; more of them are a kind of noise.
+MAX_SPIKE_SHARE = 0.02
+
+
+def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray]) -> np.ndarray:
     """Rows in which an output lies by far more beside its neighbours than it ever does.
 
     Not where an input leaves and is back as well, or has just done so: the plant may follow. None where there are many: that is noise.
@@ -136,18 +156,18 @@ def _find_spikes(values: np.ndarray, inputs: Sequence[np.ndarray], policy: Recor
     usual = beside[beside > 0]  # neither rest nor gaps
     if not len(usual):
         return np.zeros(0, int)
-    limit = policy.spike_ratio * np.quantile(usual, 1 - policy.repeat_share, overwrite_input=True)
+    limit = SPIKE_RATIO * np.quantile(usual, 1 - REPEAT_SHARE, overwrite_input=True)
     del usual  # a long record is in memory a few times only
     driven = np.zeros(len(values), bool)
     for u in inputs:
-        pulse = _measure_offset(u)[1] > policy.pulse_share * np.ptp(u)
+        pulse = _measure_offset(u)[1] > PULSE_SHARE * np.ptp(u)
         driven |= pulse | np.concatenate(([False], pulse[:-1]))
     # A spike puts its neighbours aside too, by half as much.
     highest = beside >= 0
     highest[:-1] &= beside[:-1] >= beside[1:]
     highest[1:] &= beside[1:] >= beside[:-1]
     spikes = np.flatnonzero(highest & (beyond > limit) & ~driven)
-    return spikes if len(spikes) <= max(1, policy.max_spike_share * len(values)) else spikes[:0]
+    return spikes if len(spikes) <= max(1, MAX_SPIKE_SHARE * len(values)) else spikes[:0]
 
 
 def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -163,9 +183,9 @@ def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return offset, beyond
 
 
-def _repeats_often(moves: np.ndarray, policy: RecordPolicy) -> bool:
+def _repeats_often(moves: np.ndarray) -> bool:
     """Whether a sensor that moves by ``moves`` from row to row repeats its values, or there is no move to judge by."""
-    return not len(moves) or bool(np.mean(moves == 0) > policy.repeat_share)
+    return not len(moves) or bool(np.mean(moves == 0) > REPEAT_SHARE)
 
 
 def _find_edges(mask: np.ndarray) -> np.ndarray:

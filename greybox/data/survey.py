@@ -20,7 +20,7 @@ from greybox.data.channels import ChannelTable
 from greybox.data.columns import TIME, Column, parse_header
 from greybox.data.findings import RecordCode
 from greybox.data.formats import RecordFile, open_record_file
-from greybox.data.policy import CHANNEL_POLICY, READING_POLICY, RECORD_POLICY, ReadingPolicy, RecordPolicy
+from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import is_constant
 from greybox.data.sampling import find_sampling_time, find_time_gaps
 from greybox.data.sensor_faults import inspect_signals
@@ -129,7 +129,6 @@ def survey_file(
     names: Sequence[str] | None = None,
     sampling_time: float | None = None,
     reading: ReadingPolicy = READING_POLICY,
-    policy: RecordPolicy = RECORD_POLICY,
 ) -> FileSurvey:
     """Look at a file of any kind that is read, without a model.
 
@@ -143,8 +142,6 @@ def survey_file(
         Seconds between rows, for a file without a time column.
     reading
         How large it may be.
-    policy
-        What a gap is, and when a sensor is in doubt.
 
     Returns
     -------
@@ -158,11 +155,11 @@ def survey_file(
     """
     file = open_record_file(path, names=names, policy=reading)
     if isinstance(file.table, ChannelTable):
-        return _survey_channels(file, file.table, policy)
-    return _survey_table(file, sampling_time, policy)
+        return _survey_channels(file, file.table)
+    return _survey_table(file, sampling_time)
 
 
-def _survey_table(file: RecordFile, sampling_time: float | None, policy: RecordPolicy) -> FileSurvey:
+def _survey_table(file: RecordFile, sampling_time: float | None) -> FileSurvey:
     table = file.table
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     clock = next((c for c in columns if c.name == "t" or c.name.lower() == TIME), None)
@@ -193,14 +190,14 @@ def _survey_table(file: RecordFile, sampling_time: float | None, policy: RecordP
         array = arrays.get(k)
         row_times = time if time is not None and array is not None and len(array) == len(time) else None
         is_clock = clock is not None and k == clock.position
-        signals.append(_survey_signal(column, "", array, row_times, used, policy, is_clock=is_clock))
+        signals.append(_survey_signal(column, "", array, row_times, used, is_clock=is_clock))
     alike = {
         s.header: arrays[c.position]
         for s, c in zip(signals, (c for c in columns if c.header), strict=True)
         if s.use in ("input", "output")
     }
     if time is not None:
-        findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)}, policy)
+        findings += _find_faults(time, {h: v for h, v in alike.items() if len(v) == len(time)})
     return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
@@ -212,7 +209,7 @@ def _is_column(file: RecordFile, position: int) -> bool:
     return not info.holds and math.prod(info.shape) > 1
 
 
-def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy) -> FileSurvey:
+def _survey_channels(file: RecordFile, table: ChannelTable) -> FileSurvey:
     signals: list[SignalSurvey] = []
     findings: list[Finding] = list(table.findings)
     used = {TIME}
@@ -224,25 +221,25 @@ def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy
         column = Column(header, parse_header(header, 0).name, channel.unit, k + 1)
         clock = channel.clock if several else ""
         if channel.holds:
-            signals.append(_survey_signal(column, clock, None, None, used, policy, rows=channel.rows))
+            signals.append(_survey_signal(column, clock, None, None, used, rows=channel.rows))
             continue
         samples = file.load_channel(k)
         problems = find_stamp_problems(samples)
         if problems:
             values = {"reason": problems[0]}
             findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, header, values))
-        signal = _survey_signal(column, clock, samples.values, None if problems else samples.time, used, policy)
+        signal = _survey_signal(column, clock, samples.values, None if problems else samples.time, used)
         signals.append(signal)
         if signal.use in ("input", "output") and not problems:
             key = samples.time.tobytes()
             by_base.setdefault(key, (samples.time, {}))[1][header] = samples.values
             by_name.setdefault(channel.name, []).append((channel.clock, samples))
     for time, alike in by_base.values():
-        findings += _find_faults(time, alike, policy)
+        findings += _find_faults(time, alike)
     for name, copies in by_name.items():
         first_clock, first = copies[0]
         for other_clock, other in copies[1:]:
-            offset = None if other_clock == first_clock else estimate_clock_offset(first, other, CHANNEL_POLICY)
+            offset = None if other_clock == first_clock else estimate_clock_offset(first, other)
             if offset is not None:
                 figures = {n: float(v) for n, v in offset._asdict().items()}
                 about = {"reference": first_clock, "signal": name, **figures}
@@ -250,14 +247,14 @@ def _survey_channels(file: RecordFile, table: ChannelTable, policy: RecordPolicy
     return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
-def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray], policy: RecordPolicy) -> list[Finding]:
+def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray]) -> list[Finding]:
     """Doubts about each signal; the others of its stamps tell whether the plant moves."""
     findings: list[Finding] = []
     for header, values in signals.items():
         others = {h: v for h, v in signals.items() if h != header and np.isfinite(v).all()}
         if is_held(values):
             continue
-        for finding in inspect_signals(time, others, {header: values}, policy):
+        for finding in inspect_signals(time, others, {header: values}):
             if finding.subject == header and finding.code not in (RecordCode.INPUT_CONSTANT, RecordCode.OUTPUT_GAPS):
                 findings.append(replace(finding, values={**finding.values, "kind": "signal"}))
     return findings
@@ -269,7 +266,6 @@ def _survey_signal(
     values: np.ndarray | None,
     time: np.ndarray | None,
     used: set[str],
-    policy: RecordPolicy,
     *,
     is_clock: bool = False,
     rows: int = 0,
@@ -279,7 +275,7 @@ def _survey_signal(
             column.header, column.unit, clock, rows, 0, None, False, None, None, None, None, 0, False, "text", ""
         )
     known = values[np.isfinite(values)]
-    regular = time is not None and find_sampling_time(time, policy) is not None
+    regular = time is not None and find_sampling_time(time) is not None
     held = is_held(values)
     use = _guess_use(column, values, held)
     name = TIME if is_clock else _make_name(column.name, used)
@@ -295,7 +291,7 @@ def _survey_signal(
         float(time[-1]) if time is not None else None,
         float(known.min()) if len(known) else None,
         float(known.max()) if len(known) else None,
-        len(find_time_gaps(time, policy)) if time is not None else 0,
+        len(find_time_gaps(time)) if time is not None else 0,
         held,
         "time" if is_clock else use,
         name,

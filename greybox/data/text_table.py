@@ -147,19 +147,27 @@ class TextTable:
         return f"{lines} {what}, the header (line {self.header_line}) has {expected}; {remedy}"
 
 
+# Lines of comment that are kept, for a header or a condition among them.
+MOST_COMMENTS = 1000
+# Lines on which the separator is decided.
+SEPARATOR_LINES = 20
+# Lines in which the first row of numbers is looked for, to find a header that is not the first line.
+HEADER_LINES = 60
+
+
 def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     """Open a text table. Raises DataError for an empty or binary file, and where the header is not the first line."""
-    source = TextSource(path, _find_encoding(path, policy))
+    source = TextSource(path, _find_encoding(path))
     numbers, comments, first = _LineNumbers(), dict[int, str](), list[str]()
     has_comma = has_point = False
     for number, line in enumerate(source.read_lines(), 1):
         if _is_of_table(line):
             numbers.add(number)
-            if len(first) < policy.header_lines:
+            if len(first) < HEADER_LINES:
                 first.append(line)
             has_comma = has_comma or "," in line
             has_point = has_point or "." in line
-        elif len(comments) < policy.most_comments and not (line == "" or line.isspace()):
+        elif len(comments) < MOST_COMMENTS and not (line == "" or line.isspace()):
             comments[number] = line
     if not first:
         raise DataError(f"{path.name}: the file is empty; it needs a header line and rows of numbers")
@@ -167,7 +175,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     skipped = 1 if stated is not None and len(first) > 1 else 0
     if not skipped:
         stated = None
-    body = first[skipped + 1 : skipped + 1 + policy.separator_lines]
+    body = first[skipped + 1 : skipped + 1 + SEPARATOR_LINES]
     separator = stated or _guess_separator(first[skipped], body)
     rows = numbers.as_sequence()
     headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
@@ -184,7 +192,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
             headless = False
         else:
             headers = [str(k) for k in range(1, len(headers) + 1)]
-    check_width(len(headers), policy)
+    check_width(len(headers))
     labels = RowLabels("line", rows[skipped:])
     return TextTable(
         source,
@@ -339,13 +347,19 @@ def _guess_separator(header: str, body: Sequence[str]) -> str:
     return separator if count > 1 else BLANKS
 
 
-def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
+# Bytes of a line of text: 10 000 columns of 20 characters.
+LONGEST_LINE = 200000
+# Bytes looked at together when the encoding is found.
+BYTES_PER_BLOCK = 1000000
+
+
+def _find_encoding(path: Path) -> str:
     """The encoding of a text: UTF-8, UTF-16 with or without its mark, or that of older instruments.
 
     Raises DataError for a file that is no text, and for a line longer than the policy allows, which no table has.
     """
     with open(path, "rb") as file:
-        start = file.read(policy.bytes_per_block)
+        start = file.read(BYTES_PER_BLOCK)
         encoding = _guess_encoding(start[:4096], path.name)
         decoder = codecs.getincrementaldecoder(encoding)()
         block, since_end = start, 0
@@ -353,9 +367,9 @@ def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
             *lines, rest = re.split(rb"[\r\n]", block)
             longest = max([since_end + len(lines[0]), *map(len, lines[1:])]) if lines else 0
             since_end = len(rest) if lines else since_end + len(rest)
-            if max(longest, since_end) > policy.longest_line:
+            if max(longest, since_end) > LONGEST_LINE:
                 raise DataError(
-                    f"{path.name}: a line is longer than {policy.longest_line} characters; write one line for each row"
+                    f"{path.name}: a line is longer than {LONGEST_LINE} characters; write one line for each row"
                 )
             try:
                 decoder.decode(block)
@@ -367,7 +381,7 @@ def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
                 # What older instruments write; it has the micro and degree signs, and every byte is a letter in it.
                 encoding = "latin-1"
                 decoder = codecs.getincrementaldecoder(encoding)()
-            block = file.read(policy.bytes_per_block)
+            block = file.read(BYTES_PER_BLOCK)
         try:
             decoder.decode(b"", final=True)
         except UnicodeDecodeError as error:

@@ -21,14 +21,10 @@ from greybox.data.columns import SignalKind, check_size
 from greybox.data.experiment import Hold
 from greybox.data.findings import RecordCode
 from greybox.data.policy import (
-    CHANNEL_POLICY,
     READING_POLICY,
-    RECORD_POLICY,
-    ChannelPolicy,
     ReadingPolicy,
-    RecordPolicy,
 )
-from greybox.data.sampling import find_sampling_time, find_time_gaps
+from greybox.data.sampling import STEP_TOLERANCE, find_sampling_time, find_time_gaps
 
 
 class Samples(NamedTuple):
@@ -80,8 +76,6 @@ def bring_to_one_base(
     uses: Mapping[int, ChannelUse],
     step: float | None = None,
     reading: ReadingPolicy = READING_POLICY,
-    policy: ChannelPolicy = CHANNEL_POLICY,
-    records: RecordPolicy = RECORD_POLICY,
 ) -> TimeBase:
     """The signals on one time base.
 
@@ -95,15 +89,13 @@ def bring_to_one_base(
         Seconds between the rows of the base; None takes the stamps of the fastest signal.
     reading
         How large the result may be.
-    policy, records
-        How band-limited signals are interpolated; what a gap in time is.
     """
     first = next(iter(samples.values()))
     if step is None and all(_same_stamps(s.time, first.time) for s in samples.values()):
         return TimeBase(first.time, {k: s.values for k, s in samples.items()})
     fastest = _find_fastest(samples, uses)
     half_row = (_usual_step(samples[fastest].time) if step is None else step) / 2
-    start, stop = _find_window(samples, uses, half_row, records)
+    start, stop = _find_window(samples, uses, half_row)
     if not start < stop:
         spans = ", ".join(f"{uses[k].name!r} {s.time[0]:.6g} to {s.time[-1]:.6g} s" for k, s in samples.items())
         return TimeBase(
@@ -122,19 +114,19 @@ def bring_to_one_base(
     check_size(len(base), len(samples), reading)
     for k, s in samples.items():
         if uses[k].kind is SignalKind.INPUT:
-            base = base[~_in_gap(base, s, uses[k].course, records)]
+            base = base[~_in_gap(base, s, uses[k].course)]
     if len(base) < 2:
         return TimeBase(base, {k: np.full(len(base), np.nan) for k in samples})
     columns: dict[int, np.ndarray] = {}
     problems: list[str] = []
     for k, s in samples.items():
-        if uses[k].course == "band-limited" and find_sampling_time(s.time, records) is None:
+        if uses[k].course == "band-limited" and find_sampling_time(s.time) is None:
             problems.append(
                 f"{uses[k].name!r} has irregular times: a band-limited signal needs uniform ones; take it straight (first)"
             )
             continue
         is_output = uses[k].kind is SignalKind.OUTPUT
-        columns[k] = _place_measurements(s, base) if is_output else _interpolate(s, base, uses[k], policy)
+        columns[k] = _place_measurements(s, base) if is_output else _interpolate(s, base, uses[k])
     if problems:
         return TimeBase(np.zeros(0), {k: np.zeros(0) for k in samples}, problems=tuple(problems))
     signals = [
@@ -157,12 +149,18 @@ def bring_to_one_base(
     return TimeBase(base, columns, (Finding(RecordCode.BROUGHT_TO_ONE_TIME, values=values),))
 
 
-def interpolate_band_limited(samples: Samples, at: np.ndarray, policy: ChannelPolicy = CHANNEL_POLICY) -> np.ndarray:
+# Samples on either side by which a band-limited signal is interpolated; the error is below 1e-5 up to 0.8 of its band.
+BAND_LIMITED_SAMPLES = 32
+# Shape of the window over these samples: side lobes of 1e-5.
+CHANNEL_KAISER_BETA = 10.0
+
+
+def interpolate_band_limited(samples: Samples, at: np.ndarray) -> np.ndarray:
     """A uniformly sampled signal without content above half its rate, at other times ``at`` (M,).
 
     Whittaker-Shannon, cut by a Kaiser window; beyond its ends the signal is reflected about its last value.
     """
-    half = min(policy.band_limited_samples, len(samples.time) - 1)
+    half = min(BAND_LIMITED_SAMPLES, len(samples.time) - 1)
     step = (samples.time[-1] - samples.time[0]) / (len(samples.time) - 1)
     y = samples.values
     padded = np.concatenate((2 * y[0] - y[half:0:-1], y, 2 * y[-1] - y[-2 : -half - 2 : -1]))
@@ -171,8 +169,8 @@ def interpolate_band_limited(samples: Samples, at: np.ndarray, policy: ChannelPo
     result = np.zeros(len(at))
     for shift in range(1 - half, half + 1):
         distance = place - (whole + shift)
-        window = np.i0(policy.kaiser_beta * np.sqrt(np.maximum(1 - (distance / half) ** 2, 0))) / np.i0(
-            policy.kaiser_beta
+        window = np.i0(CHANNEL_KAISER_BETA * np.sqrt(np.maximum(1 - (distance / half) ** 2, 0))) / np.i0(
+            CHANNEL_KAISER_BETA
         )
         result += padded[np.clip(whole + shift + half, 0, len(padded) - 1)] * np.sinc(distance) * window
     return result
@@ -190,12 +188,12 @@ def _find_fastest(samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse]
     """The signal with the shortest step; of equal ones an output, whose measurements then stay where they are."""
     steps = {k: _usual_step(s.time) for k, s in samples.items() if uses[k].kind is not SignalKind.CONDITION}
     shortest = min(steps.values())
-    close = [k for k, step in steps.items() if step <= shortest * (1 + RECORD_POLICY.step_tolerance)]
+    close = [k for k, step in steps.items() if step <= shortest * (1 + STEP_TOLERANCE)]
     return next((k for k in close if uses[k].kind is SignalKind.OUTPUT), close[0])
 
 
 def _find_window(
-    samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse], half_row: float, records: RecordPolicy
+    samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse], half_row: float
 ) -> tuple[float, float]:
     """First and last time at which every input is known and some output was measured, within half a row."""
     spans: list[tuple[float, float]] = []
@@ -206,7 +204,7 @@ def _find_window(
         end = float(s.time[-1])
         if uses[k].course == "zero":
             # A held signal stays for its step; one that is written when it changes stays for good.
-            regular = find_sampling_time(s.time, records) is not None
+            regular = find_sampling_time(s.time) is not None
             end = end + _usual_step(s.time) if regular else float("inf")
         spans.append((float(s.time[0]), end))
     if outputs:
@@ -216,9 +214,9 @@ def _find_window(
     return start, stop if np.isfinite(stop) else max(float(s.time[-1]) for s in samples.values())
 
 
-def _in_gap(base: np.ndarray, samples: Samples, course: Hold, records: RecordPolicy) -> np.ndarray:
+def _in_gap(base: np.ndarray, samples: Samples, course: Hold) -> np.ndarray:
     """Which rows lie in a gap of an input, where nobody knows it."""
-    after = find_time_gaps(samples.time, records)
+    after = find_time_gaps(samples.time)
     known = _usual_step(samples.time) if course == "zero" else 0.0  # a held value stays for its step
     inside = np.zeros(len(base), bool)
     for k in after:
@@ -248,7 +246,7 @@ def _place_measurements(samples: Samples, base: np.ndarray) -> np.ndarray:
     return result
 
 
-def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse, policy: ChannelPolicy) -> np.ndarray:
+def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse) -> np.ndarray:
     known = np.isfinite(samples.values)
     time, values = samples.time[known], samples.values[known]
     if not len(time):
@@ -256,7 +254,7 @@ def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse, policy: Ch
     if use.course == "first" or use.kind is SignalKind.CONDITION:
         return np.interp(base, time, values)
     if use.course == "band-limited":
-        return interpolate_band_limited(Samples(time, values), base, policy)
+        return interpolate_band_limited(Samples(time, values), base)
     slack = TIME_ROUNDING * (base[-1] - base[0])
     row = np.clip(np.searchsorted(time, base + slack, side="right") - 1, 0, len(time) - 1)
     held = values[row]
@@ -290,12 +288,15 @@ class ClockOffset(NamedTuple):
         return time + self.offset + self.drift * (time - self.middle)
 
 
+# Difference (s) of the shortest ways to the recorder from which it is an offset of the clocks; networks take milliseconds.
+RECORDER_LATENCY = 0.05
+
+
 def correct_clocks(
     samples: Mapping[int, Samples],
     wanted: Sequence[int],
     clocks: Mapping[int, str],
     shared: Sequence[tuple[int, int, str]],
-    policy: ChannelPolicy = CHANNEL_POLICY,
 ) -> tuple[dict[int, Samples], tuple[Finding, ...]]:
     """The wanted samples on the clock of the first of them, and what was found.
 
@@ -309,8 +310,6 @@ def correct_clocks(
         Position -> clock.
     shared
         Pairs of positions of a signal that the first clock and another one have stamped, with its name.
-    policy
-        When an offset is believed.
     """
     reference = clocks[wanted[0]]
     others = list(dict.fromkeys(clocks[k] for k in wanted if clocks[k] != reference))
@@ -318,13 +317,13 @@ def correct_clocks(
     findings: list[Finding] = []
     for clock in others:
         pairs = [(a, b, name) for a, b, name in shared if clocks[b] == clock]
-        estimates = [(estimate_clock_offset(samples[a], samples[b], policy), name) for a, b, name in pairs]
+        estimates = [(estimate_clock_offset(samples[a], samples[b]), name) for a, b, name in pairs]
         best = max(
             ((e, name) for e, name in estimates if e is not None), key=lambda pair: pair[0].correlation, default=None
         )
         of_recorder = None if best is not None else _compare_latencies(samples, wanted, clocks, clock)
         if of_recorder is not None:
-            if abs(of_recorder) > policy.recorder_latency:
+            if abs(of_recorder) > RECORDER_LATENCY:
                 values = {"reference": reference, "offset": of_recorder}
                 findings.append(Finding(RecordCode.CLOCK_OFFSET_BY_RECORDER, Severity.WARNING, clock, values))
                 for k in wanted:
@@ -351,36 +350,44 @@ def _compare_latencies(
     return None if first is None or other is None else other - first
 
 
-def estimate_clock_offset(
-    first: Samples, second: Samples, policy: ChannelPolicy = CHANNEL_POLICY
-) -> ClockOffset | None:
+# Samples of a signal on two clocks from which their offset is estimated: four numbers are fitted to them.
+LEAST_SHARED_SAMPLES = 20
+
+
+def estimate_clock_offset(first: Samples, second: Samples) -> ClockOffset | None:
     """What must be added to the stamps of ``second`` for its signal to lie on that of ``first``.
 
     None where the two do not look alike at any offset, or show none because they hardly move.
     """
     first, second = (Samples(s.time[np.isfinite(s.values)], s.values[np.isfinite(s.values)]) for s in (first, second))
-    if min(len(first.time), len(second.time)) < policy.least_shared_samples:
+    if min(len(first.time), len(second.time)) < LEAST_SHARED_SAMPLES:
         return None
-    coarse, step = _correlate(first, second, policy)
+    coarse, step = _correlate(first, second)
     if coarse is None:
         return None
-    return _refine(first, second, coarse, step, policy)
+    return _refine(first, second, coarse, step)
 
 
-def is_held(values: np.ndarray, policy: ChannelPolicy = CHANNEL_POLICY) -> bool:
+# Share of samples that change, at most, for a signal to be called held: commands, switches, set points.
+HELD_VALUES = 0.2
+
+
+def is_held(values: np.ndarray) -> bool:
     """Whether a signal (N,) stays at its values and jumps between them: a command, a switch, a set point."""
     known = values[np.isfinite(values)]
-    return len(known) > 1 and 0 < float(np.mean(np.diff(known) != 0)) <= policy.held_values
+    return len(known) > 1 and 0 < float(np.mean(np.diff(known) != 0)) <= HELD_VALUES
 
 
-def _correlate(first: Samples, second: Samples, policy: ChannelPolicy) -> tuple[float | None, float]:
+# Rows of the grid on which the start of the search is found by correlation; longer records get a coarser one.
+MOST_CORRELATED_ROWS = 2000000
+
+
+def _correlate(first: Samples, second: Samples) -> tuple[float | None, float]:
     """The offset at which the two correlate most, on a grid of ``step`` seconds."""
     from scipy.signal import fftconvolve
 
     spans = [s.time[-1] - s.time[0] for s in (first, second)]
-    step = max(
-        min(float(np.median(np.diff(s.time))) for s in (first, second)), max(spans) / policy.most_correlated_rows
-    )
+    step = max(min(float(np.median(np.diff(s.time))) for s in (first, second)), max(spans) / MOST_CORRELATED_ROWS)
     grids = [s.time[0] + step * np.arange(int((s.time[-1] - s.time[0]) / step) + 1) for s in (first, second)]
     a, b = (np.interp(g, s.time, s.values) for g, s in zip(grids, (first, second), strict=True))
     a, b = a - a.mean(), b - b.mean()
@@ -391,15 +398,25 @@ def _correlate(first: Samples, second: Samples, policy: ChannelPolicy) -> tuple[
     return float(grids[0][0] + lag * step - grids[1][0]), step
 
 
-def _refine(first: Samples, second: Samples, offset: float, step: float, policy: ChannelPolicy) -> ClockOffset | None:
+# Correlation of the two copies from which they are the same signal; noise of a third of the signal leaves 0.9.
+LEAST_CORRELATION = 0.9
+# Most steps of the search; it settles in five, and may need more where the grid is coarse.
+OFFSET_ITERATIONS = 30
+# A step of the search below this share of the grid's ends it.
+OFFSET_RESOLUTION = 1e-06
+# Standard deviations from which one clock runs faster than the other; below, the drift is zero.
+DRIFT_SIGNIFICANCE = 5.0
+
+
+def _refine(first: Samples, second: Samples, offset: float, step: float) -> ClockOffset | None:
     """Gauss-Newton on offset, drift, gain and level: ``second(t) = gain * first(t + offset + drift (t - middle)) + level``."""
     middle, drift = float(second.time.mean()), 0.0
     slope = Samples(first.time, np.gradient(first.values, first.time))
     correlation, covariance = 0.0, np.full((2, 2), np.inf)
-    for _ in range(policy.offset_iterations):
+    for _ in range(OFFSET_ITERATIONS):
         at = second.time + offset + drift * (second.time - middle)
         inside = (at >= first.time[0]) & (at <= first.time[-1])
-        if inside.sum() < policy.least_shared_samples:
+        if inside.sum() < LEAST_SHARED_SAMPLES:
             return None
         t, y = second.time[inside], second.values[inside]
         model = np.interp(at[inside], first.time, first.values)
@@ -416,18 +433,18 @@ def _refine(first: Samples, second: Samples, offset: float, step: float, policy:
         covariance = np.linalg.inv(columns.T @ columns)[2:, 2:] * float(residual @ residual) / max(len(t) - 4, 1)
         move = np.clip(solution[2], -step, step)
         offset, drift = offset + float(move), drift + float(solution[3])
-        if abs(move) < policy.offset_resolution * step:
+        if abs(move) < OFFSET_RESOLUTION * step:
             break
-    if correlation < policy.least_correlation:
+    if correlation < LEAST_CORRELATION:
         return None
     std = float(np.sqrt(covariance[0, 0]))
     steps = [float(np.median(np.diff(s.time))) for s in (first, second)]
     # The edges of a held signal are known to a step of each clock, however well the rest of it fits.
-    held = any(is_held(s.values, policy) for s in (first, second))
+    held = any(is_held(s.values) for s in (first, second))
     if held:
         std = float(np.sqrt(std**2 + (steps[0] ** 2 + steps[1] ** 2) / 12))
     span = second.time[-1] - second.time[0]
-    least = max(steps) if held else policy.drift_significance * float(np.sqrt(covariance[1, 1])) * span
+    least = max(steps) if held else DRIFT_SIGNIFICANCE * float(np.sqrt(covariance[1, 1])) * span
     if abs(drift) * span <= 2 * least:
         drift = 0.0
     return ClockOffset(offset, std, drift, middle, correlation)

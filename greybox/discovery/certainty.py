@@ -21,10 +21,14 @@ class Grade(StrEnum):
     """It represents something that has another form."""
 
 
-def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[str, float]:
+# Standard errors of a difference between models at which it counts in full.
+MOST_DEVIATIONS = 10.0
+
+
+def to_features(measures: Mapping[str, float]) -> dict[str, float]:
     """The measures of an effect's evidence as bounded numbers: what the probability is computed from."""
     size = math.sqrt(max(measures["loss"], TINY))
-    deviations = policy.most_deviations
+    deviations = MOST_DEVIATIONS
     curve, curve_t = measures["curve_loss"], measures["curve_t"]
     is_tested = math.isfinite(curve)
     static = measures.get("static_loss", math.nan)  # of an effect without memory there is none
@@ -40,7 +44,7 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
         "curve_size": _clip(math.sqrt(max(-curve, 0.0)) / size, 0, 1) if is_tested else 0.0,
         "curve_ratio": _gain(curve),
         "curve_t": _clip(-curve_t / deviations, 0, 1) if is_tested else 0.0,
-        "curve_fit": _own_form(measures, policy),
+        "curve_fit": _own_form(measures),
         "curve_untested": float(not is_tested),
         "untested_left": 0.0 if is_tested else _clip(measures["structure"] / size, 0, 1),
         "static_size": _clip(_signed_root(static) / size, -1, 1) if math.isfinite(static) else 1.0,
@@ -56,13 +60,74 @@ def to_features(measures: Mapping[str, float], policy: CertaintyPolicy) -> dict[
     }
 
 
+# Weight of each feature of the evidence.
+CERTAINTY_WEIGHTS: Mapping[str, float] = {
+    "share": 0.6,
+    "loss_t": 0.6,
+    "rival_size": 0.3,
+    "rival_ratio": 1.3,
+    "rival_t": 1.1,
+    "rival_parameters": 0.4,
+    "curve_size": -1.8,
+    "curve_ratio": -0.3,
+    "curve_t": -1.1,
+    "curve_fit": -1.5,
+    "curve_untested": -1.3,
+    "untested_left": -3.8,
+    "free_size": 2.4,
+    "remainder": -2.2,
+    "static_size": 0.3,
+    "static_t": 0.1,
+    "structure": -0.6,
+    "left": -2.1,
+    "change": -2.6,
+    "start": 1.8,
+    "several": -1.2,
+    "undetermined": -1.3,
+}
+# Largest argument of the exponential: beyond it nothing changes and nothing overflows.
+MOST_SCORE = 30.0
+
+
 def probability_of(features: Mapping[str, float], policy: CertaintyPolicy) -> float:
     """The probability that an effect with these features is right: a logistic function."""
-    score = policy.intercept + sum(policy.weights.get(name, 0.0) * value for name, value in features.items())
-    return 1 / (1 + math.exp(-_clip(score, -policy.most_score, policy.most_score)))
+    score = policy.intercept + sum(CERTAINTY_WEIGHTS.get(name, 0.0) * value for name, value in features.items())
+    return 1 / (1 + math.exp(-_clip(score, -MOST_SCORE, MOST_SCORE)))
 
 
-def grade_effect(probability: float, features: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> Grade:
+# Probability from which an effect is established. Of the effects of the study (docs/certainty.md) from there on nineteen of twenty are
+# right before any single test speaks.
+CERTAINTY_ESTABLISHED = 0.8
+# Probability from which an effect is probable; below it is a stand-in.
+CERTAINTY_PROBABLE = 0.5
+# The best rival must be behind by this share of `most_deviations`: three standard errors. So must be, of an effect with memory, a curve
+# in its place, and of one of many constants a power law.
+LEAST_RIVAL = 0.3
+# What a flexible curve beside the effect takes more, over what the effect takes, in rms.
+MOST_FORM = 0.5
+# By how much a flexible curve beside the effect may lower the rms error (as a difference of logarithms): a tenth. More than that, and
+# more than chance (`least_rival`), is another form.
+MOST_GAIN = 0.11
+# What a curve over the effect's own variable, beside it or in its place, takes more on the records it was fitted to, over what the effect
+# takes, in rms. A curve beside the right form takes what its heights take from noise and, as no model is complete, a little more.
+MOST_OWN_FORM = 0.04
+# Root of the relative difference by which a free curve in the effect's place must cost more, wherever it is and whatever it is over: 4 %.
+# Where one does as well, the place or the name is open.
+LEAST_FREE = 0.2
+# What the effect leaves over its own variable, over its signal, in rms. Much of a weak signal is noise: what is no noise, the curve
+# beside the effect takes.
+MOST_REMAINDER = 0.6
+# Share of the error that an effect must take.
+CERTAINTY_LEAST_SHARE = 0.05
+# Relative change of the effect's constants from one half of the records to the other: an imposter is fitted anew to each.
+MOST_CHANGE = 0.4
+# What is left beyond noise, over what the effect takes, in rms: an imposter leaves more of the effect whose place it takes.
+MOST_LEFT = 0.3
+# What is left beyond noise, over what the effect takes, in rms, for an effect whose form no curve can test (play, a delay).
+MOST_UNTESTED = 0.1
+
+
+def grade_effect(probability: float, features: Mapping[str, float], has_equal: bool) -> Grade:
     """The grade of an effect: established only where, beside the probability, no single test speaks against it.
 
     An effect that another one equals (``has_equal``), of which a parameter is not determined, or whose refit from another start ends
@@ -71,26 +136,26 @@ def grade_effect(probability: float, features: Mapping[str, float], has_equal: b
     contradicted = (
         has_equal
         or features["undetermined"] > 0
-        or features["rival_t"] < policy.least_rival
-        or features["static_t"] < policy.least_rival
-        or features["curve_size"] > policy.most_form
+        or features["rival_t"] < LEAST_RIVAL
+        or features["static_t"] < LEAST_RIVAL
+        or features["curve_size"] > MOST_FORM
         or (
-            features["curve_ratio"] > policy.most_gain
-            and features["curve_t"] > policy.least_rival
-            and features["curve_size"] > policy.most_own_form
+            features["curve_ratio"] > MOST_GAIN
+            and features["curve_t"] > LEAST_RIVAL
+            and features["curve_size"] > MOST_OWN_FORM
         )
-        or features["curve_fit"] > policy.most_own_form
-        or features["free_size"] < policy.least_free
-        or features["remainder"] > policy.most_remainder
-        or features["share"] < policy.least_share
-        or features["change"] > policy.most_change
+        or features["curve_fit"] > MOST_OWN_FORM
+        or features["free_size"] < LEAST_FREE
+        or features["remainder"] > MOST_REMAINDER
+        or features["share"] < CERTAINTY_LEAST_SHARE
+        or features["change"] > MOST_CHANGE
         or features["start"] < 1
-        or features["left"] > policy.most_left
-        or (features["curve_untested"] > 0 and features["left"] > policy.most_untested)
+        or features["left"] > MOST_LEFT
+        or (features["curve_untested"] > 0 and features["left"] > MOST_UNTESTED)
     )
-    if probability >= policy.established and not contradicted:
+    if probability >= CERTAINTY_ESTABLISHED and not contradicted:
         return Grade.ESTABLISHED
-    return Grade.PROBABLE if probability >= policy.probable else Grade.STAND_IN
+    return Grade.PROBABLE if probability >= CERTAINTY_PROBABLE else Grade.STAND_IN
 
 
 def _clip(value: float, low: float, high: float) -> float:
@@ -102,7 +167,14 @@ def _gain(loss: float) -> float:
     return _clip(-0.5 * math.log(max(1 + loss, TINY)), 0, 1) if math.isfinite(loss) else 0.0
 
 
-def _own_form(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
+# By how much such a curve may lower the logarithm of the rms error of those records by chance: beside the right form it is half a
+# percent.
+CHANCE_GAIN = 0.02
+# Standard errors from which such a curve does worse on the validation records than the effect alone.
+LEAST_WORSE = 1.0
+
+
+def _own_form(measures: Mapping[str, float]) -> float:
     """What a curve beside the effect takes more of the records it was fitted to, over what the effect takes, in rms.
 
     A few heights take up to `CertaintyPolicy.chance_gain` by chance. The validation records may leave the range in which the curve was
@@ -110,7 +182,7 @@ def _own_form(measures: Mapping[str, float], policy: CertaintyPolicy) -> float:
     not seen again.
     """
     gain = measures.get("curve_gain", 0.0)
-    if gain < policy.chance_gain or measures["curve_t"] > policy.least_worse:
+    if gain < CHANCE_GAIN or measures["curve_t"] > LEAST_WORSE:
         return 0.0
     gained = 1 - math.exp(-2 * gain)
     return _clip(math.sqrt(gained / max(measures["loss"], TINY)), 0, 1)

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from greybox.discovery.certainty import Grade, grade_effect, to_features
+from greybox.discovery.certainty import CERTAINTY_ESTABLISHED, Grade, grade_effect, to_features
 from greybox.discovery.decision import Conclusion, Verdict, make_check
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryRule
-from greybox.discovery.policy import CertaintyPolicy
 from greybox.discovery.surrogate_effects import CURVE
 
 
-def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence], policy: CertaintyPolicy) -> Conclusion:
+def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence]) -> Conclusion:
     """The verdict once the form of each effect was tested: a name is certain only where it is established.
 
     A model whose residual is noise is ``named`` only if every effect is established. Where some are, and the residual is not noise or
@@ -23,13 +22,15 @@ def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence], p
     if conclusion.verdict is Verdict.COMPLETE or not evidence:
         return conclusion if conclusion.verdict is not Verdict.NAMED else replace(conclusion, verdict=Verdict.UNKNOWN)
     checks = tuple(
-        make_check(DiscoveryRule.ESTABLISHED, e.probability, policy.established, e.grade is Grade.ESTABLISHED, e.effect)
+        make_check(
+            DiscoveryRule.ESTABLISHED, e.probability, CERTAINTY_ESTABLISHED, e.grade is Grade.ESTABLISHED, e.effect
+        )
         for e in evidence
     )
     established = [check.passed for check in checks]
     verdict = conclusion.verdict
     if verdict is Verdict.NAMED and not all(established):
-        certain = [sure or _is_tied(e, policy) for e, sure in zip(evidence, established, strict=True)]
+        certain = [sure or _is_tied(e) for e, sure in zip(evidence, established, strict=True)]
         verdict = Verdict.AMBIGUOUS if all(certain) else Verdict.UNKNOWN
     if verdict is Verdict.UNKNOWN and any(established):
         verdict = Verdict.PARTLY
@@ -47,10 +48,8 @@ def list_tied_sets(evidence: Sequence[EffectEvidence]) -> list[tuple[str, ...]]:
     ]
 
 
-def _is_tied(evidence: EffectEvidence, policy: CertaintyPolicy) -> bool:
+def _is_tied(evidence: EffectEvidence) -> bool:
     """Whether the effect would be established if no other effect of the catalogue did the same."""
     if not evidence.alike or CURVE in evidence.alike:
         return False
-    return (
-        grade_effect(evidence.probability, to_features(evidence.measures, policy), False, policy) is Grade.ESTABLISHED
-    )
+    return grade_effect(evidence.probability, to_features(evidence.measures), False) is Grade.ESTABLISHED

@@ -15,7 +15,6 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable, ReadOnly
-from greybox.discovery.policy import LocalisationPolicy, ShapePolicy
 
 Remainder = Callable[[np.ndarray], np.ndarray]
 
@@ -81,7 +80,21 @@ class CurveShape:
     position: float | None = None
 
 
-def classify_shape(z: np.ndarray, f: np.ndarray, count: np.ndarray, policy: ShapePolicy) -> CurveShape:
+# Share of an odd (or even) part from which a curve is odd (or even).
+PARITY_SHARE = 0.75
+# Share that a template must explain to give its name.
+NAMED_SHARE = 0.6
+# Share that a bend between two straight lines must explain.
+BEND_SHARE = 0.9
+# Share of the reach below which a curve lies on one side of zero.
+ONE_SIDE_SHARE = 0.2
+# Positions of a bend, and widths of a flat middle, that are tried.
+SHAPE_POSITIONS = 33
+# A shape with a free position must reduce what the others leave unexplained to this share of it.
+FREE_WIDTH_RATIO = 0.5
+
+
+def classify_shape(z: np.ndarray, f: np.ndarray, count: np.ndarray) -> CurveShape:
     """Shape of the curve ``f`` (B,) at ``z`` (B,), with ``count`` (B,) samples at each."""
     reach = float(np.abs(z).max())
     if len(z) < 6 or reach == 0:
@@ -96,18 +109,18 @@ def classify_shape(z: np.ndarray, f: np.ndarray, count: np.ndarray, policy: Shap
     curve = remainder(f)
     if not curve.any():
         return CurveShape(ShapeKind.STRAIGHT)
-    position, share = _find_bend(s, curve, remainder, policy.positions)
+    position, share = _find_bend(s, curve, remainder, SHAPE_POSITIONS)
     parabola = _likeness(curve, remainder(s**2))
-    bends = share > policy.bend_share and 1 - share < policy.free_width_ratio * (1 - parabola**2)
-    if s.min() > -policy.one_side_share or s.max() < policy.one_side_share:
+    bends = share > BEND_SHARE and 1 - share < FREE_WIDTH_RATIO * (1 - parabola**2)
+    if s.min() > -ONE_SIDE_SHARE or s.max() < ONE_SIDE_SHARE:
         if bends:
             return CurveShape(ShapeKind.BEND, position=reach * position)
-        if parabola**2 < policy.named_share:
+        if parabola**2 < NAMED_SHARE:
             return CurveShape(ShapeKind.UNNAMED)
         return CurveShape(ShapeKind.CURVED, downwards=not parabola > 0)
-    parity = _parity(s, f, remainder, policy.parity_share)
-    shape, likeness = _match_template(s, curve, remainder, parity, reach, policy)
-    if likeness > policy.named_share:
+    parity = _parity(s, f, remainder, PARITY_SHARE)
+    shape, likeness = _match_template(s, curve, remainder, parity, reach)
+    if likeness > NAMED_SHARE:
         return shape
     if bends:
         return CurveShape(ShapeKind.BEND, parity, position=reach * position)
@@ -125,8 +138,12 @@ def _parity(s: np.ndarray, f: np.ndarray, remainder: Remainder, limit: float) ->
     return Parity.EVEN if odd_share < 1 - limit else Parity.NEITHER
 
 
+# Half-width of a flat middle over the reach: a narrower one is the far side of a step.
+NARROWEST_MIDDLE = 0.2
+
+
 def _match_template(
-    s: np.ndarray, curve: np.ndarray, remainder: Remainder, parity: Parity, reach: float, policy: ShapePolicy
+    s: np.ndarray, curve: np.ndarray, remainder: Remainder, parity: Parity, reach: float
 ) -> tuple[CurveShape, float]:
     """The template of this parity that is most like the ``curve``, and the share of it that it explains."""
     templates = {
@@ -144,10 +161,10 @@ def _match_template(
     best, kind = max(matches, key=lambda match: abs(match[0]), default=(0.0, ShapeKind.UNNAMED))
     position = None
     if parity is Parity.ODD:
-        widths = np.linspace(policy.narrowest_middle, 0.9, policy.positions)
+        widths = np.linspace(NARROWEST_MIDDLE, 0.9, SHAPE_POSITIONS)
         flat = [_likeness(curve, remainder(np.sign(s) * np.maximum(np.abs(s) - c, 0))) for c in widths]
         k = int(np.argmax(np.abs(flat)))
-        if 1 - flat[k] ** 2 < policy.free_width_ratio * (1 - best**2):
+        if 1 - flat[k] ** 2 < FREE_WIDTH_RATIO * (1 - best**2):
             best, kind, position = flat[k], ShapeKind.FLAT_MIDDLE, float(widths[k] * reach)
     return CurveShape(kind, parity, bool(best < 0), position), best**2
 
@@ -164,11 +181,19 @@ def _likeness(a: np.ndarray, b: np.ndarray) -> float:
     return float(a @ b) / np.sqrt(max(float(a @ a) * float(b @ b), TINY))
 
 
-def find_period(z: np.ndarray, w: np.ndarray, policy: ShapePolicy) -> tuple[float, float, float]:
+# Periods over the range from which a curve counts as periodic.
+SHAPE_FEWEST_PERIODS = 3.0
+# Periods over the range up to which one is looked for.
+MOST_PERIODS = 40.0
+# Steps of the search over the number of periods.
+STEPS_PER_PERIOD = 20
+
+
+def find_period(z: np.ndarray, w: np.ndarray) -> tuple[float, float, float]:
     """The sinusoid over ``z`` (K,) that explains most of ``w`` (K,) beside a straight line: its share of the variance, that of both, and
     its period in ``z``."""
     reach = float(np.ptp(z))
-    turns = np.arange(policy.fewest_periods, policy.most_periods, 1 / policy.steps_per_period)
+    turns = np.arange(SHAPE_FEWEST_PERIODS, MOST_PERIODS, 1 / STEPS_PER_PERIOD)
     left = np.linalg.qr(np.stack([np.ones_like(z), z - z.mean()], axis=1))[0]
     rest = w - left @ (left.T @ w)
     angle = 2 * np.pi * np.outer((z - z.min()) / reach, turns)
@@ -185,7 +210,7 @@ def find_period(z: np.ndarray, w: np.ndarray, policy: ShapePolicy) -> tuple[floa
     if 0 < best < len(turns) - 1:  # between the steps, by the parabola through the three highest
         before, at, after = gained[best - 1 : best + 2]
         shift = 0.5 * float((before - after) / min(before - 2 * at + after, -TINY))
-    return sinusoid, sinusoid + line, reach / float(turns[best] + shift / policy.steps_per_period)
+    return sinusoid, sinusoid + line, reach / float(turns[best] + shift / STEPS_PER_PERIOD)
 
 
 # Dependence of the unexplained signal on each variable.
@@ -255,11 +280,16 @@ class Dependence(Printable, ReadOnly):
         }
 
 
+# Share of the signal's variance from which it counts as a function of a variable.
+DEPENDENCE_SHARE = 0.15
+# Further share that the direction of motion must explain for a loop.
+LOOP_SHARE = 0.12
+
+
 def rank_dependences(
     time: np.ndarray,
     w: np.ndarray,
     variables: Mapping[str, tuple[np.ndarray, str]],
-    policy: LocalisationPolicy,
     run: np.ndarray | None = None,
 ) -> list[Dependence]:
     """The signal as a function of each of several variables, best first; a tone before all.
@@ -270,29 +300,31 @@ def rank_dependences(
         Seconds and signal (K,).
     variables
         Name -> values (K,) and unit.
-    policy
-        From which shares a variable, a loop and a tone count.
     run
         States and inputs (K, n) as they are without the signal, of which a tone must be no part; by default the variables.
     """
     w = w - w.mean()
     if not w.any():
         return []
-    ranked = [_depend_on(name, unit, z, w, policy) for name, (z, unit) in variables.items() if np.ptp(z) > 0]
-    ranked.sort(key=lambda d: -(d.share + max(d.loop - policy.loop_share, 0.0)))
+    ranked = [_depend_on(name, unit, z, w) for name, (z, unit) in variables.items() if np.ptp(z) > 0]
+    ranked.sort(key=lambda d: -(d.share + max(d.loop - LOOP_SHARE, 0.0)))
     motion = np.stack([z for z, _ in variables.values()], axis=1) if run is None else run
-    tone = find_tone(time, w, motion, policy)
+    tone = find_tone(time, w, motion)
     if tone is not None and not (ranked and ranked[0].share > tone[1]):
         frequency, share = tone
-        none, relevant = np.zeros(0), share > policy.dependence_share
+        none, relevant = np.zeros(0), share > DEPENDENCE_SHARE
         shape = CurveShape(ShapeKind.TONE)
         ranked.insert(0, Dependence(TIME, "s", share, shape, 0.0, frequency, none, none, none, None, relevant))
     return ranked
 
 
-def find_tone(
-    time: np.ndarray, w: np.ndarray, motion: np.ndarray, policy: LocalisationPolicy
-) -> tuple[float, float] | None:
+# Share of the signal's power in one spectral line from which it is a tone.
+TONE_SHARE = 0.5
+# Share of the power of an input or a state in that line above which it is driven and no tone from outside.
+DRIVEN_SHARE = 0.25
+
+
+def find_tone(time: np.ndarray, w: np.ndarray, motion: np.ndarray) -> tuple[float, float] | None:
     """Frequency in Hz and share of one spectral line of ``w`` (K,) that neither inputs nor states (``motion``, (K, n)) have."""
     step = float(np.median(np.diff(time)))
     window = np.hanning(len(w))
@@ -311,13 +343,21 @@ def find_tone(
     if 0 < top < len(power) - 1 and min(power[top - 1 : top + 2]) > 0:
         left, middle, right = np.log(power[top - 1 : top + 2])
         shift = 0.5 * (left - right) / (left - 2 * middle + right)
-    if share < policy.tone_share or driven > policy.driven_share:
+    if share < TONE_SHARE or driven > DRIVEN_SHARE:
         return None
     return float((top + shift) / (len(w) * step)), share
 
 
-def _depend_on(name: str, unit: str, z: np.ndarray, w: np.ndarray, policy: LocalisationPolicy) -> Dependence:
-    edges = np.unique(np.quantile(z, np.linspace(0, 1, policy.bins + 1)))
+# Bins of a variable in which the signal is averaged.
+LOCALISATION_BINS = 16
+# Share by which a sinusoid over the variable must explain more than the bins.
+PERIODIC_GAIN = 0.1
+# The same as a share of what the bins leave; the smaller of the two counts.
+PERIODIC_GAIN_OF_REST = 0.25
+
+
+def _depend_on(name: str, unit: str, z: np.ndarray, w: np.ndarray) -> Dependence:
+    edges = np.unique(np.quantile(z, np.linspace(0, 1, LOCALISATION_BINS + 1)))
     which = np.clip(np.searchsorted(edges, z, side="right") - 1, 0, len(edges) - 2)
     count = np.bincount(which, minlength=len(edges) - 1)
     used = count > 0
@@ -329,16 +369,16 @@ def _depend_on(name: str, unit: str, z: np.ndarray, w: np.ndarray, policy: Local
     with_direction = _adjusted_share(w, 2 * which + upwards, 2 * (len(edges) - 1))
     with_direction = max(with_direction, share, 0.0)
     loop = with_direction - max(share, 0.0)
-    sinusoid, with_line, period = find_period(z, w, policy.shape)
-    gain_needed = min(policy.periodic_gain, policy.periodic_gain_of_rest * (1 - with_direction))
-    if sinusoid > policy.dependence_share and with_line - with_direction > gain_needed:
-        relevant = bool(with_line > policy.dependence_share)
+    sinusoid, with_line, period = find_period(z, w)
+    gain_needed = min(PERIODIC_GAIN, PERIODIC_GAIN_OF_REST * (1 - with_direction))
+    if sinusoid > DEPENDENCE_SHARE and with_line - with_direction > gain_needed:
+        relevant = bool(with_line > DEPENDENCE_SHARE)
         periodic = CurveShape(ShapeKind.PERIODIC)
         return Dependence(name, unit, with_line, periodic, 0.0, None, centres, mean, std, period, relevant)
-    shape = classify_shape(centres, mean, count[used], policy.shape)
+    shape = classify_shape(centres, mean, count[used])
     share = max(share, 0.0)
-    relevant = bool(share + loop > policy.dependence_share)
-    has_loop = bool(loop > policy.loop_share)
+    relevant = bool(share + loop > DEPENDENCE_SHARE)
+    has_loop = bool(loop > LOOP_SHARE)
     return Dependence(name, unit, share, shape, loop, None, centres, mean, std, None, relevant, has_loop)
 
 

@@ -14,7 +14,7 @@ from enum import StrEnum
 from greybox.base.findings import Check
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
-from greybox.discovery.holdout import HoldoutError, worst_output
+from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, worst_output
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit
 
@@ -63,16 +63,24 @@ def noise_cost_limit(count: int) -> float:
     return 1 + 4 * math.sqrt(2 / max(count, 1))
 
 
-def clean_cost_limit(count: int, policy: SelectionPolicy) -> float:
+# Cost per sample beyond chance that is still clean: for a noise level that is not exact, and for the integrator's error.
+FLOOR_MARGIN = 0.05
+
+
+def clean_cost_limit(count: int) -> float:
     """Cost per sample above which something other than noise is left."""
-    return noise_cost_limit(count) + policy.floor_margin
+    return noise_cost_limit(count) + FLOOR_MARGIN
 
 
-def visible_rms_limit(samples: int, colour: AutoRegression, policy: SelectionPolicy) -> float:
+# Samples over which the correlation of coloured noise is summed for the number of independent samples in a record.
+NOISE_MEMORY = 500
+
+
+def visible_rms_limit(samples: int, colour: AutoRegression) -> float:
     """Rms over noise above which a record of ``samples`` shows more than noise; coloured noise has fewer independent samples."""
-    correlations = colour.autocorrelation(min(samples, policy.noise_memory))
+    correlations = colour.autocorrelation(min(samples, NOISE_MEMORY))
     independent = samples / (1 + 2 * float(correlations[1:] @ correlations[1:]))
-    return policy.visible_rms + 4 / math.sqrt(2 * independent)
+    return VISIBLE_RMS + 4 / math.sqrt(2 * independent)
 
 
 def excess_cost(candidate: CandidateFit) -> float:
@@ -85,6 +93,12 @@ def criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
     return smaller.criterion - larger.criterion
 
 
+# Share of the plain model's excess cost that the first effect must explain: one that explains less is a look-alike.
+SELECTION_FIRST_SHARE = 0.1
+# The same for every further effect, as a share of the plain model's excess cost.
+FURTHER_SHARE = 0.01
+
+
 def judge_effect(
     baseline: CandidateFit, smaller: CandidateFit, larger: CandidateFit, policy: SelectionPolicy
 ) -> Decision:
@@ -95,7 +109,7 @@ def judge_effect(
     subject = " + ".join(name for name in larger.effects if name not in smaller.effects)
     gain = criterion_gain(smaller, larger)
     gains = make_check(DiscoveryRule.CRITERION_GAIN, gain, policy.criterion_gain, gain > policy.criterion_gain, subject)
-    share = policy.first_share if smaller is baseline else policy.further_share
+    share = SELECTION_FIRST_SHARE if smaller is baseline else FURTHER_SHARE
     explains = Check.at_least(
         DiscoveryRule.EXPLAINED_EXCESS, smaller.cost - larger.cost, share * excess_cost(baseline), subject
     )
@@ -107,14 +121,20 @@ def judge_effect(
     return Decision(gains.passed and (completes or explains.passed), (gains, explains, leaves_noise))
 
 
-def judge_residual(baseline: CandidateFit, candidate: CandidateFit, policy: SelectionPolicy) -> Decision:
+# A remainder below this share of the plain model's excess is clean as well: beside a strong effect a weak rest is no objection.
+CLEAN_SHARE = 0.003
+# Cost per sample above which `clean_share` does not apply.
+CLEAN_COST = 1.6
+
+
+def judge_residual(baseline: CandidateFit, candidate: CandidateFit) -> Decision:
     """Whether nothing visible is left, so that a name may be given."""
     subject = " + ".join(candidate.effects)
     clean = Check.at_most(
-        DiscoveryRule.CLEAN_RESIDUAL, candidate.per_sample, clean_cost_limit(candidate.count, policy), subject
+        DiscoveryRule.CLEAN_RESIDUAL, candidate.per_sample, clean_cost_limit(candidate.count), subject
     )
-    rest, limit = excess_cost(candidate), policy.clean_share * excess_cost(baseline)
-    small = bool(rest <= limit and candidate.per_sample < policy.clean_cost)
+    rest, limit = excess_cost(candidate), CLEAN_SHARE * excess_cost(baseline)
+    small = bool(rest <= limit and candidate.per_sample < CLEAN_COST)
     remainder = make_check(DiscoveryRule.SMALL_REMAINDER, rest, limit, small, subject)
     return Decision(clean.passed or small, (clean, remainder))
 
@@ -130,26 +150,27 @@ def judge_holdout(
     output = worst_output(holdout)
     error = holdout[output]
     gap = error.before / error.floor
-    visible = make_check(DiscoveryRule.HOLDOUT_GAP, gap, policy.visible_rms, not gap <= policy.visible_rms, output)
+    visible = make_check(DiscoveryRule.HOLDOUT_GAP, gap, VISIBLE_RMS, not gap <= VISIBLE_RMS, output)
     explained = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, error.explained_fraction, policy.holdout_share, output)
-    partly = Check.at_least(
-        DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, error.explained_fraction, policy.partial_share, output
-    )
+    partly = Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, error.explained_fraction, PARTIAL_SHARE, output)
     noise = Check.at_most(DiscoveryRule.HOLDOUT_NOISE, error.after / error.floor, noise_limits[output], output)
     passed = not visible.passed or explained.passed or (partly.passed and noise.passed)
     return Decision(passed, (visible, explained, partly, noise))
+
+
+# A misfit shows on the validation records only if it exceeds the noise there by this many times as much as on the others.
+VALIDATION_ONLY_RATIO = 2.0
 
 
 def judge_validation_only(
     baseline: CandidateFit,
     holdout: Mapping[str, HoldoutError],
     noise_limits: Mapping[str, float],
-    policy: SelectionPolicy,
 ) -> Decision:
     """Whether the plain model fails on the validation records and not on the estimation records."""
     output = worst_output(holdout)
     error = holdout[output]
-    excess, limit = error.before / error.floor - 1, policy.validation_only_ratio * (baseline.per_sample**0.5 - 1)
+    excess, limit = error.before / error.floor - 1, VALIDATION_ONLY_RATIO * (baseline.per_sample**0.5 - 1)
     elsewhere = make_check(DiscoveryRule.VALIDATION_ONLY, excess, limit, not excess < limit, output)
     above = tuple(
         make_check(DiscoveryRule.VALIDATION_ABOVE_NOISE, g.before / g.floor, limit, g.before / g.floor > limit, name)
@@ -157,6 +178,10 @@ def judge_validation_only(
         for limit in (noise_limits[name],)
     )
     return Decision(elsewhere.passed and any(above), (elsewhere, *above))
+
+
+# Sum of squared autocorrelations of the whitened residual, beyond chance, above which it still holds structure.
+EXCESS_AUTOCORRELATION = 0.03
 
 
 def decide_verdict(
@@ -186,18 +211,18 @@ def decide_verdict(
         The limits.
     """
     if not selected.effects:
-        limit = clean_cost_limit(baseline.count, policy)
+        limit = clean_cost_limit(baseline.count)
         above = make_check(DiscoveryRule.BASELINE_ABOVE_NOISE, baseline.per_sample, limit, baseline.per_sample > limit)
-        elsewhere = judge_validation_only(baseline, holdout, noise_limits, policy)
+        elsewhere = judge_validation_only(baseline, holdout, noise_limits)
         verdict = Verdict.UNKNOWN if above or elsewhere else Verdict.COMPLETE
         return Conclusion(verdict, (above, *elsewhere.checks))
     subject = " + ".join(selected.effects)
-    clean = judge_residual(baseline, selected, policy)
+    clean = judge_residual(baseline, selected)
     white = make_check(
         DiscoveryRule.WHITE_RESIDUAL,
         autocorrelation,
-        policy.excess_autocorrelation,
-        not autocorrelation > policy.excess_autocorrelation,
+        EXCESS_AUTOCORRELATION,
+        not autocorrelation > EXCESS_AUTOCORRELATION,
         subject,
     )
     explained = judge_holdout(holdout, noise_limits, policy)

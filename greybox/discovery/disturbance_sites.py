@@ -19,7 +19,6 @@ from scipy.linalg import eigh, expm
 from greybox.base.linear_algebra import range_basis
 from greybox.base.numerics import SAME_DIRECTION
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.discovery.policy import LocalisationPolicy
 from greybox.discovery.problem import CandidateFit
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
@@ -199,6 +198,14 @@ class SmoothedSignal:
     intensity: float
 
 
+# Rows between the knots of the signal.
+KNOT_SPACING = 4
+# Lowest, highest and number of intensities of the signal that are tried: the rms of its response over the noise.
+LOCALISATION_INTENSITIES: tuple[float, float, int] = (0.001, 10000.0, 29)
+# Correlation time of the signal, in stretches.
+LOCALISATION_MEMORY = 0.5
+
+
 @dataclass(frozen=True, eq=False)
 class SignalSmoother:
     """The smoother of one site, ready for any residual of the stretch.
@@ -223,7 +230,6 @@ class SignalSmoother:
         colour: tuple[AutoRegression, ...],
         basis: np.ndarray,
         present: np.ndarray,
-        policy: LocalisationPolicy,
     ) -> SignalSmoother:
         """For one site.
 
@@ -241,19 +247,17 @@ class SignalSmoother:
             What the parameters and the initial state could have absorbed, as `absorbed_basis` gives it.
         present
             Where something was measured (R, m).
-        policy
-            Knots, memory and intensities of the signal.
         """
-        knots, tent = _tent(line.rows, policy.knot_spacing)
+        knots, tent = _tent(line.rows, KNOT_SPACING)
         flat = whiten_columns(_response(line, site, tent) * weight[:, None], colour, present)[present]
         flat = flat - basis @ (basis.T @ flat)
-        root = _prior_root(len(knots), policy.memory)
+        root = _prior_root(len(knots), LOCALISATION_MEMORY)
         gram = root.T @ (flat.T @ flat) @ root  # of flat @ root, whose many rows are gone through once
         size = float(np.sqrt(np.trace(gram) / max(len(flat), 1)))
         if size > 0:
             root, gram = root / size, gram / size**2
         values, vectors = eigh(gram)
-        return cls(knots, flat, basis, root, np.maximum(values, 0.0), vectors, policy.intensities)
+        return cls(knots, flat, basis, root, np.maximum(values, 0.0), vectors, LOCALISATION_INTENSITIES)
 
     def smooth(self, r: np.ndarray, intensity: float | None = None) -> SmoothedSignal:
         """The signal that the whitened residual ``r`` (present samples,) shows; of the likeliest intensity, or the one given."""

@@ -33,8 +33,12 @@ from greybox.discovery.disturbance_sites import (
 )
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.localisation import ResidualLocalisation, find_worst_stretch, signal_units
-from greybox.discovery.policy import EvidencePolicy, LocalisationPolicy
+from greybox.discovery.localisation import (
+    LOCALISATION_MOST_ROWS,
+    ResidualLocalisation,
+    find_worst_stretch,
+    signal_units,
+)
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -85,7 +89,6 @@ def measure_remaining_error(
     holdout: Mapping[str, HoldoutError],
     location: ResidualLocalisation,
     uncounted: int,
-    policy: EvidencePolicy,
 ) -> Mapping[str, RemainingError]:
     """By output what a model leaves.
 
@@ -97,8 +100,6 @@ def measure_remaining_error(
         That of its residual on the estimation records.
     uncounted
         Rows at the start of each validation record that do not count.
-    policy
-        From when on an error grows with the amplitude.
     """
     relevant = next((d for d in location.dependences if d.is_relevant), None)
     sensors = {site_label(SiteKind.SENSOR, name): name for name in fit.misfit}
@@ -115,27 +116,37 @@ def measure_remaining_error(
             error.after / error.floor if error.is_floor_known else None,
             sites(name),
             relevant if sites(name) or not location.likeliest else None,
-            _grows_with_amplitude(fit, name, uncounted, policy),
+            _grows_with_amplitude(fit, name, uncounted),
         )
         for name, error in holdout.items()
     }
 
 
-def _grows_with_amplitude(fit: Fit, output: str, uncounted: int, policy: EvidencePolicy) -> bool:
+# Blocks in which the validation records are divided: errors of neighbouring samples are not independent.
+EVIDENCE_BLOCKS = 24
+# Blocks from which it is looked at whether the error grows with the amplitude...
+LEAST_BLOCKS = 6
+# ...if the largest amplitude of a block is so many times the smallest...
+AMPLITUDE_RANGE = 1.5
+# ...and it does so from this rank correlation of error and amplitude on.
+AMPLITUDE_CORRELATION = 0.6
+
+
+def _grows_with_amplitude(fit: Fit, output: str, uncounted: int) -> bool:
     """Whether the error of blocks of the validation records rises with the movement of the output there."""
     errors, movements = [], []
     for trace in (t for t in fit.validation.traces if output in t.measured):
         residual, measured = trace.residual(output)[uncounted:], trace.measured[output][uncounted:]
-        pieces = max(policy.blocks // max(len(fit.validation.traces), 1), 2)
+        pieces = max(EVIDENCE_BLOCKS // max(len(fit.validation.traces), 1), 2)
         for part, signal in zip(np.array_split(residual, pieces), np.array_split(measured, pieces), strict=True):
             present = np.isfinite(part)
             if present.sum() > 1:
                 errors.append(float(np.sqrt(np.mean(part[present] ** 2))))
                 movements.append(float(np.std(signal[present])))
-    if len(errors) < policy.least_blocks or max(movements) < policy.amplitude_range * max(min(movements), TINY):
+    if len(errors) < LEAST_BLOCKS or max(movements) < AMPLITUDE_RANGE * max(min(movements), TINY):
         return False
     ranks = np.array([np.argsort(np.argsort(values)) for values in (errors, movements)], float)
-    return bool(np.corrcoef(ranks)[0, 1] > policy.amplitude_correlation)
+    return bool(np.corrcoef(ranks)[0, 1] > AMPLITUDE_CORRELATION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,15 +203,13 @@ class EffectSignal(ReadOnly):
         }
 
 
-def estimate_effect_signals(
-    problem: DiscoveryProblem, candidate: CandidateFit, policy: LocalisationPolicy
-) -> tuple[EffectSignal, ...]:
+def estimate_effect_signals(problem: DiscoveryProblem, candidate: CandidateFit) -> tuple[EffectSignal, ...]:
     """One for each effect of an extended model, where its signal can be estimated."""
     signals = [
         problem.failures.attempt(
             SearchStage.EVIDENCE,
             (b.effect.name,),
-            partial(_estimate, problem, candidate, b.effect.name, b.site, policy),
+            partial(_estimate, problem, candidate, b.effect.name, b.site),
             None,
         )
         for b in candidate.model.bound_effects
@@ -208,16 +217,14 @@ def estimate_effect_signals(
     return tuple(signal for signal in signals if signal is not None)
 
 
-def _estimate(
-    problem: DiscoveryProblem, candidate: CandidateFit, effect: str, site_name: str, policy: LocalisationPolicy
-) -> EffectSignal | None:
+def _estimate(problem: DiscoveryProblem, candidate: CandidateFit, effect: str, site_name: str) -> EffectSignal | None:
     without = _without_effect(problem, candidate, effect)
     shooting, zero = unwhitened_shooting(without), without.variables.here
     residuals = [r for r, _ in shooting.residuals(zero)]
     measured = [np.isfinite(record.samples(record.y)) for record in shooting.records]
     if not all(np.isfinite(r[present]).all() for r, present in zip(residuals, measured, strict=True)):
         return None  # without the effect the model overflows: nothing to compare with
-    record, first, rows = find_worst_stretch(residuals, policy.most_rows)
+    record, first, rows = find_worst_stretch(residuals, LOCALISATION_MOST_ROWS)
     line = linearise_run(without, record, first, rows)
     sites = list_disturbance_sites(without.model, [o.name for o in without.model.outputs])
     site = next((s for s in sites if s.name == site_name), None)
@@ -227,17 +234,17 @@ def _estimate(
     stretch = slice(first, first + rows)
     residual = residuals[record][stretch]
     of_effect = residual - shooting.residuals(zero)[record][0][stretch]
-    from_data, modelled = _smooth_both(line, site, without, residual, of_effect, policy)
+    from_data, modelled = _smooth_both(line, site, without, residual, of_effect)
     names = [*without.model.system.state_names, *(i.name for i in without.model.inputs)]
     states = shooting.simulate(zero)[record][1]
     along_run = _states_and_inputs(candidate, without, states[stretch], line)[from_data.rows]
     units = signal_units(without.model)
     variables = {name: (values, units[name]) for name, values in zip(names, along_run.T, strict=True)}
     time = line.time[from_data.rows]
-    ranked = [d for d in rank_dependences(time, from_data.value, variables, policy) if d.tone is None]
+    ranked = [d for d in rank_dependences(time, from_data.value, variables) if d.tone is None]
     if not ranked:
         return None
-    own_variable = find_own_variable(candidate, effect, policy)
+    own_variable = find_own_variable(candidate, effect)
     best = next((d for d in ranked if d.variable == own_variable), ranked[0])
     return EffectSignal(
         effect,
@@ -255,36 +262,49 @@ def _estimate(
     )
 
 
-def acts_as_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+# Seed of the resampling: the same records give the same interval.
+EVIDENCE_SEED = 1
+# Standard deviation of an effect's signal over its rms up to which it is constant.
+EVIDENCE_CONSTANT_SPREAD = 0.1
+# The same of what it adds to the equations, sample by sample, up to which a constant does as well.
+SAME_SIGNAL = 0.02
+
+
+def acts_as_constant(candidate: CandidateFit, name: str) -> bool:
     """Whether an effect adds the same to every equation at every sample of the estimation records although elsewhere it would not.
 
     There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
     """
     added = _AddedSignal.along_run(candidate, name)
-    if added is None or not _spread(added.values) <= policy.same_signal:
+    if added is None or not _spread(added.values) <= SAME_SIGNAL:
         return False
-    generator = np.random.default_rng(policy.seed)
+    generator = np.random.default_rng(EVIDENCE_SEED)
     elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (added.states, added.inputs)]
-    return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > policy.constant_spread
+    return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > EVIDENCE_CONSTANT_SPREAD
 
 
-def adds_constant(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+def adds_constant(candidate: CandidateFit, name: str) -> bool:
     """Whether an effect without memory adds the same at every sample of the estimation records."""
     added = _AddedSignal.along_run(candidate, name)
-    return added is not None and _spread(added.values) <= policy.same_signal
+    return added is not None and _spread(added.values) <= SAME_SIGNAL
 
 
-def is_offset_on_one_side(candidate: CandidateFit, name: str, policy: EvidencePolicy) -> bool:
+def is_offset_on_one_side(candidate: CandidateFit, name: str) -> bool:
     """Whether an effect adds a constant to an input that never changes its sign: a dead zone does the same there."""
     site = next(b.site for b in candidate.model.bound_effects if b.effect.name == name)
     names = candidate.model.system.input_names
     if site not in names:
         return False
     values = np.concatenate([record.u[:, names.index(site)] for record in candidate.problem.records])
-    return bool(values.min() >= 0 or values.max() <= 0) and adds_constant(candidate, name, policy)
+    return bool(values.min() >= 0 or values.max() <= 0) and adds_constant(candidate, name)
 
 
-def find_own_variable(candidate: CandidateFit, name: str, policy: LocalisationPolicy) -> str:
+# How far what an effect adds may be from a function of one variable, over its standard deviation, for that to be its own variable.
+# Neighbouring samples of a smooth law differ by a few percent, those of a step by a tenth.
+FUNCTION_SCATTER = 0.15
+
+
+def find_own_variable(candidate: CandidateFit, name: str) -> str:
     """The state or input of which an effect adds a function, sample by sample; "" for one of several, and for one with a memory.
 
     Of dry friction it is the velocity, even if the body never slides.
@@ -300,7 +320,7 @@ def find_own_variable(candidate: CandidateFit, name: str, policy: LocalisationPo
     names = [*system.state_names, *system.input_names]
     scatter = {variable: _scatter(z, added.values) for variable, z in zip(names, columns, strict=True)}
     best = min(scatter, key=lambda variable: scatter[variable])
-    return best if scatter[best] <= policy.function_scatter else ""
+    return best if scatter[best] <= FUNCTION_SCATTER else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,12 +394,11 @@ def _smooth_both(
     candidate: CandidateFit,
     residual: np.ndarray,
     modelled: np.ndarray,
-    policy: LocalisationPolicy,
 ) -> tuple[SmoothedSignal, np.ndarray]:
     """The signal from the data, and from the model's run, by one smoother."""
     noise, present = candidate.problem.noise, np.isfinite(residual)
     initial = absorbed_basis(line, 1 / noise.std, noise.colour, np.zeros((*residual.shape, 0)), present)
-    smoother = SignalSmoother.at_site(line, site, 1 / noise.std, noise.colour, initial, present, policy)
+    smoother = SignalSmoother.at_site(line, site, 1 / noise.std, noise.colour, initial, present)
     data, model = (whiten_columns(r[:, :, None], noise.colour, present)[present][:, 0] for r in (residual, modelled))
     from_data = smoother.smooth(data)
     return from_data, smoother.smooth(model, from_data.intensity).value

@@ -58,6 +58,12 @@ class EffectTest(Printable, ReadOnly):
         return self.larger.model if self.is_needed else self.smaller.model
 
 
+# Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
+AMPLITUDE_GRID: tuple[float, ...] = (1.0, 10.0)
+# Starting points from which an effect that is tried by hand is refitted.
+EFFECT_TEST_STARTS = 3
+
+
 def try_effect(
     fit: Fit,
     candidate: Effect | str,
@@ -106,11 +112,11 @@ def try_effect(
     scales = estimate_scales(without)
     added = tailor_to_record(effect(candidate) if isinstance(candidate, str) else candidate, scales)
     model = fit.model + added
-    amplitudes = policy.budget.amplitude_grid
+    amplitudes = AMPLITUDE_GRID
     starts = list(generate_starting_points(model, added, without, nominal or fit.model, scales, amplitudes))
     # From its absence as well: an effect that is not there must not make the fit worse.
     refits = (
-        problem.refit_best(model, starts, policy.budget.effect_test_starts, like=without),
+        problem.refit_best(model, starts, EFFECT_TEST_STARTS, like=without),
         problem.refit_best(model, [model.values], 1, like=without),
     )
     best = min((refit for refit in refits if refit is not None), key=lambda refit: refit.cost, default=None)

@@ -19,15 +19,38 @@ from greybox.base.numerics import TINY
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.discovery.candidates import count_shapes, family_of
-from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
+from greybox.discovery.certainty import (
+    LEAST_RIVAL,
+    MOST_DEVIATIONS,
+    MOST_OWN_FORM,
+    Grade,
+    grade_effect,
+    probability_of,
+    to_features,
+)
 from greybox.discovery.curve_shape import TIME, rank_dependences
 from greybox.discovery.disturbance_sites import unwhitened_shooting
-from greybox.discovery.effect_signal import EffectSignal, acts_as_constant, adds_constant, is_offset_on_one_side
+from greybox.discovery.effect_signal import (
+    EVIDENCE_BLOCKS,
+    EVIDENCE_CONSTANT_SPREAD,
+    EVIDENCE_SEED,
+    EffectSignal,
+    acts_as_constant,
+    adds_constant,
+    is_offset_on_one_side,
+)
 from greybox.discovery.execution import RefitJob, SearchStage
-from greybox.discovery.holdout import BlockErrors, HoldoutScores, compare_errors, is_level_measured, mean_error
+from greybox.discovery.holdout import (
+    VISIBLE_RMS,
+    BlockErrors,
+    HoldoutScores,
+    compare_errors,
+    is_level_measured,
+    mean_error,
+)
 from greybox.discovery.localisation import localise_residual
-from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, EvidencePolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import (
     has_memory,
     is_shape_correction,
@@ -35,8 +58,8 @@ from greybox.discovery.residual_noise import (
     prepare_curve,
     prepare_power,
 )
-from greybox.discovery.selection import list_extension_starts, rank_extensions
-from greybox.discovery.surrogate import FreeCurve, refit_free_curves
+from greybox.discovery.selection import MANY_SHAPES, TIE_COST, list_extension_starts, rank_extensions
+from greybox.discovery.surrogate import QUICK_ITERATIONS, FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
@@ -133,11 +156,6 @@ class EvidenceInputs:
     signals: Sequence[EffectSignal]
     policy: DiscoveryPolicy
 
-    @property
-    def limits(self) -> EvidencePolicy:
-        """How the evidence is gathered."""
-        return self.policy.evidence
-
     def attempt(self, run: partial[CandidateFit | None]) -> CandidateFit | None:
         """A refit; None where it fails, with the reason kept."""
         return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
@@ -152,28 +170,35 @@ def lower_grade(evidence: EffectEvidence) -> EffectEvidence:
     return replace(evidence, grade=Grade.PROBABLE) if evidence.grade is Grade.ESTABLISHED else evidence
 
 
+# Correlation from sample to sample up to which a residual may be the noise of a sensor, where nobody knows the noise.
+MOST_CORRELATION = 0.95
+
+
 def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
     """The evidence for each effect of the selected model; empty where that cannot be run on the validation records."""
-    errors = inputs.scores.square_errors(inputs.selected, inputs.limits.blocks)
+    errors = inputs.scores.square_errors(inputs.selected, EVIDENCE_BLOCKS)
     if not errors:
         return ()
     corrected = _refit_with_corrections(inputs)
     halves = _refit_halves(inputs)
     survives_start = _ends_in_the_same_place(inputs)
-    structure = measure_structure(
-        inputs.scores, inputs.selected, inputs.policy.selection.visible_rms, inputs.limits.most_correlation
-    )
+    structure = measure_structure(inputs.scores, inputs.selected, VISIBLE_RMS, MOST_CORRELATION)
     weighed = tuple(
         _weigh_effect(inputs, effect, errors, corrected.get(effect.name), halves, survives_start, structure)
         for effect in inputs.selected.model.effects
         if not is_shape_correction(effect.name)
     )
-    return _lower_doubtful(weighed, structure, len(inputs.selected.model.outputs), inputs.policy.certainty)
+    return _lower_doubtful(weighed, structure, len(inputs.selected.model.outputs))
 
 
-def _lower_doubtful(
-    weighed: tuple[EffectEvidence, ...], structure: float, outputs: int, limits: CertaintyPolicy
-) -> tuple[EffectEvidence, ...]:
+# Share of the error from which a stand-in without an equal puts the other effects in doubt, where `visible_structure` is left. It always
+# puts those in doubt that take less than it.
+DISGUISE_SHARE = 0.3
+# Share of the rms error that is more than noise from which something unknown still acts.
+VISIBLE_STRUCTURE = 0.3
+
+
+def _lower_doubtful(weighed: tuple[EffectEvidence, ...], structure: float, outputs: int) -> tuple[EffectEvidence, ...]:
     """What one effect says about the others: something unknown may wear several names.
 
     Where more than noise is left, a stand-in for a large part of the error puts all others in doubt, and always those that take less
@@ -183,11 +208,15 @@ def _lower_doubtful(
     kinds = [e.effect.partition(AT)[0] for e in weighed]
     repeated = {kind for kind in kinds if outputs > 1 and kinds.count(kind) == outputs}
     largest = max((e.share for e in weighed if e.grade is Grade.STAND_IN and not e.alike), default=0.0)
-    is_disguised = structure > limits.visible_structure and largest > limits.disguise_share
+    is_disguised = structure > VISIBLE_STRUCTURE and largest > DISGUISE_SHARE
     return tuple(
         lower_grade(e) if is_disguised or e.share < largest or kind in repeated else e
         for e, kind in zip(weighed, kinds, strict=True)
     )
+
+
+# Relative difference of mean square errors, over what the effect takes, below which a rival does the same.
+EVIDENCE_SAME_ERROR = 0.01
 
 
 def _weigh_effect(
@@ -199,16 +228,16 @@ def _weigh_effect(
     survives_start: bool,
     structure: float,
 ) -> EffectEvidence:
-    name, limits = effect.name, inputs.limits
+    name = effect.name
     rest = _refit_without(inputs, name)
-    without = inputs.scores.square_errors(rest, limits.blocks) if rest is not None else {}
+    without = inputs.scores.square_errors(rest, EVIDENCE_BLOCKS) if rest is not None else {}
     rivals = _refit_rivals(inputs, name, rest)
-    rival_errors = [inputs.scores.square_errors(rival, limits.blocks) for rival in rivals]
-    square_errors = partial(inputs.scores.square_errors, blocks=limits.blocks, adapted=True)
+    rival_errors = [inputs.scores.square_errors(rival, EVIDENCE_BLOCKS) for rival in rivals]
+    square_errors = partial(inputs.scores.square_errors, blocks=EVIDENCE_BLOCKS, adapted=True)
     form = square_errors(inputs.selected)
     behind = [compare_errors(form, square_errors(rival)) for rival in rivals]
     loss, loss_t = compare_errors(form, square_errors(rest) if rest is not None else {})
-    alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < limits.same_error * min(loss, 1.0)]
+    alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < EVIDENCE_SAME_ERROR * min(loss, 1.0)]
     others = [k for k in range(len(rivals)) if k not in alike]
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
@@ -221,10 +250,10 @@ def _weigh_effect(
         rival_parameters = _count_parameters(rivals[nearest]) - _count_parameters(inputs.selected)
     static = _refit_simpler(inputs, effect, rest)
     static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
-    is_static = static_loss < limits.same_error * min(loss, 1.0)
+    is_static = static_loss < EVIDENCE_SAME_ERROR * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves, inputs.fit)
     output = max(errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
-    share, interval = _share_of_error(errors[output], without.get(output), limits)
+    share, interval = _share_of_error(errors[output], without.get(output))
     measures = {
         "share": share,
         "loss": loss,
@@ -245,7 +274,7 @@ def _weigh_effect(
         "undetermined": float(_is_undetermined(inputs.fit, name)),
     }
     is_constant = any(
-        inputs.attempt_check(partial(check, inputs.selected, name, limits))
+        inputs.attempt_check(partial(check, inputs.selected, name))
         for check in (acts_as_constant, is_offset_on_one_side)
     )
     does_a_curve = is_static or is_constant
@@ -278,9 +307,9 @@ def _weigh_effect(
 
 
 def _grade(measures: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> tuple[float, Grade]:
-    features = to_features(measures, policy)
+    features = to_features(measures)
     probability = probability_of(features, policy)
-    return probability, grade_effect(probability, features, has_equal, policy)
+    return probability, grade_effect(probability, features, has_equal)
 
 
 def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErrors, rest: CandidateFit | None) -> float:
@@ -292,37 +321,44 @@ def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErro
     charges its heights, is for it.
     """
     signal = next((s for s in inputs.signals if s.effect == name), None)
-    chance = inputs.policy.certainty.least_rival * inputs.policy.certainty.most_deviations
-    is_constant = inputs.attempt_check(partial(adds_constant, inputs.selected, name, inputs.limits))
+    chance = LEAST_RIVAL * MOST_DEVIATIONS
+    is_constant = inputs.attempt_check(partial(adds_constant, inputs.selected, name))
     taken = 0.0 if rest is None else rest.cost - inputs.selected.cost
-    other_form = inputs.policy.certainty.most_own_form**2 * taken
+    other_form = MOST_OWN_FORM**2 * taken
     losses = [
         curve.candidate.cost / max(inputs.selected.cost, TINY) - 1
         for curve in _refit_free_curves(inputs, rest)
-        if not (is_constant or _represents(curve.variable, signal, inputs.limits))
+        if not (is_constant or _represents(curve.variable, signal))
         or (
             curve.candidate.criterion < inputs.selected.criterion
             and inputs.selected.cost - curve.candidate.cost > other_form
         )
-        if compare_errors(form, inputs.scores.square_errors(curve.candidate, inputs.limits.blocks, adapted=True))[1]
-        < chance
+        if compare_errors(form, inputs.scores.square_errors(curve.candidate, EVIDENCE_BLOCKS, adapted=True))[1] < chance
     ]
     return min(losses, default=np.nan)
 
 
-def _represents(variable: str, signal: EffectSignal | None, limits: EvidencePolicy) -> bool:
+# Correlation of an effect's signal with time from which it is a drift.
+DRIFT_CORRELATION = 0.95
+
+
+def _represents(variable: str, signal: EffectSignal | None) -> bool:
     """Whether a curve over ``variable`` can be the effect itself: over its own variable, over time if it drifts, over any if it is
     constant.
     """
     if signal is None:
         return False
     rms, spread = float(np.sqrt(np.mean(signal.modelled**2))), float(np.std(signal.modelled))
-    if variable == signal.variable_name or spread <= limits.constant_spread * rms:
+    if variable == signal.variable_name or spread <= EVIDENCE_CONSTANT_SPREAD * rms:
         return True
-    return variable == TIME and abs(float(np.corrcoef(signal.time, signal.modelled)[0, 1])) > limits.drift_correlation
+    return variable == TIME and abs(float(np.corrcoef(signal.time, signal.modelled)[0, 1])) > DRIFT_CORRELATION
 
 
 # Refits
+
+
+# Iterations of these refits; they start near where they end.
+EVIDENCE_ITERATIONS = 30
 
 
 def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
@@ -333,16 +369,20 @@ def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
     known = inputs.known.get(frozenset(selected.effects) - {name})
     model = selected.model.without(name)
     values = {n: value for n, value in selected.model.values.items() if n in model.values}
-    iterations = inputs.limits.iterations
+    iterations = EVIDENCE_ITERATIONS
     again = inputs.attempt(partial(inputs.problem.refit_best, model, [values], 1, iterations, selected, refines=False))
     if again is not None and _is_hopeful(inputs, again):
         again = _converge(inputs, again)
     return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)
 
 
+# Effects of other families that are fitted in the place of each effect.
+EVIDENCE_RIVALS = 4
+
+
 def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) -> list[CandidateFit]:
     """The best effects of other families in the place of one; one more where effects that do the same are among them."""
-    selected, limits = inputs.selected, inputs.limits
+    selected = inputs.selected
     if rest is None:
         return []
     kept, family = frozenset(selected.effects) - {name}, set(family_of(name, inputs.candidates))
@@ -350,17 +390,17 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
         key: fit for key, fit in inputs.known.items() if len(key) == len(kept) + 1 and kept < key and name not in key
     }
     near = sorted((fit for key, fit in sets.items() if not key - kept & family), key=lambda fit: fit.cost)
-    if len(near) >= limits.rivals:
-        return _keep_hopeful(inputs, near[: limits.rivals])
+    if len(near) >= EVIDENCE_RIVALS:
+        return _keep_hopeful(inputs, near[:EVIDENCE_RIVALS])
     others = [e for e in inputs.candidates if e.name not in family | set(selected.effects)]
-    ranked = rank_extensions(inputs.problem, rest, others, inputs.scales, inputs.policy.budget, limits.rivals)
+    ranked = rank_extensions(inputs.problem, rest, others, inputs.scales, EVIDENCE_RIVALS)
     quick = [
         partial(
             inputs.problem.refit_best,
             rest.model + e,
-            list_extension_starts(rest, e, inputs.scales, inputs.policy.budget),
+            list_extension_starts(rest, e, inputs.scales),
             1,
-            limits.quick_iterations,
+            QUICK_ITERATIONS,
             rest,
             refines=False,
         )
@@ -376,9 +416,18 @@ def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[Ca
     return hopeful or sorted(rivals, key=lambda fit: fit.cost)[:1]
 
 
+# ...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that takes
+# almost everything, the others turn stiff in its place, and each refit would take minutes to show that it is no rival.
+HOPELESS_COST = 25.0
+
+
 def _is_hopeful(inputs: EvidenceInputs, fit: CandidateFit) -> bool:
     """Whether a model that was fitted with the step it started with may still come near the selected one."""
-    return fit.cost <= inputs.limits.hopeless_cost * inputs.selected.cost
+    return fit.cost <= HOPELESS_COST * inputs.selected.cost
+
+
+# Constants from which an effect without memory is held against a power of its variable: so many imitate other simple laws.
+MANY_CONSTANTS = 3
 
 
 def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
@@ -390,9 +439,9 @@ def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | 
     if rest is None or signal is None:
         return None
     if has_memory(effect):
-        prepare = partial(prepare_curve, rest, signal, inputs.policy)
-    elif _count_free(inputs.selected, effect) >= inputs.limits.many_constants:
-        prepare = partial(prepare_power, inputs.selected, rest, signal, inputs.policy.surrogate)
+        prepare = partial(prepare_curve, rest, signal)
+    elif _count_free(inputs.selected, effect) >= MANY_CONSTANTS:
+        prepare = partial(prepare_power, inputs.selected, rest, signal)
     else:
         return None
     job = inputs.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, inputs.selected.effects, prepare, None)
@@ -407,7 +456,7 @@ def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> lis
         return []
 
     def refit(rest: CandidateFit) -> list[FreeCurve]:
-        location = localise_residual(rest, policy=inputs.policy.localisation, selection=inputs.policy.selection)
+        location = localise_residual(rest, selection=inputs.policy.selection)
         return refit_free_curves(inputs.problem, rest, location, inputs.policy, inputs.selected.cost)
 
     return inputs.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, partial(refit, rest), [])
@@ -415,7 +464,7 @@ def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> lis
 
 def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
     again = inputs.attempt(
-        partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, inputs.limits.iterations, fit)
+        partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, EVIDENCE_ITERATIONS, fit)
     )
     return again if again is not None and again.cost < fit.cost else fit
 
@@ -423,7 +472,7 @@ def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
 def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, CandidateFit]:
     """By effect, the selected model with the best correction of its shape: a curve over its variable, or a second branch."""
     problem, selected = inputs.problem, inputs.selected
-    listing = partial(list_shape_corrections, problem, selected, inputs.scales, inputs.policy)
+    listing = partial(list_shape_corrections, problem, selected, inputs.scales)
     jobs = problem.failures.attempt(SearchStage.SHAPE_CORRECTION, selected.effects, listing, [])
     best: dict[str, CandidateFit] = {}
     for (name, _), fit in zip(jobs, problem.refit_all([job for _, job in jobs]), strict=True):
@@ -432,10 +481,14 @@ def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, CandidateFit]:
     return best
 
 
+# Rows of a record below which it is not halved.
+EVIDENCE_LEAST_ROWS = 100
+
+
 def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
     """The selected model fitted to the first half of each record, and to the second; empty where one cannot be fitted."""
-    problem, selected, limits = inputs.problem, inputs.selected, inputs.limits
-    if min(e.rows for e in problem.experiments) < limits.least_rows:
+    problem, selected = inputs.problem, inputs.selected
+    if min(e.rows for e in problem.experiments) < EVIDENCE_LEAST_ROWS:
         return []
 
     def refit(second: bool) -> CandidateFit | None:
@@ -448,7 +501,7 @@ def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
         options = replace(problem.refit_options, at_rest=False) if second else problem.refit_options
         half = replace(problem, experiments=tuple(parts), noise=problem.noise_model, quiet=(), options=options)
         starts = _states_at(selected, cuts) if second else {}
-        job = RefitJob(selected.model, (selected.model.values,), 1, limits.iterations, starts)
+        job = RefitJob(selected.model, (selected.model.values,), 1, EVIDENCE_ITERATIONS, starts)
         return half.refit_all([job])[0]
 
     fits = [inputs.attempt(partial(refit, second)) for second in (False, True)]
@@ -462,14 +515,20 @@ def _states_at(candidate: CandidateFit, rows: Sequence[int]) -> dict[str, tuple[
     return dict(zip(candidate.model.system.state_names, map(tuple, np.array(states).T.tolist()), strict=True))
 
 
+# Factor on an effect's amplitudes (and its inverse on its shape) for the refit from another start.
+EVIDENCE_DISPLACEMENT = 0.5
+# Relative difference in cost below which two refits ended in the same place.
+EVIDENCE_SAME_COST = 0.01
+
+
 def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
     """Whether a refit from other constants of the effects finds the same cost, and no lower one.
 
     An effect of many shapes (a sharp resonance) stays where it is: from another shape no refit comes back, whatever its name.
     """
-    selected, factor, budget = inputs.selected, inputs.limits.displacement, inputs.policy.budget
+    selected, factor = inputs.selected, EVIDENCE_DISPLACEMENT
     values = dict(selected.model.values)
-    moving = [b for b in selected.model.bound_effects if count_shapes(b.effect, inputs.scales) <= budget.many_shapes]
+    moving = [b for b in selected.model.bound_effects if count_shapes(b.effect, inputs.scales) <= MANY_SHAPES]
     for bound in moving:
         for name in (q.name for q in bound.effect.parameters):
             in_model = bound.model_names[name]
@@ -479,26 +538,30 @@ def _ends_in_the_same_place(inputs: EvidenceInputs) -> bool:
                 moved = values[in_model] * (factor if name in bound.effect.amplitudes else 1 / factor)
                 values[in_model] = float(np.clip(moved, low, high))
     again = inputs.attempt(
-        partial(inputs.problem.refit_best, selected.model, [values], 1, budget.refit_iterations, selected)
+        partial(inputs.problem.refit_best, selected.model, [values], 1, SEARCH_REFIT_ITERATIONS, selected)
     )
     if again is None:
         return False
-    allowed = max(inputs.policy.selection.tie_cost, inputs.limits.same_cost * selected.cost)
+    allowed = max(TIE_COST, EVIDENCE_SAME_COST * selected.cost)
     return bool(abs(again.cost - selected.cost) <= allowed)
 
 
 # Comparisons
 
 
-def _share_of_error(
-    errors: np.ndarray, without: np.ndarray | None, limits: EvidencePolicy
-) -> tuple[float, tuple[float, float]]:
+# Resampled sets of blocks behind an interval.
+EVIDENCE_RESAMPLES = 400
+# Coverage of that interval.
+EVIDENCE_CONFIDENCE = 0.95
+
+
+def _share_of_error(errors: np.ndarray, without: np.ndarray | None) -> tuple[float, tuple[float, float]]:
     """Share of the rms error that an effect takes away, and its interval over resampled blocks."""
     if without is None or len(without) != len(errors) or not np.isfinite(without).all():
         return 1.0, (np.nan, np.nan)
-    draws = np.random.default_rng(limits.seed).integers(0, len(errors), (limits.resamples, len(errors)))
+    draws = np.random.default_rng(EVIDENCE_SEED).integers(0, len(errors), (EVIDENCE_RESAMPLES, len(errors)))
     shares = 1 - np.sqrt(errors[draws].mean(axis=1) / np.maximum(without[draws].mean(axis=1), TINY))
-    tail = (1 - limits.confidence) / 2
+    tail = (1 - EVIDENCE_CONFIDENCE) / 2
     low, high = np.quantile(shares, (tail, 1 - tail))
     return 1 - float(np.sqrt(mean_error(errors) / max(mean_error(without), TINY))), (float(low), float(high))
 
@@ -550,7 +613,7 @@ def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
         return 0.0
     rest, power = signal.value - signal.modelled, float(np.mean(signal.value**2))
     variables = {signal.variable_name: (signal.variable, signal.variable_unit)}
-    ranked = rank_dependences(signal.time, rest, variables, inputs.policy.localisation)
+    ranked = rank_dependences(signal.time, rest, variables)
     share = max((d.share + max(d.loop, 0.0) for d in ranked), default=0.0)
     return float(np.clip(np.sqrt(share * float(np.var(rest)) / max(power, TINY)), 0, 1))
 

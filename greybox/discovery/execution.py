@@ -21,7 +21,6 @@ from greybox.base.journal import add_entry, read_journal
 from greybox.base.json_file import ResultKind, find_offence
 from greybox.base.parallel.jobs import JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, note_interrupts, open_local_pool
-from greybox.discovery.policy import SearchBudget
 from greybox.model.model import Model
 
 # What failed during a search, and why. A candidate or a stage that fails is out; the search goes on and the reason is kept.
@@ -182,6 +181,10 @@ class RefitProblem(Protocol):
         """The hash by which a refit is known."""
 
 
+# Expected seconds of refits from which starting processes pays.
+PARALLEL_SECONDS = 20.0
+
+
 @dataclass
 class RefitExecutor:
     """Where refits run, and where they are kept.
@@ -207,7 +210,7 @@ class RefitExecutor:
     workers: int = 0
     journal: RefitJournal | None = None
     report: Callable[[int], None] | None = None
-    parallel_seconds: float = SearchBudget.parallel_seconds
+    parallel_seconds: float = PARALLEL_SECONDS
     deadline: float = math.inf
     last_deadline: float = math.inf
     finished: int = field(init=False, default=0)

@@ -382,6 +382,12 @@ def _mean_square(residuals: Sequence[np.ndarray]) -> float:
     return float(np.nanmean(np.concatenate(residuals) ** 2))
 
 
+# Rms over noise on validation records below which there is no gap to explain.
+VISIBLE_RMS = 1.05
+# Share of that gap below which a model explains nothing there; above it, reaching the noise is enough.
+PARTIAL_SHARE = 0.5
+
+
 def reject_on_validation(
     scores: HoldoutScores,
     baseline: CandidateFit,
@@ -412,7 +418,7 @@ def reject_on_validation(
         return checks[-1].passed
 
     partly, mostly = DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, DiscoveryRule.HOLDOUT_EXPLAINED
-    if before <= policy.visible_rms or explains(selected, partly, policy.partial_share):
+    if before <= VISIBLE_RMS or explains(selected, partly, PARTIAL_SHARE):
         return selected, tuple(checks)
     ranked = sorted(candidates, key=lambda c: c.criterion)
     others = [c for c in ranked if c.effects and c.effects != selected.effects]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -27,7 +27,7 @@ from greybox.discovery.disturbance_sites import (
     unwhitened_shooting,
     whiten_columns,
 )
-from greybox.discovery.policy import LocalisationPolicy, SelectionPolicy
+from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -78,14 +78,20 @@ def divide_misfit(
     )
 
 
-def find_concentration(windows: Sequence[MisfitWindow], policy: LocalisationPolicy) -> MisfitTiming | None:
+# Share of the misfit that is concentrated...
+CONCENTRATED_MISFIT = 0.6
+# ...if it happens in at most this share of the windows.
+CONCENTRATED_TIME = 0.25
+
+
+def find_concentration(windows: Sequence[MisfitWindow]) -> MisfitTiming | None:
     """In which stretches most of the misfit happens; None where there is none beyond noise."""
     if not windows or not any(w.share for w in windows):
         return None
     ranked = sorted(windows, key=lambda w: -w.share)
     shares = np.cumsum([w.share for w in ranked])
-    needed = int(np.searchsorted(shares, policy.concentrated_misfit)) + 1
-    if needed > policy.concentrated_time * len(windows):
+    needed = int(np.searchsorted(shares, CONCENTRATED_MISFIT)) + 1
+    if needed > CONCENTRATED_TIME * len(windows):
         return MisfitTiming(1.0, 1.0, ())
     stretches: list[tuple[str, float, float]] = []
     for w in sorted(ranked[:needed], key=lambda w: (w.record, w.start)):
@@ -233,6 +239,10 @@ class ResidualSignal(ReadOnly):
     units: Mapping[str, str]
 
 
+# Log-likelihood in nats by which a site must lead, over no signal and over the next site.
+SITE_LEAD = 10.0
+
+
 @dataclass(frozen=True, eq=False)
 class ResidualLocalisation(Printable, ReadOnly):
     """The signal that a fitted model does not explain: site, time and dependence. Empty if the model is complete.
@@ -251,8 +261,6 @@ class ResidualLocalisation(Printable, ReadOnly):
         The unexplained signal at the likeliest site.
     dependences
         The signal as a function of each variable, best first.
-    policy
-        The numbers that decided.
     """
 
     misfit: float
@@ -262,15 +270,12 @@ class ResidualLocalisation(Printable, ReadOnly):
     windows: tuple[MisfitWindow, ...] = ()
     signal: ResidualSignal | None = None
     dependences: tuple[Dependence, ...] = ()
-    policy: LocalisationPolicy = field(default_factory=LocalisationPolicy)
 
     @classmethod
-    def without_sites(
-        cls, candidate: CandidateFit, policy: LocalisationPolicy, selection: SelectionPolicy
-    ) -> ResidualLocalisation:
+    def without_sites(cls, candidate: CandidateFit) -> ResidualLocalisation:
         """The misfit alone, where its site cannot be estimated."""
-        misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count, selection) ** 0.5
-        return cls(misfit, threshold, policy=policy)
+        misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count) ** 0.5
+        return cls(misfit, threshold)
 
     @property
     def is_missing(self) -> bool:
@@ -280,18 +285,23 @@ class ResidualLocalisation(Printable, ReadOnly):
     @property
     def likeliest(self) -> tuple[str, ...]:
         """The likeliest site with those that cannot be told from it; empty where none explains anything."""
-        return self.sets[0] if self.sets and self.sites[0].gain > self.policy.site_lead else ()
+        return self.sets[0] if self.sets and self.sites[0].gain > SITE_LEAD else ()
 
     @property
     def timing(self) -> MisfitTiming | None:
         """In which stretches of time most of the misfit happens; None where there is none."""
-        return find_concentration(self.windows, self.policy)
+        return find_concentration(self.windows)
+
+
+# Rows of the stretch in which the signal is estimated: where the misfit varies most.
+LOCALISATION_MOST_ROWS = 1200
+# Windows of time in which each record is divided.
+LOCALISATION_WINDOWS = 20
 
 
 def localise_residual(
     fit: Fit | CandidateFit,
     *,
-    policy: LocalisationPolicy | None = None,
     selection: SelectionPolicy | None = None,
 ) -> ResidualLocalisation:
     """Where, when and as a function of what ``fit`` leaves something unexplained.
@@ -304,8 +314,6 @@ def localise_residual(
     ----------
     fit
         A finished fit, or a candidate of a discovery.
-    policy
-        The numbers of the localisation.
     selection
         From which misfit something is missing.
 
@@ -321,29 +329,27 @@ def localise_residual(
     ('balance force',)
     """
     candidate = to_candidate_fit(fit) if isinstance(fit, Fit) else fit
-    policy, selection = policy or LocalisationPolicy(), selection or SelectionPolicy()
+    selection = selection or SelectionPolicy()
     residuals = normalised_residuals(candidate)
     experiments = candidate.problem.experiments
-    misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count, selection) ** 0.5
+    misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count) ** 0.5
     if misfit <= threshold:
-        return ResidualLocalisation(misfit, threshold, policy=policy)
+        return ResidualLocalisation(misfit, threshold)
     names, times = [e.name for e in experiments], [e.time for e in experiments]
-    windows = divide_misfit(names, times, residuals, policy.windows)
-    line = linearise_run(candidate, *find_worst_stretch(residuals, policy.most_rows))
-    ranked = _rank_sites(candidate, line, policy)
+    windows = divide_misfit(names, times, residuals, LOCALISATION_WINDOWS)
+    line = linearise_run(candidate, *find_worst_stretch(residuals, LOCALISATION_MOST_ROWS))
+    ranked = _rank_sites(candidate, line)
     if not ranked:
-        return ResidualLocalisation(misfit, threshold, windows=windows, policy=policy)
+        return ResidualLocalisation(misfit, threshold, windows=windows)
     sites = tuple(
         RankedSite(site.name, site.kind, smoothed.gain, float(np.sqrt(np.mean(smoothed.value**2))), site.unit)
         for site, smoothed in ranked
     )
-    signal = _to_signal(candidate, line, *ranked[0], policy)
+    signal = _to_signal(candidate, line, *ranked[0])
     variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
     run = np.column_stack([line.x, line.u])[ranked[0][1].rows]
-    dependences = tuple(rank_dependences(signal.time, signal.value, variables, policy, run))
-    return ResidualLocalisation(
-        misfit, threshold, sites, _group_sites(sites, policy), windows, signal, dependences, policy
-    )
+    dependences = tuple(rank_dependences(signal.time, signal.value, variables, run))
+    return ResidualLocalisation(misfit, threshold, sites, _group_sites(sites), windows, signal, dependences)
 
 
 def to_candidate_fit(fit: Fit) -> CandidateFit:
@@ -351,11 +357,11 @@ def to_candidate_fit(fit: Fit) -> CandidateFit:
     return DiscoveryProblem.from_fit(fit).to_candidate(fit)
 
 
-def estimate_site_signals(candidate: CandidateFit, policy: LocalisationPolicy) -> dict[str, ResidualSignal]:
+def estimate_site_signals(candidate: CandidateFit) -> dict[str, ResidualSignal]:
     """The unexplained signal as it would be at each site, in the stretch where the misfit varies most; likeliest first."""
-    line = linearise_run(candidate, *find_worst_stretch(normalised_residuals(candidate), policy.most_rows))
-    ranked = _rank_sites(candidate, line, policy)
-    return {site.label: _to_signal(candidate, line, site, smoothed, policy) for site, smoothed in ranked}
+    line = linearise_run(candidate, *find_worst_stretch(normalised_residuals(candidate), LOCALISATION_MOST_ROWS))
+    ranked = _rank_sites(candidate, line)
+    return {site.label: _to_signal(candidate, line, site, smoothed) for site, smoothed in ranked}
 
 
 def normalised_residuals(candidate: CandidateFit) -> list[np.ndarray]:
@@ -382,9 +388,7 @@ def find_worst_stretch(residuals: Sequence[np.ndarray], most_rows: int) -> tuple
     return stretch
 
 
-def _rank_sites(
-    candidate: CandidateFit, line: LinearisedRun, policy: LocalisationPolicy
-) -> list[tuple[DisturbanceSite, SmoothedSignal]]:
+def _rank_sites(candidate: CandidateFit, line: LinearisedRun) -> list[tuple[DisturbanceSite, SmoothedSignal]]:
     """Every site with the signal that the residual asks for there, likeliest first."""
     r, jacobian = unwhitened_shooting(candidate).residuals(candidate.variables.here)[line.record]
     stretch = slice(line.first, line.first + line.rows)
@@ -400,7 +404,7 @@ def _rank_sites(
     for site in list_disturbance_sites(candidate.model, measured):
         same = next(((s, w) for s, w in ranked if are_indistinguishable(line.gamma[s], line.gamma[site])), None)
         if same is None:
-            smoother = SignalSmoother.at_site(line, site, 1 / noise.std, noise.colour, basis, present, policy)
+            smoother = SignalSmoother.at_site(line, site, 1 / noise.std, noise.colour, basis, present)
             signal = smoother.smooth(white)
         else:  # the same signal in another unit
             ratio = float(np.linalg.norm(line.gamma[same[0]]) / np.linalg.norm(line.gamma[site]))
@@ -415,11 +419,15 @@ def signal_units(model: Model) -> dict[str, str]:
     return {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
 
 
-def _group_sites(sites: Sequence[RankedSite], policy: LocalisationPolicy) -> tuple[tuple[str, ...], ...]:
+# The same as a share of the leading site's gain; the larger of the two counts.
+SITE_LEAD_SHARE = 0.001
+
+
+def _group_sites(sites: Sequence[RankedSite]) -> tuple[tuple[str, ...], ...]:
     """Labels of sites in sets within a lead of their first, likeliest first."""
     groups: list[list[RankedSite]] = []
     for site in sites:
-        lead = max(policy.site_lead, policy.site_lead_share * groups[-1][0].gain) if groups else 0.0
+        lead = max(SITE_LEAD, SITE_LEAD_SHARE * groups[-1][0].gain) if groups else 0.0
         if groups and groups[-1][0].gain - site.gain <= lead:
             groups[-1].append(site)
         else:
@@ -427,18 +435,21 @@ def _group_sites(sites: Sequence[RankedSite], policy: LocalisationPolicy) -> tup
     return tuple(tuple(s.label for s in group) for group in groups)
 
 
+# A reading replaces the simulated state where the two differ by more than this many standard deviations of the noise.
+MEASURED_RATIO = 2.0
+
+
 def _to_signal(
     candidate: CandidateFit,
     line: LinearisedRun,
     site: DisturbanceSite,
     smoothed: SmoothedSignal,
-    policy: LocalisationPolicy,
 ) -> ResidualSignal:
     model, rows = candidate.model, smoothed.rows
     names = [*model.system.state_names, *(i.name for i in model.inputs)]
     values = np.column_stack([line.x, line.u])[rows]
     if site.kind != SiteKind.SENSOR:
-        _replace_by_readings(candidate, line, rows, values, policy.measured_ratio)
+        _replace_by_readings(candidate, line, rows, values, MEASURED_RATIO)
     return ResidualSignal(
         site.label,
         site.unit,

@@ -30,9 +30,10 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.evidence import EffectEvidence, EvidenceInputs, gather_evidence, lower_grade, measure_structure
-from greybox.discovery.execution import RefitExecutor, RefitJournal, SearchStage
+from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
+    PARTIAL_SHARE,
     HoldoutError,
     HoldoutScores,
     ValidationSet,
@@ -53,8 +54,9 @@ from greybox.discovery.proposals import (
     propose_next_steps,
     propose_noise_check,
 )
-from greybox.discovery.refinement import Refinement, refine_candidate, with_residual_noise
+from greybox.discovery.refinement import VALIDATION_SHARE, Refinement, refine_candidate, with_residual_noise
 from greybox.discovery.residual_noise import (
+    WHITE_CORRELATION,
     estimate_residual_noise,
     excess_autocorrelation,
     is_level_known,
@@ -63,7 +65,7 @@ from greybox.discovery.residual_noise import (
     is_shape_correction,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
-from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
+from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -128,13 +130,16 @@ class JudgedSelection:
     def noise_limits(self) -> dict[str, float]:
         """Rms over noise that noise and the uncertainty of the constants hardly ever exceed on the validation records, by output."""
         colours = dict(zip((o.name for o in self.base.model.outputs), self.baseline.problem.noise.colour, strict=True))
-        policy = self.selection.policy.selection
         drift = self.scores.measure_drift(self.corrected if self.selected.effects else self.baseline)
         limits = {}
         for name, error in self.holdout.items():
-            of_noise = visible_rms_limit(self.base.validation.misfit[name].samples, colours[name], policy)
+            of_noise = visible_rms_limit(self.base.validation.misfit[name].samples, colours[name])
             limits[name] = math.hypot(of_noise, math.sqrt(drift.get(name, 0.0)) / error.floor)
         return limits
+
+
+# Share of a limited time that the search for effects may take; the rest is for the evidence of what it finds.
+SEARCH_SHARE = 0.6
 
 
 def discover(
@@ -247,8 +252,8 @@ def discover(
         workers,
         refit_journal,
         on_refit,
-        policy.budget.parallel_seconds,
-        began + policy.budget.search_share * time_limit,
+        PARALLEL_SECONDS,
+        began + SEARCH_SHARE * time_limit,
         began + time_limit,
     )
     with refits.open():
@@ -297,7 +302,7 @@ def discover(
 def _estimate_scales(problem: DiscoveryProblem, policy: DiscoveryPolicy) -> Scales:
     """Peaks and times of the plain model, and the distances after which what it leaves repeats."""
     plain = problem.baseline
-    locate = partial(localise_residual, plain, policy=policy.localisation, selection=policy.selection)
+    locate = partial(localise_residual, plain, selection=policy.selection)
     located = problem.failures.attempt(SearchStage.LOCALISATION, (), locate, None)
     dependences = located.dependences if located else ()
     periods = {d.variable: d.period for d in dependences if d.period and d.is_relevant}
@@ -326,7 +331,7 @@ def _select_and_judge(
         fits = list(selection.fits.values())
         selected, of_holdout = reject_on_validation(scores, selection.baseline, selected, fits, policy.selection)
         checks += of_holdout
-        selected, of_holdout = drop_on_validation(scores, selected, fits, policy.refinement.validation_share)
+        selected, of_holdout = drop_on_validation(scores, selected, fits, VALIDATION_SHARE)
         checks += of_holdout
     rivals = selection.find_rivals(selected) if selected.effects else []
     base = validate_candidate(selection.problem, selection.baseline, validation)
@@ -340,16 +345,20 @@ def _select_and_judge(
     return JudgedSelection(selection, selected, rivals, base, best, holdout, scores, problem.model, tuple(checks))
 
 
+# Times that the noise is read off the residual and the selection repeated.
+RESIDUAL_NOISE_ROUNDS = 2
+
+
 def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, CandidateFit]:
     """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
     policy, on_message = selection.policy, selection.on_message
     level_known = is_level_known(selection.baseline.problem.noise)
     selected = selection.select() if level_known else selection.select_first()
-    for _ in range(policy.noise.rounds):
+    for _ in range(RESIDUAL_NOISE_ROUNDS):
         if selection.problem.executor.is_late:
             break
-        noise = estimate_residual_noise(selected, policy.noise)
-        if is_same_noise(noise, selected.problem.noise, policy.noise):
+        noise = estimate_residual_noise(selected)
+        if is_same_noise(noise, selected.problem.noise):
             if level_known:
                 break
             on_message(str(Finding(DiscoveryCode.NOISE_WHITE)))
@@ -380,10 +389,14 @@ def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSe
     return selection, selected
 
 
+# Sets of effects, best first, whose effects remain candidates when the selection is repeated.
+CARRIED_SETS = 8
+
+
 def _leading_candidates(selection: StepwiseSelection) -> list[Effect]:
     """The candidates that did best, in catalogue order, with their parents and children: the others are out of the running."""
     ranked = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
-    names = {name for fit in ranked[: selection.policy.noise.carried_sets] for name in fit.effects}
+    names = {name for fit in ranked[:CARRIED_SETS] for name in fit.effects}
     family = names | {parent for e in selection.candidates if e.name in names for parent in e.parents}
     return [e for e in selection.candidates if e.name in family]
 
@@ -392,13 +405,12 @@ def _shows_on_validation_only(judged: JudgedSelection) -> bool:
     """Whether the plain model explains the estimation records and fails on the validation records."""
     if judged.selected.effects:
         return False
-    policy = judged.selection.policy.selection
-    return judge_validation_only(judged.baseline, judged.holdout, judged.noise_limits, policy).passed
+    return judge_validation_only(judged.baseline, judged.holdout, judged.noise_limits).passed
 
 
 def _decide(judged: JudgedSelection) -> Conclusion:
     policy, corrected = judged.selection.policy.selection, judged.corrected
-    autocorrelation = excess_autocorrelation(corrected, policy.autocorrelation_lags) if corrected.effects else 0.0
+    autocorrelation = excess_autocorrelation(corrected, AUTOCORRELATION_LAGS) if corrected.effects else 0.0
     decided = decide_verdict(
         judged.baseline,
         corrected,
@@ -473,7 +485,7 @@ def _conclude(
     refinement: Refinement | None = None
     if further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged):
         final, refinement = _refine(judged, candidates)
-    signals = _estimate_signals(final, policy)
+    signals = _estimate_signals(final)
     evidence: tuple[EffectEvidence, ...] = ()
     if final.candidate.effects:
         inputs = EvidenceInputs(
@@ -492,7 +504,7 @@ def _conclude(
         evidence = attempt(SearchStage.EVIDENCE, final.candidate.effects, partial(gather_evidence, inputs), ())
         if problem.executor.skipped:  # neither all rivals nor all tests of its form were tried
             evidence = tuple(lower_grade(e) for e in evidence)
-    decided = weigh_evidence(decided, evidence, policy.certainty)
+    decided = weigh_evidence(decided, evidence)
     verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
     judged = replace(judged, best=final.fit, holdout=holdout)
     answer: LawAnswer | None = None
@@ -529,9 +541,7 @@ def _conclude(
         if verdict is Verdict.UNKNOWN and (answer is None or answer.best is None):
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
     left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
-    left = measure_remaining_error(
-        final.fit, holdout, left_location, judged.scores.validation.uncounted, policy.evidence
-    )
+    left = measure_remaining_error(final.fit, holdout, left_location, judged.scores.validation.uncounted)
     is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
     if verdict is Verdict.UNKNOWN and not is_probable:
         next_steps = _propose_for_unknown(judged, location, surrogate)
@@ -541,9 +551,9 @@ def _conclude(
         next_steps = propose_noise_check(judged.base)
     if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not next_steps:
         next_steps = (*next_steps, Finding(DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD))
-    propose = partial(propose_experiments, problem, selected, judged.rivals, policy)
+    propose = partial(propose_experiments, problem, selected, judged.rivals)
     experiments = attempt(SearchStage.PROPOSAL, selected.effects, propose, ())
-    limits = list_detection_limits(selection.single_effects, policy.proposals) if verdict is Verdict.COMPLETE else ()
+    limits = list_detection_limits(selection.single_effects) if verdict is Verdict.COMPLETE else ()
     if judged.corrected is not selected and verdict is not Verdict.UNKNOWN and final.candidate is selected:
         added = [name for name in judged.corrected.effects if name not in selected.effects]
         values = {"correction": added}
@@ -607,7 +617,7 @@ def _summarise_laws(
     )
     output = worst_output(judged.holdout)
     names = [law.name for law in search.laws]
-    reduced = _error_reduced(names, judged.holdout, judged.selection.policy.refinement.validation_share)
+    reduced = _error_reduced(names, judged.holdout, VALIDATION_SHARE)
     likeness = [
         Finding(
             DiscoveryCode.LAW_LIKENESS, subject=law.equation, values={"several": len(terms) > 1, **asdict(law.likeness)}
@@ -652,7 +662,7 @@ def _may_hold_more(judged: JudgedSelection) -> bool:
     corrected, attempt = judged.corrected, judged.selection.problem.failures.attempt
     measure = partial(measure_structure, judged.scores, corrected, 1.0, most_correlation=0.0)
     structure: float = attempt(SearchStage.REFINEMENT, corrected.effects, measure, 0.0)
-    return structure > judged.selection.policy.noise.white_correlation
+    return structure > WHITE_CORRELATION
 
 
 def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[FinalModel, Refinement | None]:
@@ -665,7 +675,7 @@ def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[Fina
     def search() -> tuple[FinalModel, Refinement | None]:
         of_rest = HoldoutScores(with_residual_noise(problem, start), scores.validation)
         refined = refine_candidate(of_rest, start, candidates, policy, selection.on_message)
-        allowed = (1 - policy.refinement.validation_share) * of_rest.score(judged.corrected)
+        allowed = (1 - VALIDATION_SHARE) * of_rest.score(judged.corrected)
         check = Check.at_most(
             DiscoveryRule.REFINED_ERROR, of_rest.score(refined.candidate), allowed, _name(refined.candidate)
         )
@@ -678,18 +688,22 @@ def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[Fina
     return problem.failures.attempt(SearchStage.REFINEMENT, start.effects, search, (unrefined, None))
 
 
-def _estimate_signals(final: FinalModel, policy: DiscoveryPolicy) -> tuple[EffectSignal, ...]:
+def _estimate_signals(final: FinalModel) -> tuple[EffectSignal, ...]:
     problem, candidate = final.scores.problem, final.candidate
-    estimate_signals = partial(estimate_effect_signals, problem, candidate, policy.localisation)
+    estimate_signals = partial(estimate_effect_signals, problem, candidate)
     return problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, estimate_signals, ())
 
 
 def _locate(candidate: CandidateFit, selection: StepwiseSelection) -> ResidualLocalisation:
     """What a candidate leaves unexplained; the misfit alone where its site cannot be estimated."""
     policy = selection.policy
-    locate = partial(localise_residual, candidate, policy=policy.localisation, selection=policy.selection)
+    locate = partial(localise_residual, candidate, selection=policy.selection)
     located = selection.problem.failures.attempt(SearchStage.LOCALISATION, candidate.effects, locate, None)
-    return located or ResidualLocalisation.without_sites(candidate, policy.localisation, policy.selection)
+    return located or ResidualLocalisation.without_sites(candidate)
+
+
+# Share of a residual's variance that counts as noise at least where what is left is localised.
+LEAST_NOISE_SHARE = 0.01
 
 
 def _under_less_noise(final: FinalModel) -> CandidateFit:
@@ -699,9 +713,13 @@ def _under_less_noise(final: FinalModel) -> CandidateFit:
     if problem.noise.is_level_known:
         return candidate
     structure = measure_structure(final.scores, candidate, 1.0, most_correlation=0.0)
-    factor = max(1 - structure**2, final.scores.problem.budget.least_noise_share) ** 0.5
+    factor = max(1 - structure**2, LEAST_NOISE_SHARE) ** 0.5
     noise = replace(problem.noise, std=factor * problem.noise.std)
     return replace(candidate, problem=problem.with_noise(noise), cost=candidate.cost / factor**2)
+
+
+# Effects that are not established for which an experiment is asked, those that take the largest share of the error first.
+MOST_SEPARATIONS = 2
 
 
 def _propose_for_part(
@@ -710,9 +728,9 @@ def _propose_for_part(
     """What to do about the rest beside established effects."""
     policy = judged.selection.policy
     doubtful = [e for e in evidence if e.grade is not Grade.ESTABLISHED]
-    doubts = [doubt for e in doubtful if (doubt := explain_doubt(e, policy.certainty)) is not None]
+    doubts = [doubt for e in doubtful if (doubt := explain_doubt(e)) is not None]
     shares = {e.effect: e.share for e in doubtful}
-    steps = sorted(doubts, key=lambda doubt: -shares[doubt.subject])[: policy.proposals.most_separations]
+    steps = sorted(doubts, key=lambda doubt: -shares[doubt.subject])[:MOST_SEPARATIONS]
     if refined:
         steps.append(Finding(DiscoveryCode.QUOTE_THIRD_RECORD))
     if not location.is_missing:
@@ -729,7 +747,7 @@ def _propose_for_unknown(
     limit = policy.selection.holdout_share
     surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
     share = judged.holdout[worst_output(judged.holdout)].share
-    is_near = share >= policy.selection.partial_share and surrogate_fails
+    is_near = share >= PARTIAL_SHARE and surrogate_fails
     look_alike = " + ".join(_physical_effects(judged.best)) if is_near else ""
     return propose_next_steps(judged.base, location, surrogate, judged.scores.validation.records, policy, look_alike)
 
@@ -753,12 +771,12 @@ def _summarise(
     fitted = [e.name for e in judged.best.model.effects]
     grades = {e.effect: e.grade for e in evidence}
     established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
-    reduced = _error_reduced(fitted, judged.holdout, judged.selection.policy.refinement.validation_share)
+    reduced = _error_reduced(fitted, judged.holdout, VALIDATION_SHARE)
     explained = {"share": error.share, "output": output}
     remaining = [
         Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
         for o, each in left.items()
-        if o == output or judged.holdout[o].share < judged.selection.policy.selection.partial_share
+        if o == output or judged.holdout[o].share < PARTIAL_SHARE
     ]
     if decided.verdict is Verdict.NAMED:
         return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name), *reduced)
@@ -807,7 +825,7 @@ def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], 
 def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None) -> Finding:
     """How large the missing signal is, where, and of what it is a function; a curve that explains it says more than the localisation."""
     policy = judged.selection.policy.selection
-    site, labels = location.sites[0], find_missing_sites(location, surrogate, policy)
+    site, labels = location.sites[0], find_missing_sites(location, surrogate)
     values: dict[str, Any] = {
         "size": site.size,
         "unit": site.unit,

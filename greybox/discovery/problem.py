@@ -80,6 +80,19 @@ class CandidateFit:
         return self.evaluation.predicted_decrease(*self.variables.bounds())
 
 
+# Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit.
+SEARCH_REFIT_ITERATIONS = 60
+# Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
+# constants alone, and minutes would not make it the answer. The last fit knows no such limit.
+MAX_SUBSTEPS = 32
+# The same where a cost is only predicted, to rank candidates: with the steps of a refit a stiff model would take minutes to extend.
+PREDICTION_SUBSTEPS = 8
+# How many times as many it takes if it is unstable with so few. One that is so still is out.
+UNSTABLE_FACTOR = 2
+# Most promising starting points from which a model is refitted.
+SEARCH_REFIT_STARTS = 2
+
+
 @dataclass(frozen=True)
 class DiscoveryProblem:
     """Records, noise and the model in question; it fits candidate models to the records.
@@ -168,12 +181,12 @@ class DiscoveryProblem:
     @cached_property
     def _most_substeps(self) -> int:
         """Substeps of a candidate, unless it is unstable with so few: those of the budget, or twice those of the plain model."""
-        return max(self.budget.max_substeps, 2 * self.prepare(self.model).step.substeps)
+        return max(MAX_SUBSTEPS, 2 * self.prepare(self.model).step.substeps)
 
     @cached_property
     def _prediction_substeps(self) -> int:
         """The same where a cost is only predicted."""
-        return max(self.budget.prediction_substeps, self.prepare(self.model).step.substeps)
+        return max(PREDICTION_SUBSTEPS, self.prepare(self.model).step.substeps)
 
     def _prepare_starts(
         self, model: Model, starts: Iterable[StartValues], beginning: Mapping[str, Sequence[float]], most: int = 0
@@ -186,7 +199,7 @@ class DiscoveryProblem:
         problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
         points = _rank_starts(problem, starts)
         if not points and problem.step.substeps >= most:
-            most = self.budget.unstable_factor * self._most_substeps
+            most = UNSTABLE_FACTOR * self._most_substeps
             problem = _with_initial_states(self.prepare(model, most_substeps=most), beginning)
             points = _rank_starts(problem, starts)
         return problem, points
@@ -242,7 +255,7 @@ class DiscoveryProblem:
         The records start from the initial states of the fit ``like``, as far as it has the same states. Whether it ``refines`` its
         integration step is as in `RefitJob`.
         """
-        keep, iterations = keep or self.budget.refit_starts, iterations or self.budget.refit_iterations
+        keep, iterations = keep or SEARCH_REFIT_STARTS, iterations or SEARCH_REFIT_ITERATIONS
         job = RefitJob(model, tuple(starts), keep, iterations, _initial_states(like), refines)
         return self.refit_all([job])[0]
 

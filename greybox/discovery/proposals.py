@@ -14,17 +14,18 @@ from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
 from greybox.data.signals import chirp, multisine
-from greybox.discovery.certainty import to_features
+from greybox.discovery.certainty import LEAST_RIVAL, MOST_CHANGE, to_features
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
-from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy, ProposalPolicy
+from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
+from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate import Surrogate
-from greybox.estimation.policy import DEFAULT_POLICY
+from greybox.estimation.fit_issues import FAR_NOISE_RATIO
 from greybox.estimation.result import Fit
 from greybox.model.signals import Input
 from greybox.model.sites import DRIVE, VALVE
@@ -74,40 +75,42 @@ class DiscriminatingExperiment:
 
 
 def rank_discriminating_experiments(
-    problem: DiscoveryProblem, selected: CandidateFit, rival: CandidateFit, policy: ProposalPolicy
+    problem: DiscoveryProblem, selected: CandidateFit, rival: CandidateFit
 ) -> list[DiscriminatingExperiment]:
     """Every candidate input with the present sensors, and with one more, best first."""
     installed = tuple(problem.noise_std)
     outputs = tuple(o.name for o in problem.model.outputs)
     sensors = [installed] + [(*installed, name) for name in outputs if name not in installed]
     experiments = []
-    for kind, inputs in candidate_inputs(problem.experiments[0], problem.model.inputs, policy).items():
+    for kind, inputs in candidate_inputs(problem.experiments[0], problem.model.inputs).items():
         run = simulate(selected.model, inputs)
         if run.overflow is not None:
             continue
         for measured in sensors:
-            cost = _cost_of_rival(problem, rival, run.record(), measured, policy)
+            cost = _cost_of_rival(problem, rival, run.record(), measured)
             if np.isfinite(cost):
                 experiments.append(DiscriminatingExperiment(kind, measured, rival.effects, cost))
     return sorted(experiments, key=lambda e: -e.cost)
 
 
-def candidate_inputs(
-    record: Experiment, inputs: Sequence[Input], policy: ProposalPolicy
-) -> dict[InputKind, Experiment]:
+# Samples on which experiments are compared: enough to rank them.
+MOST_SAMPLES = 4000
+
+
+def candidate_inputs(record: Experiment, inputs: Sequence[Input]) -> dict[InputKind, Experiment]:
     """Inputs that could be applied instead: a sweep, a multisine, steps, a slow ramp, the record's own at other amplitudes.
 
     Each input moves within the range that it has in the record, and each in a course of its own. What nobody sets (an input with a
     role other than that of a drive or valve, such as an ambient temperature) stays as it was, and so does a constant input.
     """
-    rows = min(record.rows, policy.most_samples)
+    rows = min(record.rows, MOST_SAMPLES)
     same = record.window(0, rows)
     period = float(np.median(record.intervals))
     time = np.arange(rows) * period
     set_by_user = {i.name for i in inputs if i.role in ("", DRIVE, VALVE)}
     ranges = {name: _InputRange.of(values) for name, values in record.inputs.items()}
     driven = [name for name in record.inputs if name in set_by_user and ranges[name].peak > 0]
-    courses = {name: _courses(time, period, number, policy) for number, name in enumerate(driven)}
+    courses = {name: _courses(time, period, number) for number, name in enumerate(driven)}
     shares = {InputKind.SMALL_SWEEP: 1 / 5, InputKind.MULTISINE: 1 / 3}
     experiments = {}
     for kind in NEW_COURSES:
@@ -144,10 +147,14 @@ class _InputRange:
         return cls((low + high) / 2, (high - low) / 2, low if low >= 0 else high)
 
 
-def _courses(time: np.ndarray, period: float, number: int, policy: ProposalPolicy) -> dict[InputKind, np.ndarray]:
+# Seed of the multisine's phases.
+PROPOSAL_SEED = 1
+
+
+def _courses(time: np.ndarray, period: float, number: int) -> dict[InputKind, np.ndarray]:
     """Courses between -1 and 1 for input ``number`` of those that are driven."""
     low, high = 2 / time[-1], 0.1 / period
-    generator = np.random.default_rng(policy.seed + number)
+    generator = np.random.default_rng(PROPOSAL_SEED + number)
     sweep = chirp(time, low, high, 1.0)
     steps, ramps = 5 + 2 * number, 2 + number
     return {
@@ -159,12 +166,15 @@ def _courses(time: np.ndarray, period: float, number: int, policy: ProposalPolic
     }
 
 
+# Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
+PROPOSAL_NEW_SENSOR_NOISE = 0.01
+
+
 def _cost_of_rival(
     problem: DiscoveryProblem,
     rival: CandidateFit,
     record: Experiment,
     measured: tuple[str, ...],
-    policy: ProposalPolicy,
 ) -> float:
     """Cost of the rival on a record of the selected model, after its parameters have adapted."""
     outputs = {n: record.outputs[n] for n in measured}
@@ -175,7 +185,7 @@ def _cost_of_rival(
     for j, output in enumerate(rival.model.outputs):
         is_new = output.name in measured and output.name not in problem.noise_std
         if is_new:  # how good that sensor would be is not known
-            std[j] = policy.new_sensor_noise * max(float(np.abs(record.outputs[output.name]).max()), TINY)
+            std[j] = PROPOSAL_NEW_SENSOR_NOISE * max(float(np.abs(record.outputs[output.name]).max()), TINY)
     estimation = estimation.with_noise(replace(estimation.noise, std=std))
     e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
     if not (np.isfinite(e.cost) and e.is_finite):
@@ -229,41 +239,45 @@ def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
 
 
 def propose_experiments(
-    problem: DiscoveryProblem, selected: CandidateFit, rivals: Sequence[CandidateFit], policy: DiscoveryPolicy
+    problem: DiscoveryProblem, selected: CandidateFit, rivals: Sequence[CandidateFit]
 ) -> tuple[Finding, ...]:
     """For each rival the experiment that would tell it from the selected model, or that there is none."""
     findings = []
     for rival in rivals:
-        ranked = rank_discriminating_experiments(problem, selected, rival, policy.proposals)
+        ranked = rank_discriminating_experiments(problem, selected, rival)
         if not ranked:
             continue
         best = ranked[0]
-        decides = not best.cost < policy.selection.tie_cost
+        decides = not best.cost < TIE_COST
         code = DiscoveryCode.DISCRIMINATING_EXPERIMENT if decides else DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT
         values = {"experiment": best.experiment.value, "measured": list(best.measured), "cost": best.cost}
         findings.append(Finding(code, subject=" + ".join(best.rival), values=values))
     return tuple(findings)
 
 
-def explain_doubt(evidence: EffectEvidence, policy: CertaintyPolicy) -> Finding | None:
+def explain_doubt(evidence: EffectEvidence) -> Finding | None:
     """What would settle an effect that is not established: None where it stands well and only what else is left speaks against it."""
-    name, features = evidence.effect, to_features(evidence.measures, policy)
+    name, features = evidence.effect, to_features(evidence.measures)
     if evidence.alike:
         return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.alike[0]})
-    if evidence.rival and features["rival_t"] < policy.least_rival:
+    if evidence.rival and features["rival_t"] < LEAST_RIVAL:
         return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.rival})
-    if policy.most_change < features["change"] and math.isfinite(evidence.change):
+    if features["change"] > MOST_CHANGE and math.isfinite(evidence.change):
         return Finding(DiscoveryCode.FIT_HALVES_ALONE, subject=name, values={"change": evidence.change})
     return None
 
 
-def list_detection_limits(candidates: Sequence[CandidateFit], policy: ProposalPolicy) -> tuple[Finding, ...]:
+def list_detection_limits(candidates: Sequence[CandidateFit]) -> tuple[Finding, ...]:
     """For each effect that was tried on a complete model, the smallest amplitude that these records would have shown."""
-    limits = (_detection_limit(candidate, policy) for candidate in candidates)
+    limits = (_detection_limit(candidate) for candidate in candidates)
     return tuple(limit for limit in limits if limit is not None)
 
 
-def _detection_limit(candidate: CandidateFit, policy: ProposalPolicy) -> Finding | None:
+# Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent.
+PROPOSAL_DETECTION_RATIO = 3.3
+
+
+def _detection_limit(candidate: CandidateFit) -> Finding | None:
     bound, variables = candidate.model.bound_effects[-1], candidate.variables
     amplitudes = [
         bound.model_names[name] for name in bound.effect.amplitudes if bound.model_names[name] in variables.names
@@ -279,7 +293,7 @@ def _detection_limit(candidate: CandidateFit, policy: ProposalPolicy) -> Finding
     std = float(np.sqrt(covariance[k, k]) * variables.spans[k])
     values = {
         "parameter": name,
-        "limit": policy.detection_ratio * std,
+        "limit": PROPOSAL_DETECTION_RATIO * std,
         "unit": candidate.model.parameter(name).unit,
     }
     return Finding(DiscoveryCode.DETECTION_LIMIT, subject=bound.effect.name, values=values)
@@ -304,25 +318,24 @@ def _propose(
     guessed = [
         name
         for name in base.misfit
-        if not is_level_measured(base.noise, name)
-        and _over_ceiling(base, left, name) < DEFAULT_POLICY.reporting.far_noise_ratio
+        if not is_level_measured(base.noise, name) and _over_ceiling(base, left, name) < FAR_NOISE_RATIO
     ]
     if guessed and not suffices:
         yield Finding(DiscoveryCode.STATE_NOISE, Severity.WARNING, ", ".join(guessed), {"outputs": guessed})
     if not location.is_missing:
         yield Finding(DiscoveryCode.EXTEND_ESTIMATION_RECORDS)
-    beyond = None if suffices else _range_beyond_estimation(base, location, surrogate, validation, policy.proposals)
+    beyond = None if suffices else _range_beyond_estimation(base, location, surrogate, validation)
     if beyond is not None:
         yield beyond
     # A stand-in that explains nothing says nothing of the cause; what the localisation saw does.
     helps = surrogate is not None and surrogate.explained_fraction > 0
     if surrogate is not None and helps and surrogate.tone is not None:
-        yield _about_tone(surrogate.tone.frequency, policy.proposals)
+        yield _about_tone(surrogate.tone.frequency)
         yield Finding(DiscoveryCode.USE_TONE_MODEL, values={"frequency": surrogate.tone.frequency})
     elif surrogate is not None and helps:
         yield from _about_curve(surrogate, location, suffices)
     elif location.is_missing and not (beyond or has_look_alike):
-        yield _about_signal(location, policy.proposals)
+        yield _about_signal(location)
     unmeasured = [o.name for o in base.model.outputs if o.name not in base.misfit]
     if unmeasured and (len(location.likeliest) > 1 or not suffices):
         yield Finding(DiscoveryCode.MEASURE_MORE, subject=", ".join(unmeasured), values={"outputs": unmeasured})
@@ -335,11 +348,11 @@ def _over_ceiling(base: Fit, left: Fit, output: str) -> float:
     return left.misfit[output].rmse / ceiling if ceiling > 0 else math.inf
 
 
-def _about_signal(location: ResidualLocalisation, policy: ProposalPolicy) -> Finding:
+def _about_signal(location: ResidualLocalisation) -> Finding:
     """What the missing signal looks like, and the record or the check that shows its cause."""
     dependence = next((d for d in location.dependences if d.is_relevant), None)
     if dependence is not None and dependence.tone is not None:
-        return _about_tone(dependence.tone, policy)
+        return _about_tone(dependence.tone)
     if dependence is not None:
         return _about_dependence(dependence)
     timing = location.timing
@@ -357,12 +370,20 @@ def _about_dependence(dependence: Dependence) -> Finding:
     return part or Finding(DiscoveryCode.TRACE_CURVE, subject=dependence.variable, values={"share": dependence.share})
 
 
-def _about_tone(frequency: float, policy: ProposalPolicy) -> Finding:
+# Frequencies of the mains in Hz.
+MAINS_FREQUENCIES: tuple[float, ...] = (50.0, 60.0)
+# Share of the mains frequency within which a tone may be the mains or a multiple.
+MAINS_TOLERANCE = 0.01
+# Highest multiple that is considered.
+MAINS_MULTIPLES = 5
+
+
+def _about_tone(frequency: float) -> Finding:
     mains = [
         mains
-        for mains in policy.mains_frequencies
-        for k in range(1, policy.mains_multiples + 1)
-        if abs(frequency - k * mains) < policy.mains_tolerance * mains
+        for mains in MAINS_FREQUENCIES
+        for k in range(1, MAINS_MULTIPLES + 1)
+        if abs(frequency - k * mains) < MAINS_TOLERANCE * mains
     ]
     if mains:
         return Finding(DiscoveryCode.SUSPECT_MAINS, values={"frequency": frequency, "mains": mains[0]})
@@ -412,12 +433,15 @@ def _suspect_part(variable: str, unit: str, period: float | None, shape: CurveSh
     return None
 
 
+# Share of the range of a variable by which validation records must extend beyond the estimation records to be reported.
+RANGE_MARGIN = 0.1
+
+
 def _range_beyond_estimation(
     base: Fit,
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
     validation: Sequence[Experiment],
-    policy: ProposalPolicy,
 ) -> Finding | None:
     """Where the validation records extend beyond the range in which the signal, or the curve, is known."""
     if surrogate is not None:
@@ -435,7 +459,7 @@ def _range_beyond_estimation(
         return None
     low, high = float(np.nanmin(np.concatenate(estimated))), float(np.nanmax(np.concatenate(estimated)))
     least, most = float(np.nanmin(np.concatenate(validated))), float(np.nanmax(np.concatenate(validated)))
-    if min(least - low, high - most) >= -policy.range_margin * (high - low):
+    if min(least - low, high - most) >= -RANGE_MARGIN * (high - low):
         return None
     values = {"low": low, "high": high, "least": least, "most": most, "unit": dependence.unit}
     return Finding(DiscoveryCode.COVER_VALIDATION_RANGE, Severity.WARNING, variable, values)

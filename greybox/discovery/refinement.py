@@ -22,14 +22,15 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.candidates import estimate_scales, list_candidates
 from greybox.discovery.decision import make_check
+from greybox.discovery.effect_signal import EVIDENCE_BLOCKS
 from greybox.discovery.execution import RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, compare_errors, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, CandidateFit, DiscoveryProblem, StartValues
 from greybox.discovery.residual_noise import is_shape_correction
-from greybox.discovery.selection import MessageCallback, list_extension_starts, rank_extensions
+from greybox.discovery.selection import SCREENING_ITERATIONS, MessageCallback, list_extension_starts, rank_extensions
 from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
@@ -144,6 +145,15 @@ class RefinedCandidate:
     checks: tuple[Check, ...]
 
 
+# Models whose misfits differ by less than this share explain a measured record equally well: an effect that takes the place of another
+# must remove more than that.
+ALIKE_SHARE = 0.1
+# Effects added or replaced at most.
+MOST_STEPS = 5
+# Effects in a model from which none is added: a fifth shares its error among four others, and its evidence is worth little.
+MOST_EFFECTS = 4
+
+
 def refine_candidate(
     scores: HoldoutScores,
     start: CandidateFit,
@@ -179,10 +189,7 @@ def refine_candidate(
         )
     steps: list[RefinementStep] = []
     checks: list[Check] = []
-    while (
-        sum(not s.dropped for s in steps) < policy.refinement.most_steps
-        and len(selected.effects) < policy.refinement.most_effects
-    ):
+    while sum(not s.dropped for s in steps) < MOST_STEPS and len(selected.effects) < MOST_EFFECTS:
         replaced = ""
         extensions = [
             extension
@@ -202,7 +209,7 @@ def refine_candidate(
                 break
         if not extensions:
             break
-        alike = 1 + policy.refinement.alike_share
+        alike = 1 + ALIKE_SHARE
         least = min(e.candidate.per_sample for e in extensions) ** 0.5
         near = [e for e in extensions if e.candidate.per_sample**0.5 <= alike * least]
         near = sorted(near, key=lambda e: e.validation_misfit)
@@ -240,6 +247,15 @@ def _prefer_simpler(
     return best if simpler is None else _prefer_simpler(simpler, near, candidates, limit)
 
 
+# Share of the remaining rms misfit that the effect must remove on the estimation records.
+ESTIMATION_SHARE = 0.02
+# The same on the validation records.
+VALIDATION_SHARE = 0.05
+# Standard errors, over blocks of the validation records, of what an added effect removes there at least: what helps in a few blocks and
+# harms in others is chance, and makes the other effects less certain for nothing.
+REFINEMENT_LEAST_DEVIATIONS = 2.0
+
+
 def _judge_extension(
     scores: HoldoutScores,
     smaller: CandidateFit,
@@ -253,20 +269,20 @@ def _judge_extension(
     gain, least_gain = _criterion_gain(smaller, larger), policy.selection.criterion_gain
     share = 1 - (larger.cost / smaller.cost) ** 0.5
     gains = make_check(DiscoveryRule.CRITERION_GAIN, gain, least_gain, gain > least_gain, name)
-    fits = Check.at_least(DiscoveryRule.ESTIMATION_DECREASE, share, policy.refinement.estimation_share, name)
+    fits = Check.at_least(DiscoveryRule.ESTIMATION_DECREASE, share, ESTIMATION_SHARE, name)
     checks += [gains, fits]
     if not (gains and fits):
         return None
     after = scores.score(larger)
     is_exchange = len(larger.effects) == len(smaller.effects)
-    least = policy.refinement.alike_share if is_exchange else policy.refinement.validation_share
+    least = ALIKE_SHARE if is_exchange else VALIDATION_SHARE
     predicts = Check.at_most(DiscoveryRule.VALIDATION_DECREASE, after, (1 - least) * misfit, name)
     checks.append(predicts)
     if not predicts:
         return None
-    errors, before = (scores.square_errors(c, policy.evidence.blocks, adapted=True) for c in (larger, smaller))
+    errors, before = (scores.square_errors(c, EVIDENCE_BLOCKS, adapted=True) for c in (larger, smaller))
     deviations = compare_errors(errors, before)[1]
-    lasts = Check.at_least(DiscoveryRule.CONSISTENT_DECREASE, deviations, policy.refinement.least_deviations, name)
+    lasts = Check.at_least(DiscoveryRule.CONSISTENT_DECREASE, deviations, REFINEMENT_LEAST_DEVIATIONS, name)
     checks.append(lasts)
     return _Extension(larger, name, after, share) if lasts else None
 
@@ -275,6 +291,12 @@ def _criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
     """Decrease of Schwarz's criterion with a noise level that is not known, and falls with each effect: ``N ln(cost)``."""
     paid = (larger.free - smaller.free) * float(np.log(larger.count))
     return larger.count * float(np.log(max(smaller.cost, TINY) / max(larger.cost, TINY))) - paid
+
+
+# Starting points of each of these refits, which are short.
+REFINEMENT_REFIT_STARTS = 2
+# Those that are refitted to convergence: the ones that promise the lowest cost.
+REFINEMENT_FINISHED_CANDIDATES = 3
 
 
 def _extend_each(
@@ -290,9 +312,7 @@ def _extend_each(
     names = set(selected.effects)
     parents = {parent for b in selected.model.bound_effects for parent in b.effect.parents}
     further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
-    promising = rank_extensions(
-        problem, selected, further, scales, policy.budget, policy.refinement.promising_candidates
-    )
+    promising = rank_extensions(problem, selected, further, scales, policy.refinement.promising_candidates)
 
     def refit(
         model: Model, starts: Sequence[StartValues], keep: int, iterations: int, like: CandidateFit
@@ -300,17 +320,21 @@ def _extend_each(
         job = partial(problem.refit_best, model, starts, keep, iterations, like)
         return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), job, None)
 
-    budget, keep = policy.budget, policy.refinement.refit_starts
+    keep = REFINEMENT_REFIT_STARTS
     short = [
         candidate
         for e in promising
-        for starts in [list_extension_starts(selected, e, scales, budget)]
-        if (candidate := refit(selected.model + e, starts, keep, budget.screening_iterations, selected))
+        for starts in [list_extension_starts(selected, e, scales)]
+        if (candidate := refit(selected.model + e, starts, keep, SCREENING_ITERATIONS, selected))
     ]
     short.sort(key=lambda candidate: candidate.cost - candidate.promised_decrease)
-    leading = short[: policy.refinement.finished_candidates]
-    finished = [refit(c.model, [c.model.values], 1, budget.refit_iterations, c) or c for c in leading]
+    leading = short[:REFINEMENT_FINISHED_CANDIDATES]
+    finished = [refit(c.model, [c.model.values], 1, SEARCH_REFIT_ITERATIONS, c) or c for c in leading]
     return [*finished, *short[len(leading) :]]
+
+
+# Effects that are refitted in the place of each effect of the model, where none is to be added.
+REFINEMENT_REPLACEMENTS = 3
 
 
 def _replace_each(
@@ -326,7 +350,7 @@ def _replace_each(
     if rest is None:
         return []
     others = [e for e in candidates if e.name != name]
-    limits = replace(policy.refinement, promising_candidates=policy.refinement.replacements)
+    limits = replace(policy.refinement, promising_candidates=REFINEMENT_REPLACEMENTS)
     return [
         fit
         for fit in _extend_each(problem, rest, others, scales, replace(policy, refinement=limits))

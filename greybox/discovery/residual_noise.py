@@ -23,8 +23,8 @@ from greybox.data.noise.noise_model import (
 from greybox.discovery.candidates import generate_starting_points
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
+from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.execution import RefitJob
-from greybox.discovery.policy import DiscoveryPolicy, ResidualNoisePolicy, SurrogatePolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.surrogate_effects import CURVE, make_curve_effect, make_power_effect
 from greybox.model.effect import Effect
@@ -44,7 +44,7 @@ def is_level_known(noise: NoiseModel) -> bool:
     return noise.is_level_known
 
 
-def estimate_residual_noise(candidate: CandidateFit, policy: ResidualNoisePolicy) -> NoiseModel:
+def estimate_residual_noise(candidate: CandidateFit) -> NoiseModel:
     """The weights of a selection: no larger than the noise can be, and no longer remembered than a sensor remembers.
 
     A level that is known stays. One that is only bounded becomes what the model leaves where that is less; what it leaves beyond the
@@ -65,20 +65,31 @@ def estimate_residual_noise(candidate: CandidateFit, policy: ResidualNoisePolicy
             std[j] = max(left, bound.level)
         if bound is None or bound.correlation_time is None:
             fitted = fit_autoregression(series, max_order=1, policy=candidate.problem.policy.noise)
-            colour[j] = _limit_memory(fitted, policy)
+            colour[j] = _limit_memory(fitted)
     return replace(noise, std=std, colour=tuple(colour))
 
 
-def _limit_memory(fitted: AutoRegression, policy: ResidualNoisePolicy) -> AutoRegression:
+# Correlation from sample to sample below which a residual counts as white.
+WHITE_CORRELATION = 0.1
+# Largest correlation from sample to sample of a sensor's noise, as in `greybox.data.noise.NoisePolicy`: a residual that remembers for
+# longer is a model's error.
+RESIDUAL_NOISE_LONGEST_CORRELATION = 0.95
+
+
+def _limit_memory(fitted: AutoRegression) -> AutoRegression:
     """Noise of first order that a sensor can have; white where it hardly remembers."""
-    if not fitted.order or abs(fitted.reflection[0]) <= policy.white_correlation:
+    if not fitted.order or abs(fitted.reflection[0]) <= WHITE_CORRELATION:
         return AutoRegression()
-    return AutoRegression((min(fitted.reflection[0], policy.longest_correlation),))
+    return AutoRegression((min(fitted.reflection[0], RESIDUAL_NOISE_LONGEST_CORRELATION),))
 
 
-def is_same_noise(noise: NoiseModel, before: NoiseModel, policy: ResidualNoisePolicy) -> bool:
+# Relative change of the level below which the noise stands still.
+LEVEL_TOLERANCE = 0.05
+
+
+def is_same_noise(noise: NoiseModel, before: NoiseModel) -> bool:
     """Whether reading the noise again changes nothing: the same colour, and the same level."""
-    same_level = np.allclose(noise.std, before.std, rtol=policy.level_tolerance)
+    same_level = np.allclose(noise.std, before.std, rtol=LEVEL_TOLERANCE)
     return same_level and all(a.reflection == b.reflection for a, b in zip(noise.colour, before.colour, strict=True))
 
 
@@ -127,35 +138,33 @@ def is_shape_correction(name: str) -> bool:
     return name == CURVE or name.endswith(SECOND_BRANCH)
 
 
-def fit_shape_correction(
-    problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
-) -> CandidateFit | None:
+def fit_shape_correction(problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales) -> CandidateFit | None:
     """The best correction of one effect by Schwarz's criterion; None where there is none to try."""
-    jobs = list_shape_corrections(problem, candidate, scales, policy)
+    jobs = list_shape_corrections(problem, candidate, scales)
     corrected = [fit for fit in problem.refit_all([job for _, job in jobs]) if fit is not None]
     return min(corrected, key=lambda fit: fit.criterion, default=None)
 
 
 def list_shape_corrections(
-    problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
+    problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales
 ) -> list[tuple[str, RefitJob]]:
     """Every correction of the shape of one effect: the effect's name, and the refit."""
-    return [*_second_branches(candidate, scales, policy), *_curves(problem, candidate, policy)]
+    return [*_second_branches(candidate, scales), *_curves(problem, candidate)]
 
 
-def _second_branches(
-    candidate: CandidateFit, scales: Scales, policy: DiscoveryPolicy
-) -> Iterator[tuple[str, RefitJob]]:
+# Iterations of the refit with such a correction.
+CORRECTION_ITERATIONS = 20
+
+
+def _second_branches(candidate: CandidateFit, scales: Scales) -> Iterator[tuple[str, RefitJob]]:
     """A second branch of every effect that has memory and a shape: a spectrum of times in the place of one."""
     for effect in candidate.model.effects:
         if effect.states and effect.balances and effect.terms and effect.grid:
             # As it came from the catalogue: a fitted one would start on top of the first.
             branch = replace(effect, name=f"{effect.name}{SECOND_BRANCH}", parents=())
             model = candidate.model + branch
-            starts = generate_starting_points(
-                model, branch, candidate, candidate.model, scales, policy.budget.amplitude_grid
-            )
-            yield effect.name, RefitJob(model, tuple(starts), 1, policy.budget.correction_iterations)
+            starts = generate_starting_points(model, branch, candidate, candidate.model, scales, AMPLITUDE_GRID)
+            yield effect.name, RefitJob(model, tuple(starts), 1, CORRECTION_ITERATIONS)
 
 
 def has_memory(effect: Effect) -> bool:
@@ -163,37 +172,39 @@ def has_memory(effect: Effect) -> bool:
     return bool(effect.states or effect.delay or effect.hold)
 
 
-def prepare_curve(rest: CandidateFit, signal: EffectSignal, policy: DiscoveryPolicy) -> RefitJob:
+def prepare_curve(rest: CandidateFit, signal: EffectSignal) -> RefitJob:
     """The refit of ``rest`` with a curve that stands for the whole ``signal`` of an effect that it does not have."""
-    return _prepare_curve(rest, signal, signal.value, policy)
+    return _prepare_curve(rest, signal, signal.value)
 
 
-def prepare_power(
-    selected: CandidateFit, rest: CandidateFit, signal: EffectSignal, policy: SurrogatePolicy
-) -> RefitJob:
+# Iterations of the refit.
+SURROGATE_REFIT_ITERATIONS = 30
+
+
+def prepare_power(selected: CandidateFit, rest: CandidateFit, signal: EffectSignal) -> RefitJob:
     """The refit of ``rest`` with a power of the variable of ``signal`` that stands for the whole signal of an effect of ``selected``."""
-    power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value, policy)
+    power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)
     model = rest.model + power
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
     begin = {names[n]: v for n, v in values.items()}
     kept = {n: v for n, v in selected.model.values.items() if n in rest.model.values}
     starts = ({**rest.model.values, **begin}, {**rest.model.values, **kept, **begin})
-    return RefitJob(model, starts, 2, policy.refit_iterations)
+    return RefitJob(model, starts, 2, SURROGATE_REFIT_ITERATIONS)
 
 
-def _curves(
-    problem: DiscoveryProblem, candidate: CandidateFit, policy: DiscoveryPolicy
-) -> Iterator[tuple[str, RefitJob]]:
+def _curves(problem: DiscoveryProblem, candidate: CandidateFit) -> Iterator[tuple[str, RefitJob]]:
     """A curve at the site of every effect, over the variable that its signal depends on most."""
-    for signal in estimate_effect_signals(problem, candidate, policy.localisation):
+    for signal in estimate_effect_signals(problem, candidate):
         corrected: Effect | None = next((e for e in candidate.model.effects if e.name == signal.effect), None)
         if corrected is not None and not (corrected.states or corrected.hold):  # these are no function of a variable
-            yield corrected.name, _prepare_curve(candidate, signal, signal.value - signal.modelled, policy)
+            yield corrected.name, _prepare_curve(candidate, signal, signal.value - signal.modelled)
 
 
-def _prepare_curve(
-    candidate: CandidateFit, signal: EffectSignal, values: np.ndarray, policy: DiscoveryPolicy
-) -> RefitJob:
+# Intervals of the curve that corrects the shape of an effect.
+CORRECTION_HEIGHTS = 10
+
+
+def _prepare_curve(candidate: CandidateFit, signal: EffectSignal, values: np.ndarray) -> RefitJob:
     """``candidate`` with a curve at the site of ``signal`` over its variable, which begins as the regression of ``values`` (K,)."""
     curve, heights = make_curve_effect(
         _site_of(candidate, signal),
@@ -201,13 +212,12 @@ def _prepare_curve(
         signal.variable,
         values,
         signal.std,
-        policy.surrogate,
-        policy.budget.correction_heights,
+        CORRECTION_HEIGHTS,
     )
     model = candidate.model + curve
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
     starts = ({**candidate.model.values, **{names[n]: v for n, v in heights.items()}}, candidate.model.values)
-    return RefitJob(model, starts, 1, policy.budget.correction_iterations)
+    return RefitJob(model, starts, 1, CORRECTION_ITERATIONS)
 
 
 def _site_of(candidate: CandidateFit, signal: EffectSignal) -> DisturbanceSite:

@@ -121,7 +121,7 @@ class Discovery(Printable):
     @property
     def sites(self) -> tuple[str, ...]:
         """Where the plain model falls short: the likeliest site with those that the sensors cannot tell from it."""
-        return find_missing_sites(self.localisation, self.surrogate, self.policy.selection)
+        return find_missing_sites(self.localisation, self.surrogate)
 
     @property
     def extended(self) -> Fit:

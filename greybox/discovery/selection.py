@@ -16,11 +16,24 @@ import numpy as np
 
 from greybox.base.findings import Check, Finding
 from greybox.discovery.candidates import count_shapes, generate_child_starting_points, generate_starting_points
-from greybox.discovery.decision import clean_cost_limit, judge_effect, make_check, noise_cost_limit
+from greybox.discovery.decision import (
+    EXCESS_AUTOCORRELATION,
+    clean_cost_limit,
+    judge_effect,
+    make_check,
+    noise_cost_limit,
+)
+from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.problem import (
+    SEARCH_REFIT_ITERATIONS,
+    SEARCH_REFIT_STARTS,
+    CandidateFit,
+    DiscoveryProblem,
+    StartValues,
+)
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
@@ -29,24 +42,25 @@ from greybox.model.model import Model
 # Which further effects are worth a refit: those whose predicted cost is lowest.
 
 
+# Amplitude at which an effect is nearly absent, in the same unit: what a first effect leaves may be that small.
+NEAR_ZERO_AMPLITUDE = 0.01
+
+
 def rank_extensions(
     problem: DiscoveryProblem,
     selected: CandidateFit,
     effects: Sequence[Effect],
     scales: Scales,
-    budget: SearchBudget,
     most: int,
 ) -> list[Effect]:
     """The ``most`` effects whose addition to ``selected`` predicts the lowest cost, best first; none that cannot be simulated.
 
     All are predicted nearly absent, the better ones from the usual amplitudes too.
     """
-    predicted = {
-        e.name: predict_extension(problem, selected, e, scales, (budget.near_zero_amplitude,)) for e in effects
-    }
+    predicted = {e.name: predict_extension(problem, selected, e, scales, (NEAR_ZERO_AMPLITUDE,)) for e in effects}
     possible = sorted((e for e in effects if np.isfinite(predicted[e.name])), key=lambda e: predicted[e.name])
     for e in possible[: 2 * most]:
-        larger = predict_extension(problem, selected, e, scales, budget.amplitude_grid)
+        larger = predict_extension(problem, selected, e, scales, AMPLITUDE_GRID)
         predicted[e.name] = min(predicted[e.name], larger)
     return sorted(possible, key=lambda e: predicted[e.name])[:most]
 
@@ -64,12 +78,10 @@ def predict_extension(
     return problem.failures.attempt(SearchStage.SCREENING, (*selected.effects, effect.name), predict, np.inf)
 
 
-def list_extension_starts(
-    selected: CandidateFit, effect: Effect, scales: Scales, budget: SearchBudget
-) -> list[StartValues]:
+def list_extension_starts(selected: CandidateFit, effect: Effect, scales: Scales) -> list[StartValues]:
     """Where the refit with a further effect starts: with nothing of it, and at the usual amplitudes and shapes."""
     model = selected.model + effect
-    amplitudes = budget.amplitude_grid
+    amplitudes = AMPLITUDE_GRID
     return [model.values, *generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)]
 
 
@@ -114,6 +126,40 @@ class SelectionStep:
     checks: tuple[Check, ...]
 
 
+# A richer member of a family replaces a simpler one only if its cost is lower by more than this.
+CHILD_COST = 10.0
+# The same as a share of what the richer member gains over the plain model; the larger of the two counts.
+CHILD_SHARE = 0.003
+# Models whose criterion differs by less explain the records equally well.
+TIE_COST = 10.0
+# Lags that this sum runs over.
+AUTOCORRELATION_LAGS = 30
+# Iterations of the first, short refit of every candidate.
+SCREENING_ITERATIONS = 12
+# Share of its cost that a further step must promise for a short refit to go on: it was stopped in the middle of a descent.
+FALLING_SHARE = 0.1
+# Leading candidates that are refitted to convergence.
+REFIT_TOP = 5
+# Generations of children that are tried (Coulomb friction, then Stribeck, then LuGre).
+SEARCH_GENERATIONS = 2
+# A candidate whose short refit is this many times as far from the records as one that leaves only noise is out.
+PRUNE_RATIO = 4.0
+# Shapes of an effect above which it is refitted from each of them: a step from afar predicts nothing for a sharp resonance.
+MANY_SHAPES = 15
+# Shapes from which the leading effect is refitted from more starting points: its cost has many minima.
+FEW_SHAPES = 4
+# The number of these starting points.
+MANY_SHAPES_STARTS = 5
+# How many of them at a time; the later ones count where the leading ones lead nowhere.
+BATCH_SIZE = 3
+# Further effects that are refitted beside each leading first effect, or beside all later ones together.
+SECOND_CANDIDATES = 4
+# Models with a further effect that are refitted to convergence.
+SEARCH_FINISHED_CANDIDATES = 3
+# Effects tried in the place of one that was chosen.
+SEARCH_SWAPS = 4
+
+
 @dataclass
 class StepwiseSelection:
     """A selection in progress.
@@ -146,7 +192,7 @@ class StepwiseSelection:
     seeds: Mapping[Key, CandidateFit] = field(default_factory=dict)
     firsts: Collection[str] | None = None
     measure_autocorrelation: Callable[[CandidateFit, int], float] = excess_autocorrelation
-    correct_shape: Callable[[Any, CandidateFit, Scales, DiscoveryPolicy], CandidateFit | None] = fit_shape_correction
+    correct_shape: Callable[[Any, CandidateFit, Scales], CandidateFit | None] = fit_shape_correction
     baseline: CandidateFit = field(init=False)
     single_effects: list[CandidateFit] = field(init=False, default_factory=list)
     fits: dict[Key, CandidateFit] = field(init=False, default_factory=dict)
@@ -187,9 +233,9 @@ class StepwiseSelection:
         if not self.single_effects:
             alone = [e for e in self.candidates if self.firsts is None or e.name in self.firsts]
             self._screen([e for e in alone if not self._candidate_parents(e)])
-            for _ in range(self.budget.generations):  # children of parents that did well, and theirs
+            for _ in range(SEARCH_GENERATIONS):  # children of parents that did well, and theirs
                 ranked = sorted(self.single_effects, key=lambda fit: fit.criterion)
-                leading = {fit.effects[0] for fit in ranked[: self.budget.refit_top]}
+                leading = {fit.effects[0] for fit in ranked[:REFIT_TOP]}
                 done = {fit.effects[0] for fit in self.single_effects}
                 self._screen([e for e in alone if e.name not in done and set(e.parents) & leading])
             self._refit_leading()
@@ -207,14 +253,14 @@ class StepwiseSelection:
         for fit in self.fits.values():
             if len(fit.effects) != len(selected.effects) or set(fit.effects) == set(selected.effects):
                 continue
-            behind, limit = fit.criterion - selected.criterion, self.policy.selection.tie_cost
+            behind, limit = fit.criterion - selected.criterion, TIE_COST
             if behind < limit and not self._are_related(fit, selected):
                 rivals.append(fit)
         return rivals
 
     def tie_checks(self, selected: CandidateFit, rivals: Sequence[CandidateFit]) -> tuple[Check, ...]:
         """For each rival, how far its criterion is behind that of the selected model."""
-        limit = self.policy.selection.tie_cost
+        limit = TIE_COST
         return tuple(
             make_check(DiscoveryRule.TIE, rival.criterion - selected.criterion, limit, True, " + ".join(rival.effects))
             for rival in rivals
@@ -240,9 +286,7 @@ class StepwiseSelection:
         only_noise_left = best.per_sample <= noise_cost_limit(best.count)
         parents = set(self._effect(best.effects[0]).parents) if only_noise_left else set()
         leading = [
-            fit
-            for fit in ranked[: self.budget.refit_top]
-            if self._is_worth_refitting(fit, best) and fit.effects[0] not in parents
+            fit for fit in ranked[:REFIT_TOP] if self._is_worth_refitting(fit, best) and fit.effects[0] not in parents
         ]
         # A parent caught in a minimum of its own would leave its name to its child.
         leading += [fit for fit in ranked if fit.effects[0] in parents]
@@ -256,10 +300,10 @@ class StepwiseSelection:
         effect = self._effect(fit.effects[0])
         model = self.baseline.model + effect
         # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
-        many_minima = is_parent_of_best or (is_best and count_shapes(effect, self.scales) >= self.budget.few_shapes)
-        keep = self.budget.many_shapes_starts if many_minima else self.budget.refit_starts
+        many_minima = is_parent_of_best or (is_best and count_shapes(effect, self.scales) >= FEW_SHAPES)
+        keep = MANY_SHAPES_STARTS if many_minima else SEARCH_REFIT_STARTS
         starts = tuple(self._starting_points(self.baseline, effect, model, [fit.model.values]))
-        return RefitJob(model, starts, keep, self.budget.refit_iterations)
+        return RefitJob(model, starts, keep, SEARCH_REFIT_ITERATIONS)
 
     def _is_worth_refitting(self, fit: CandidateFit, best: CandidateFit) -> bool:
         """Whether a thorough refit may change anything.
@@ -270,7 +314,7 @@ class StepwiseSelection:
         parents = self._effect(fit.effects[0]).parents
         if any(other.per_sample <= noise for other in self.single_effects if other.effects[0] in parents):
             return False
-        return best.per_sample > noise or fit.per_sample <= self.budget.prune_ratio * best.per_sample
+        return best.per_sample > noise or fit.per_sample <= PRUNE_RATIO * best.per_sample
 
     def _retest_baseline(self, extended: CandidateFit) -> None:
         """The plain model once more, from the constants of the extended one: a baseline stuck in a wrong place is a false alarm."""
@@ -285,8 +329,7 @@ class StepwiseSelection:
         """Whether a further effect is worth looking for: the misfit, or the residual's autocorrelation, is more than chance."""
         if fit.per_sample > noise_cost_limit(fit.count):
             return True
-        selection = self.policy.selection
-        return self.measure_autocorrelation(fit, selection.autocorrelation_lags) > selection.excess_autocorrelation
+        return self.measure_autocorrelation(fit, AUTOCORRELATION_LAGS) > EXCESS_AUTOCORRELATION
 
     def _extend(self, selected: CandidateFit) -> CandidateFit | None:
         """The best model with one effect more, beside the selected effects and (for a second one) beside other good first effects."""
@@ -298,7 +341,7 @@ class StepwiseSelection:
             simplest = [self._simplest_member(fit) for fit in ranked]
             firsts = list({fit.effects: fit for fit in (selected, *simplest)}.values())[: self.budget.beam_width]
         best: CandidateFit | None = None
-        size = self.budget.batch_size
+        size = BATCH_SIZE
         for k in range(0, len(firsts), size):
             batch = self._extend_batch(firsts[k : k + size], leading=k == 0)
             best = min((fit for fit in (best, batch) if fit is not None), key=lambda fit: fit.criterion, default=None)
@@ -309,16 +352,16 @@ class StepwiseSelection:
     def _extend_batch(self, firsts: Sequence[CandidateFit], leading: bool) -> CandidateFit | None:
         """The best model with one effect more than one of ``firsts``; less is tried where these are not the ``leading`` ones."""
         if leading:
-            amplitudes, most = self.budget.amplitude_grid, self.budget.second_candidates * len(firsts)
+            amplitudes, most = AMPLITUDE_GRID, SECOND_CANDIDATES * len(firsts)
         else:
-            amplitudes, most = (), self.budget.second_candidates
+            amplitudes, most = (), SECOND_CANDIDATES
         promising = self._rank_further_effects(firsts, most, amplitudes)
         grouped = [(first, [e for fit, e in promising if fit is first]) for first in firsts]
         extended = [fit for first, effects in grouped for fit in self._add_each(first, effects)]
         if not extended:
             return None
         ranked = sorted(extended, key=lambda fit: fit.criterion)
-        converged = [self._converge(fit) for fit in ranked[: self.budget.finished_candidates]]
+        converged = [self._converge(fit) for fit in ranked[:SEARCH_FINISHED_CANDIDATES]]
         return self._replace_by_child(min(converged, key=lambda fit: fit.criterion))
 
     def _rank_further_effects(
@@ -328,7 +371,7 @@ class StepwiseSelection:
 
         All are predicted nearly absent, the better ones at ``amplitudes`` too.
         """
-        near_zero = self.budget.near_zero_amplitude
+        near_zero = NEAR_ZERO_AMPLITUDE
         simplest = [e for e in self.candidates if not self._candidate_parents(e)]
         pairs = [(f, e) for f in firsts for e in simplest if e.name not in f.effects and not self._is_in_family(e, f)]
         lowest: dict[tuple[str, ...], float] = {}
@@ -360,7 +403,7 @@ class StepwiseSelection:
 
     def _explained_by_shape_correction(self, selected: CandidateFit, larger: CandidateFit) -> bool:
         """Whether a correction of the shape of the effects explains the remaining misfit as well as a further effect."""
-        correct = partial(self.correct_shape, self.problem, selected, self.scales, self.policy)
+        correct = partial(self.correct_shape, self.problem, selected, self.scales)
         corrected = self._attempt(SearchStage.SHAPE_CORRECTION, selected.effects, correct, None)
         if corrected is None:
             return False
@@ -401,10 +444,10 @@ class StepwiseSelection:
             rest = self._refit_without(selected, name)
             if rest is None:
                 continue
-            ranked = self._rank_further_effects([rest], 2 * self.budget.swaps, self.budget.amplitude_grid)
+            ranked = self._rank_further_effects([rest], 2 * SEARCH_SWAPS, AMPLITUDE_GRID)
             others = [e for _, e in ranked if e.name != name and not self._is_in_family(e, selected)]
-            swapped = self._add_each(rest, others[: self.budget.swaps])
-            limit = selected.criterion - self.policy.selection.tie_cost
+            swapped = self._add_each(rest, others[:SEARCH_SWAPS])
+            limit = selected.criterion - TIE_COST
             better = [fit for fit in swapped if fit.criterion < limit]
             if better:
                 best = min(better, key=lambda fit: fit.criterion)
@@ -447,10 +490,9 @@ class StepwiseSelection:
 
     def _allowed_loss(self, simpler: CandidateFit, best: CandidateFit) -> float:
         """By how much the simpler member of a family may do worse: less where only the richer one leaves nothing but noise."""
-        selection = self.policy.selection
-        if best.per_sample <= clean_cost_limit(best.count, selection) < simpler.per_sample:
-            return selection.child_cost
-        return max(selection.child_cost, selection.child_share * (self.baseline.cost - best.cost))
+        if best.per_sample <= clean_cost_limit(best.count) < simpler.per_sample:
+            return CHILD_COST
+        return max(CHILD_COST, CHILD_SHARE * (self.baseline.cost - best.cost))
 
     def _replace_by_child(self, fit: CandidateFit) -> CandidateFit:
         """With an effect replaced by its child, where the effect leaves structure and the child is better."""
@@ -482,10 +524,10 @@ class StepwiseSelection:
 
     def _carry_on(self, keys: Sequence[Key]) -> None:
         """Short refits that were stopped in the middle of a descent go on: where they stand says nothing yet."""
-        limit = self.budget.falling_share
+        limit = FALLING_SHARE
         falling = [key for key in keys if self.fits[key].promised_decrease > limit * self.fits[key].cost]
         jobs = [
-            RefitJob(f.model, (f.model.values,), 1, self.budget.refit_iterations)
+            RefitJob(f.model, (f.model.values,), 1, SEARCH_REFIT_ITERATIONS)
             for f in map(self.fits.__getitem__, falling)
         ]
         for key, further in zip(falling, self.problem.refit_all(jobs), strict=True):
@@ -505,8 +547,8 @@ class StepwiseSelection:
         model = fit.model + effect
         starts, shapes = self._starting_points(fit, effect, model), count_shapes(effect, self.scales)
         # With so many shapes (frequencies of a sharp resonance) a step from afar predicts nothing: refit from each.
-        narrow = shapes > self.budget.many_shapes and not fit.effects
-        return RefitJob(model, tuple(starts), shapes if narrow else 1, self.budget.screening_iterations)
+        narrow = shapes > MANY_SHAPES and not fit.effects
+        return RefitJob(model, tuple(starts), shapes if narrow else 1, SCREENING_ITERATIONS)
 
     def _starting_points(
         self, fit: CandidateFit, effect: Effect, model: Model, more: Sequence[StartValues] = ()
@@ -517,9 +559,9 @@ class StepwiseSelection:
         if seed is not None:  # refitted before, under another noise model
             starts = [seed.model.values]
         else:
-            many = count_shapes(effect, self.scales) > self.budget.many_shapes
+            many = count_shapes(effect, self.scales) > MANY_SHAPES
             nominal = fit.model if many else self.problem.model
-            amplitudes = self.budget.amplitude_grid
+            amplitudes = AMPLITUDE_GRID
             starts = [*more, *generate_starting_points(model, effect, fit, nominal, self.scales, amplitudes)]
         for name in effect.parents:
             parent = self.fits.get(frozenset((*fit.effects, name)))

@@ -14,6 +14,7 @@ from greybox.data.experiment import Experiment
 from greybox.discovery.curve_shape import TIME, CurveShape, Dependence, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
+    PARTIAL_SHARE,
     HoldoutError,
     ValidationSet,
     compare_holdout_errors,
@@ -27,8 +28,10 @@ from greybox.discovery.localisation import (
     estimate_site_signals,
     localise_residual,
 )
-from greybox.discovery.policy import DiscoveryPolicy, SelectionPolicy, SurrogatePolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import MAX_SUBSTEPS, CandidateFit, DiscoveryProblem
+from greybox.discovery.residual_noise import SURROGATE_REFIT_ITERATIONS
+from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate_effects import (
     CURVE,
     TONE,
@@ -38,7 +41,7 @@ from greybox.discovery.surrogate_effects import (
     make_tone_effect,
 )
 from greybox.estimation.fit import fit as estimate
-from greybox.estimation.policy import InitialStatePolicy
+from greybox.estimation.predictor import FIRST_ROWS
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.validate import validate
@@ -158,13 +161,15 @@ class Surrogate(Printable, ReadOnly):
         }
 
 
-def find_missing_sites(
-    location: ResidualLocalisation, surrogate: Surrogate | None, policy: SelectionPolicy
-) -> tuple[str, ...]:
+def find_missing_sites(location: ResidualLocalisation, surrogate: Surrogate | None) -> tuple[str, ...]:
     """Labels of the sites where something may be missing: of the curve that explains the larger part of the gap, or the likeliest ones."""
     if surrogate is None or surrogate.tone is not None or surrogate.beside or surrogate.site in location.likeliest:
         return location.likeliest
-    return (surrogate.site,) if surrogate.explained_fraction >= policy.partial_share else location.likeliest
+    return (surrogate.site,) if surrogate.explained_fraction >= PARTIAL_SHARE else location.likeliest
+
+
+# Further share of the gap that a surrogate beside a look-alike must explain over one in its place.
+BESIDE_GAIN = 0.02
 
 
 def fit_surrogate(
@@ -195,22 +200,26 @@ def fit_surrogate(
         The decision numbers.
     """
     explained = holdout[worst_output(holdout)].explained_fraction
-    helps = bool(explained > policy.selection.partial_share and look_alike.effects)
+    helps = bool(explained > PARTIAL_SHARE and look_alike.effects)
     best: Surrogate | None = None
     for candidate in (baseline, look_alike) if helps else (baseline,):
         if best is not None and best.explained_fraction >= policy.selection.holdout_share:
             break
-        location = localise_residual(candidate, policy=policy.localisation, selection=policy.selection)
-        given = (problem, candidate, location, validation, base, policy)
-        surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given)
+        location = localise_residual(candidate, selection=policy.selection)
+        given = (problem, candidate, location, validation, base)
+        surrogate = fit_tone_surrogate(*given) or fit_curve_surrogate(*given, policy)
         if surrogate is None or (helps and surrogate.explained_fraction < explained):
             continue
-        if best is None or surrogate.explained_fraction > best.explained_fraction + policy.surrogate.beside_gain:
+        if best is None or surrogate.explained_fraction > best.explained_fraction + BESIDE_GAIN:
             best = surrogate
     return best
 
 
 # A curve over a variable
+
+
+# Share of the gap on validation records that a curve must explain to be shown.
+USEFUL_SHARE = 0.1
 
 
 def fit_curve_surrogate(
@@ -227,8 +236,8 @@ def fit_curve_surrogate(
     static curves are usual; what explains the records best by Schwarz's criterion stays. None where the model cannot be simulated, or
     where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on them.
     """
-    places = [*_localised_places(candidate, location, policy), *_usual_places(problem, candidate, location, policy)]
-    refits = [(place, _refit_curve(problem, candidate, place, policy.surrogate)) for place in places]
+    places = [*_localised_places(candidate, location), *_usual_places(problem, candidate, location, policy)]
+    refits = [(place, _refit_curve(problem, candidate, place)) for place in places]
     stable = [
         (place, fit)
         for place, fit in refits
@@ -239,8 +248,8 @@ def fit_curve_surrogate(
     if not stable:
         return None
     place, best = min(stable, key=lambda one: one[1].criterion)
-    surrogate = _to_curve_surrogate(problem, best, place, ValidationSet.of(validation), base, policy)
-    return surrogate if surrogate.explained_fraction >= policy.surrogate.useful_share else None
+    surrogate = _to_curve_surrogate(problem, best, place, ValidationSet.of(validation), base)
+    return surrogate if surrogate.explained_fraction >= USEFUL_SHARE else None
 
 
 @dataclass(frozen=True)
@@ -252,16 +261,18 @@ class CurvePlace:
     signal: ResidualSignal
 
 
-def _localised_places(
-    candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
-) -> list[CurvePlace]:
+# Variables over which a curve is tried.
+SURROGATE_VARIABLES = 2
+
+
+def _localised_places(candidate: CandidateFit, location: ResidualLocalisation) -> list[CurvePlace]:
     """The likeliest site, over the variables that its signal is a function of."""
     relevant = [d for d in location.dependences if d.variable != TIME and d.is_relevant]
     if location.signal is None:
         return []
     sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     site = next(s for s in sites if s.label == location.signal.site)
-    return [CurvePlace(site, d, location.signal) for d in relevant[: policy.surrogate.variables]]
+    return [CurvePlace(site, d, location.signal) for d in relevant[:SURROGATE_VARIABLES]]
 
 
 def _usual_places(
@@ -274,7 +285,7 @@ def _usual_places(
     """
     if location.signal is None:
         return []
-    signals = estimate_site_signals(candidate, policy.localisation)
+    signals = estimate_site_signals(candidate)
     likeliest = {(location.signal.site, d.variable) for d in location.dependences if d.is_relevant}
     places = []
     for site in list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs]):
@@ -283,12 +294,11 @@ def _usual_places(
             if signal is None or variable not in signal.variables or (site.label, variable) in likeliest:
                 continue
             over = {variable: (signal.variables[variable], signal.units[variable])}
-            ranked = rank_dependences(signal.time, signal.value, over, policy.localisation)
+            ranked = rank_dependences(signal.time, signal.value, over)
             places += [CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable][:1]
-    limits = policy.surrogate
-    costs = [_predict_curve(problem, candidate, place, limits) for place in places]
+    costs = [_predict_curve(problem, candidate, place) for place in places]
     order = sorted(range(len(places)), key=costs.__getitem__)
-    return [places[k] for k in order[: limits.variables] if costs[k] < (1 - limits.useful_share) * candidate.cost]
+    return [places[k] for k in order[:SURROGATE_VARIABLES] if costs[k] < (1 - USEFUL_SHARE) * candidate.cost]
 
 
 def _usual_variables(model: Model, site: DisturbanceSite) -> list[str]:
@@ -311,6 +321,10 @@ class FreeCurve:
     candidate: CandidateFit
 
 
+# Sites that the sensors cannot separate at which a free curve is tried in the place of an effect.
+FREE_SITES = 3
+
+
 def refit_free_curves(
     problem: DiscoveryProblem,
     candidate: CandidateFit,
@@ -325,11 +339,10 @@ def refit_free_curves(
     """
     if location.signal is None or CURVE in candidate.effects:
         return []
-    limits = policy.surrogate
-    signals = estimate_site_signals(candidate, policy.localisation)
+    signals = estimate_site_signals(candidate)
     # Sites at which the same signal reaches the sensors have the same gain: there a curve is the same in another unit.
     gains = {site.label: site.gain for site in location.sites}
-    labels = [label for label in location.sets[0] if label in signals][: limits.free_sites]
+    labels = [label for label in location.sets[0] if label in signals][:FREE_SITES]
     labels = [label for k, label in enumerate(labels) if gains[label] not in [gains[one] for one in labels[:k]]]
     sites = {s.label: s for s in list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])}
     none = np.zeros(0)
@@ -338,29 +351,35 @@ def refit_free_curves(
     for label in labels:
         signal = signals[label]
         variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
-        ranked = rank_dependences(signal.time, signal.value, variables, policy.localisation)
-        dependences = [d for d in ranked if d.variable != TIME][: limits.variables]
+        ranked = rank_dependences(signal.time, signal.value, variables)
+        dependences = [d for d in ranked if d.variable != TIME][:SURROGATE_VARIABLES]
         signal = replace(signal, variables={**signal.variables, TIME: signal.time - signal.time[0]})
         # Time is no matter of the site: what drifts at one drifts at another that the sensors cannot tell from it.
         for d in (*dependences, over_time) if label == labels[0] else dependences:
-            fit = _refit_free_curve(problem, candidate, CurvePlace(sites[label], d, signal), policy, enough)
+            fit = _refit_free_curve(problem, candidate, CurvePlace(sites[label], d, signal), enough)
             if fit is not None:
                 curves.append(FreeCurve(d.variable, fit))
     return curves
 
 
+# Most promising starting points from which it is refitted.
+SURROGATE_REFIT_STARTS = 1
+# Iterations after which a rival is given up...
+QUICK_ITERATIONS = 8
+# The same for a free curve in the place of an effect: twice the rms error. From twice the cost of the model on it counts as far behind,
+# and after these iterations it is hardly above where it would end.
+HOPELESS_CURVE = 4.0
+
+
 def _refit_free_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: DiscoveryPolicy, enough: float
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, enough: float
 ) -> CandidateFit | None:
     """``candidate`` with a curve there, refitted; to the end only where it may come near the cost ``enough``."""
-    limits = policy.surrogate
-    model, starts = _prepare_curve(problem, candidate, place, limits)
-    quick = problem.refit_best(
-        model, starts, limits.refit_starts, policy.evidence.quick_iterations, like=candidate, refines=False
-    )
-    if quick is None or quick.cost > policy.evidence.hopeless_curve * enough:
+    model, starts = _prepare_curve(problem, candidate, place)
+    quick = problem.refit_best(model, starts, SURROGATE_REFIT_STARTS, QUICK_ITERATIONS, like=candidate, refines=False)
+    if quick is None or quick.cost > HOPELESS_CURVE * enough:
         return quick
-    return problem.refit_best(model, [quick.model.values], 1, limits.refit_iterations, like=quick) or quick
+    return problem.refit_best(model, [quick.model.values], 1, SURROGATE_REFIT_ITERATIONS, like=quick) or quick
 
 
 def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
@@ -369,22 +388,25 @@ def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
     return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
 
 
+# Intervals of the curve.
+SURROGATE_INTERVALS = 20
+# Periods from which a sinusoid is refitted, over the one that the signal shows.
+PERIOD_STARTS: tuple[float, ...] = (1.0, 0.985, 1.015)
+
+
 def _prepare_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
+    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace
 ) -> tuple[Model, list[dict[str, float]]]:
     """``candidate`` with a curve, and where to start: from its own parameters and from those that the user gave."""
     dependence, signal = place.dependence, place.signal
     z, period = signal.variables[dependence.variable], dependence.period
     if period is None:
-        effect, heights = make_curve_effect(
-            place.site, dependence, z, signal.value, signal.std, policy, policy.intervals
-        )
+        effect, heights = make_curve_effect(place.site, dependence, z, signal.value, signal.std, SURROGATE_INTERVALS)
         curve_starts = [heights, {}]
     else:
-        effect, _ = make_sinusoid_effect(place.site, dependence, period, z, signal.value, policy)
+        effect, _ = make_sinusoid_effect(place.site, dependence, period, z, signal.value)
         curve_starts = [
-            make_sinusoid_effect(place.site, dependence, share * period, z, signal.value, policy)[1]
-            for share in policy.period_starts
+            make_sinusoid_effect(place.site, dependence, share * period, z, signal.value)[1] for share in PERIOD_STARTS
         ]
     model = candidate.model + effect
     names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
@@ -396,20 +418,24 @@ def _prepare_curve(
     ]
 
 
-def _refit_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
-) -> CandidateFit | None:
+def _refit_curve(problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace) -> CandidateFit | None:
     """``candidate`` with a curve there, refitted."""
-    model, starts = _prepare_curve(problem, candidate, place, policy)
-    return problem.refit_best(model, starts, policy.refit_starts, policy.refit_iterations, like=candidate)
+    model, starts = _prepare_curve(problem, candidate, place)
+    return problem.refit_best(model, starts, SURROGATE_REFIT_STARTS, SURROGATE_REFIT_ITERATIONS, like=candidate)
 
 
-def _predict_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, policy: SurrogatePolicy
-) -> float:
+def _predict_curve(problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace) -> float:
     """The cost that one step predicts for a curve there."""
-    model, starts = _prepare_curve(problem, candidate, place, policy)
+    model, starts = _prepare_curve(problem, candidate, place)
     return problem.predict_cost(model, starts, like=candidate)
+
+
+# Iterations of the last fit, which gives the intervals: many heights would go on for long without showing it.
+INTERVAL_ITERATIONS = 10
+# Points of the curve in the result.
+CURVE_POINTS = 101
+# Points of one period in the result.
+SURROGATE_POINTS_PER_PERIOD = 24
 
 
 def _to_curve_surrogate(
@@ -418,17 +444,16 @@ def _to_curve_surrogate(
     place: CurvePlace,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
-    policy: DiscoveryPolicy,
 ) -> Surrogate:
     """The surrogate of a refitted ``candidate``, validated, with its curve over the range of the signal."""
     site, dependence, signal = place.site, place.dependence, place.signal
     # The refit is over: a curve of many heights would go on for long with what does not show, and with ever smaller steps.
     solver = problem.options.policy
-    limited = replace(solver.step_refinement, max_substeps=policy.budget.max_substeps)
+    limited = replace(solver.step_refinement, max_substeps=MAX_SUBSTEPS)
     brief = replace(
         problem.options,
         transcription="single",
-        iterations=policy.surrogate.interval_iterations,
+        iterations=INTERVAL_ITERATIONS,
         policy=replace(solver, step_refinement=limited),
     )
     fit = validate_candidate(replace(problem, options=brief), candidate, validation)
@@ -436,9 +461,9 @@ def _to_curve_surrogate(
     names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == CURVE)
     values = {n: candidate.model.values[in_model] for n, in_model in names.items()}
     measured = signal.variables[dependence.variable]
-    points = policy.surrogate.curve_points
+    points = CURVE_POINTS
     if dependence.period is not None:
-        points = max(int(policy.surrogate.points_per_period * np.ptp(measured) / dependence.period), points)
+        points = max(int(SURROGATE_POINTS_PER_PERIOD * np.ptp(measured) / dependence.period), points)
     z = np.linspace(measured.min(), measured.max(), points)
     if dependence.period is not None:
         return Surrogate(
@@ -456,11 +481,15 @@ def _to_curve_surrogate(
     rest = signal.value - evaluate_curve(values, measured)
     curve = evaluate_curve(values, z) + np.polyval(np.polyfit(measured, rest, 1), z)
     count = np.histogram(measured, points, (z[0], z[-1]))[0]
-    shape = classify_shape(z[count > 0], curve[count > 0], count[count > 0], policy.localisation.shape)
+    shape = classify_shape(z[count > 0], curve[count > 0], count[count > 0])
     return Surrogate(signal.site, site.unit, fit, holdout, z, curve, signal, dependence, shape)
 
 
 # A tone in time
+
+
+# Periods at the start of a validation record from which amplitude and phase of the tone are estimated there.
+TONE_PERIODS = 5
 
 
 def fit_tone_surrogate(
@@ -469,7 +498,6 @@ def fit_tone_surrogate(
     location: ResidualLocalisation,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
-    policy: DiscoveryPolicy,
 ) -> Surrogate | None:
     """The tone for what ``candidate`` leaves unexplained; None where that is no tone, or the model with it does no better.
 
@@ -480,21 +508,17 @@ def fit_tone_surrogate(
     if not location.dependences or location.dependences[0].tone is None:
         return None
     validation = ValidationSet.of(validation)
-    signals = estimate_site_signals(candidate, policy.localisation)
+    signals = estimate_site_signals(candidate)
     measured = {name for e in candidate.problem.experiments for name in e.outputs}
     sites = [s for s in list_disturbance_sites(candidate.model, sorted(measured)) if s.label in signals]
     fits = [_fit_tone(problem, candidate, s, signals[s.label], location.dependences[0].tone) for s in sites]
     least = min((fit.solver.cost for fit in fits), default=np.inf)
     if not least < candidate.cost:  # nor where it is not a number
         return None
-    alike = [
-        (s, fit) for s, fit in zip(sites, fits, strict=True) if fit.solver.cost - least < policy.selection.tie_cost
-    ]
+    alike = [(s, fit) for s, fit in zip(sites, fits, strict=True) if fit.solver.cost - least < TIE_COST]
     site, fit = alike[0]
     frequency = fit.parameters[_tone_names(fit)[0]].value
-    rows, seconds = _first_periods(
-        validation, frequency, policy.surrogate.tone_periods, problem.options.policy.initial_state
-    )
+    rows, seconds = _first_periods(validation, frequency, TONE_PERIODS)
     skip = validation.uncounted
     validated = validate(
         fit.model, validation.records, noise=fit.noise.std, skip=skip, initial_rows=rows, options=problem.options
@@ -502,9 +526,7 @@ def fit_tone_surrogate(
     fit = replace(fit, validation=validated)
     others = tuple(s.label for s, _ in alike[1:])
     holdout = compare_holdout_errors(base, fit)
-    return _to_tone_surrogate(
-        site, signals[site.label], location.dependences[0], fit, holdout, seconds, others, policy.surrogate
-    )
+    return _to_tone_surrogate(site, signals[site.label], location.dependences[0], fit, holdout, seconds, others)
 
 
 def _fit_tone(
@@ -536,16 +558,12 @@ def _tone_names(fit: Fit) -> tuple[str, str, str]:
     return bound.model_names["frequency"], first, second
 
 
-def _first_periods(
-    validation: ValidationSet, frequency: float, periods: int, initial_state: InitialStatePolicy
-) -> tuple[int, float]:
+def _first_periods(validation: ValidationSet, frequency: float, periods: int) -> tuple[int, float]:
     """Rows of a validation record from which the tone's amplitude and phase are estimated, and their seconds."""
     step = max(float(np.median(np.diff(e.time))) for e in validation.records)
     half = min(e.rows for e in validation.records) // 2
     rows = (
-        validation.beginning
-        or validation.skip
-        or min(max(math.ceil(periods / (frequency * step)), initial_state.first_rows), half)
+        validation.beginning or validation.skip or min(max(math.ceil(periods / (frequency * step)), FIRST_ROWS), half)
     )
     return rows, rows * step
 
@@ -558,13 +576,12 @@ def _to_tone_surrogate(
     holdout: Mapping[str, HoldoutError],
     seconds: float,
     others: tuple[str, ...],
-    policy: SurrogatePolicy,
 ) -> Surrogate:
     """The surrogate with the tone along the stretch of ``signal``."""
     frequency, *states = _tone_names(fit)
     estimated = fit.parameters[frequency]
     trace = next(t for t in fit.traces if t.name == signal.record)
-    points = max(int(policy.points_per_period * np.ptp(signal.time) * estimated.value), policy.points_per_period)
+    points = max(int(SURROGATE_POINTS_PER_PERIOD * np.ptp(signal.time) * estimated.value), SURROGATE_POINTS_PER_PERIOD)
     time = np.linspace(signal.time[0], signal.time[-1], points)
     angle = 2 * np.pi * estimated.value * (time - trace.time[0])
     cosine, sine = (trace.initial_state[n] for n in states)

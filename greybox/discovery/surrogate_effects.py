@@ -19,7 +19,6 @@ from greybox.base.linear_algebra import decompose_columns
 from greybox.discovery.curve_shape import TIME, Dependence
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
-from greybox.discovery.policy import SurrogatePolicy
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.signals import Expression, NamedValues, Parameter, State
@@ -31,13 +30,18 @@ CLOCK = "clock"
 SOURCE = "fitted to the residual of the model; no physical law"
 
 
+# Share of the range by which the curve extends beyond what was seen.
+SURROGATE_MARGIN = 0.15
+# Standard deviation of the prior of each height, over the signal's rms: weak, it separates what the model's constants do as well.
+HEIGHT_PRIOR = 5.0
+
+
 def make_curve_effect(
     site: DisturbanceSite,
     dependence: Dependence,
     z: np.ndarray,
     w: np.ndarray,
     std: np.ndarray,
-    policy: SurrogatePolicy,
     intervals: int,
 ) -> tuple[Effect, dict[str, float]]:
     """A smooth curve over the variable of ``dependence`` as an effect at ``site``, and start values of its heights.
@@ -45,10 +49,10 @@ def make_curve_effect(
     The heights are those of a regression of the signal ``w`` (K,), known to ``std`` (K,), on the variable ``z`` (K,).
     """
     low, high = float(z.min()), float(z.max())
-    low, high = low - policy.margin * (high - low), high + policy.margin * (high - low)
+    low, high = low - SURROGATE_MARGIN * (high - low), high + SURROGATE_MARGIN * (high - low)
     pitch, size = (high - low) / intervals, float(np.sqrt(np.mean(w**2)))
     heights = [f"c{k}" for k in range(intervals + 1)]
-    variable, unit, prior = dependence.variable, dependence.unit, policy.height_prior * size
+    variable, unit, prior = dependence.variable, dependence.unit, HEIGHT_PRIOR * size
     source = "range of the record"
     parameters = [
         Parameter("lowest", unit, low, fixed=True, source=source, description=f"least {variable}"),
@@ -71,8 +75,14 @@ def make_curve_effect(
     return effect, dict(zip(heights, map(float, c), strict=True))
 
 
+# Exponents from which a power is fitted; it stays between the first and the last. The straight line is the model's own.
+SURROGATE_POWERS: tuple[float, ...] = (0.1, 0.3, 0.5, 0.7, 1.5, 2.0, 3.0)
+# Share of the variable's rms below which a power is straight.
+STRAIGHT_SHARE = 0.01
+
+
 def make_power_effect(
-    site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray, policy: SurrogatePolicy
+    site: DisturbanceSite, dependence: Dependence, z: np.ndarray, w: np.ndarray
 ) -> tuple[Effect, dict[str, float]]:
     """A power of the variable of ``dependence``, with its sign, as an effect at ``site``, and its start values.
 
@@ -80,7 +90,7 @@ def make_power_effect(
     straight: the slope of a root is infinite there.
     """
     size = float(np.sqrt(np.mean(z**2)))
-    low, high = min(policy.powers), max(policy.powers)
+    low, high = min(SURROGATE_POWERS), max(SURROGATE_POWERS)
     parameters = [
         Parameter("scale", dependence.unit, size, fixed=True, source="rms of the record", description="where it is 1"),
         Parameter("height", site.unit, 0.0, source="zero, until fitted", description="its value there"),
@@ -88,14 +98,14 @@ def make_power_effect(
     ]
 
     def curve(value: Expression, p: NamedValues) -> Expression:
-        return p.height * _power(value / p.scale, p.power, policy.straight_share)
+        return p.height * _power(value / p.scale, p.power, STRAIGHT_SHARE)
 
     def regress(power: float) -> tuple[float, float]:
-        basis = np.stack([_power(z / size, power, policy.straight_share), z / size, np.ones_like(z)], axis=1)
+        basis = np.stack([_power(z / size, power, STRAIGHT_SHARE), z / size, np.ones_like(z)], axis=1)
         coefficients = decompose_columns(basis).solve(w)
         return float(np.sum((w - basis @ coefficients) ** 2)), float(coefficients[0])
 
-    best = min(policy.powers, key=lambda power: regress(power)[0])
+    best = min(SURROGATE_POWERS, key=lambda power: regress(power)[0])
     effect = _curve_effect(site, dependence, curve, parameters, ["height"], f"power of {dependence.variable}")
     return effect, {"height": regress(best)[1], "power": best}
 
@@ -105,19 +115,22 @@ def _power(t: Expression, power: Expression, straight: float) -> Expression:
     return t * (t**2 + straight**2) ** ((power - 1) / 2)
 
 
+# Share by which a period may move from the one that the signal shows.
+PERIOD_MARGIN = 0.1
+
+
 def make_sinusoid_effect(
     site: DisturbanceSite,
     dependence: Dependence,
     period: float,
     z: np.ndarray,
     w: np.ndarray,
-    policy: SurrogatePolicy,
 ) -> tuple[Effect, dict[str, float]]:
     """A sinusoid of ``period`` over the variable of ``dependence`` as an effect at ``site``, and its start values.
 
     These are those of a regression of the signal ``w`` (K,) on the variable ``z`` (K,).
     """
-    variable, margin = dependence.variable, policy.period_margin
+    variable, margin = dependence.variable, PERIOD_MARGIN
     parameters = [
         Parameter(
             "pitch",

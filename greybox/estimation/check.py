@@ -14,7 +14,6 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.identifiability.combinations import OpenDirection
-from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.estimation.identifiability.practical import (
     ExpectedPrecision,
     PracticalIdentifiability,
@@ -85,7 +84,6 @@ class ModelCheck(Printable):
     practical: PracticalIdentifiability
     doubt: str = ""
     placements: tuple[Placement, ...] = ()
-    policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
     options: FitOptions = field(default_factory=FitOptions, repr=False)
 
     @property
@@ -171,7 +169,6 @@ class ModelCheck(Printable):
                     for p in self.placements
                     if p.effect is None
                 ],
-                "policy": self.policy,
                 "options": self.options.to_data(),
             }
         )
@@ -184,7 +181,6 @@ def check(
     noise: Mapping[str, float] | None = None,
     outputs: Sequence[str] | None = None,
     options: FitOptions | None = None,
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> ModelCheck:
     """What is known about a model before a fit, and which constants the records determine near the start values.
 
@@ -203,8 +199,6 @@ def check(
         What if only these were measured? None for all that the records have.
     options
         How the model is integrated, and whether records begin at rest.
-    policy
-        When a constant is determined, and how a simulated record is made.
 
     Returns
     -------
@@ -226,7 +220,7 @@ def check(
     _check_outputs(model, outputs)
     assumed = None
     if not group:
-        record, assumed = simulate_generic_record(model, policy.experiment)
+        record, assumed = simulate_generic_record(model)
         group = (record,)
     if outputs is not None:
         group = tuple(_select_outputs(e, outputs) for e in group)
@@ -241,7 +235,7 @@ def check(
         policy=options.policy,
     )
     measured = list_measured_outputs(problem)
-    structure, doubt = _analyse_structure(model, measured, options.at_rest, policy)
+    structure, doubt = _analyse_structure(model, measured, options.at_rest)
     return ModelCheck(
         model,
         model.system.linear,
@@ -255,10 +249,9 @@ def check(
         problem.noise,
         tuple(find_excluded_outputs(problem)),
         structure,
-        analyse_problem(problem, structure, policy),
+        analyse_problem(problem, structure),
         doubt,
         tuple(find_placements(model, all_effects())),
-        policy,
         options,
     )
 
@@ -278,11 +271,11 @@ def _list_roles(model: Model) -> dict[str, dict[str, str]]:
 
 
 def _analyse_structure(
-    model: Model, measured: Sequence[str], at_rest: bool, policy: IdentifiabilityPolicy
+    model: Model, measured: Sequence[str], at_rest: bool
 ) -> tuple[StructuralIdentifiability | None, str]:
     """The structural result, or why there is none: of a model that overflows, and the records are still looked at."""
     try:
-        return analyse_structural_identifiability(model, measured, at_rest=at_rest, policy=policy), ""
+        return analyse_structural_identifiability(model, measured, at_rest=at_rest), ""
     except DataError as error:
         return None, str(error)
 

@@ -12,7 +12,6 @@ from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmet
 from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, TINY
 from greybox.estimation.objective import ResidualRows
 from greybox.estimation.objective_search import LikelihoodMaximum
-from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
@@ -111,7 +110,6 @@ def estimate_covariance(
     residuals: ResidualRows,
     colour: ResidualColour,
     problem: EstimationProblem,
-    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
 ) -> ParameterCovariance:
     """Covariance of the constants, initial states projected out; constants at a bound count as fixed there.
 
@@ -142,7 +140,7 @@ def estimate_covariance(
     if colour.coloured:
         white = np.diag(spread)
         scores = projector @ sums.coloured @ projector.T
-        other = estimate_kernel_score_covariance(variables, rows, colour, projector, policy)
+        other = estimate_kernel_score_covariance(variables, rows, colour, projector)
         spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation = np.sqrt(np.diag(spread) / white)
@@ -164,7 +162,6 @@ def estimate_likelihood_covariance(
     optimum: LikelihoodMaximum,
     residuals: ResidualRows,
     colour: ResidualColour,
-    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
 ) -> ParameterCovariance:
     """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
 
@@ -176,7 +173,7 @@ def estimate_likelihood_covariance(
     v = optimum.objective.variables
     n, inside, parts = len(v.which), np.flatnonzero(~v.active), v.split(np.arange(v.size))
     wanted, first_states = np.concatenate([inside, parts.noise_levels]), parts.initial_states.ravel()
-    kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum, policy)
+    kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum)
     expected = optimum.evaluation.hessian / 2
     decomposition = decompose_symmetric(_reduce_information(expected, wanted, first_states))
     inverse = _invert_within(_reduce_information(whole, wanted, first_states), decomposition)
@@ -186,7 +183,7 @@ def estimate_likelihood_covariance(
     if colour.coloured:
         rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in residuals.scores]
         projector = eliminate(whole, wanted, first_states)
-        scores = estimate_kernel_score_covariance(v, rows, colour, projector, policy)
+        scores = estimate_kernel_score_covariance(v, rows, colour, projector)
         spread, kind = raise_to_larger(inverse, inverse @ scores @ inverse), IntervalKind.SANDWICH
     with np.errstate(divide="ignore", invalid="ignore"):
         inflation = np.sqrt(np.diag(spread) / np.diag(inverse))
@@ -234,11 +231,17 @@ def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) 
     return tuple(result)
 
 
-def compute_observed_information(optimum: LikelihoodMaximum, policy: IntervalPolicy) -> np.ndarray:
+# The gradient of a likelihood is differenced over this share of a standard deviation either way.
+DIFFERENCE_SHARE = 0.01
+# The same at most, in the scaled unknowns.
+LONGEST_DIFFERENCE = 0.01
+
+
+def compute_observed_information(optimum: LikelihoodMaximum) -> np.ndarray:
     """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
     objective, v = optimum.objective, optimum.objective.variables
     expected = np.diag(optimum.evaluation.hessian) / 2
-    steps = np.where(expected > 0, policy.difference_share / np.sqrt(np.maximum(expected, TINY)), 0.0)
+    steps = np.where(expected > 0, DIFFERENCE_SHARE / np.sqrt(np.maximum(expected, TINY)), 0.0)
     concerned: list[list[int] | None] = [None] * v.size
     for experiment, states in enumerate(v.split(np.arange(v.size)).initial_states):
         for k in states:
@@ -246,7 +249,7 @@ def compute_observed_information(optimum: LikelihoodMaximum, policy: IntervalPol
     whole = np.zeros((v.size, v.size))
     for k in np.flatnonzero(steps):
         step = v.here
-        step[k] = min(steps[k], policy.longest_difference)
+        step[k] = min(steps[k], LONGEST_DIFFERENCE)
         rise = objective.gradient(step, concerned[k]) - objective.gradient(-step, concerned[k])
         whole[k] = rise / (4 * step[k])
     places = np.arange(len(v.which))

@@ -21,6 +21,7 @@ from greybox.estimation.covariance import (
 )
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit_issues import (
+    LAST_DIGIT,
     add_record_findings,
     find_fit_issues,
     find_option_issues,
@@ -31,6 +32,7 @@ from greybox.estimation.noise_loop import estimate_by_simulation_error, summaris
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.policy import NOISE_RATIO
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -184,7 +186,7 @@ def fit(
             initial_rows=beginning,
             options=options,
         )
-        issues = find_validation_issues(result.misfit, judged.misfit, options.policy)
+        issues = find_validation_issues(result.misfit, judged.misfit)
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
@@ -204,8 +206,7 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
         return True
     # At a noise that is known there is nothing to explain. A level that is the residual's own says no such thing.
     at_noise = all(
-        m.noise_ratio <= optimum.policy.excess.noise_ratio
-        and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
+        m.noise_ratio <= NOISE_RATIO and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
         for name, m in optimum.misfit.items()
     )
     return not at_noise and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
@@ -214,7 +215,7 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     """Whether a search got stuck without having moved any free constant in its digits."""
     end, begin = optimum.fitted_model.values, optimum.model.values
-    digit = optimum.policy.reporting.last_digit
+    digit = LAST_DIGIT
     return optimum.status is TerminationStatus.STUCK and all(
         abs(end[q.name] - begin[q.name]) <= digit * abs(begin[q.name]) for q in optimum.model.free_parameters
     )
@@ -305,7 +306,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     free, matrix = _to_named_covariance(optimum)
     findings = (
         *find_fit_issues(optimum, parameters),
-        *find_option_issues(problem, tied, per_experiment, priors, robust, options.policy),
+        *find_option_issues(problem, tied, per_experiment, priors, robust),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(
@@ -325,7 +326,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 "seconds": search.seconds,
                 "record_shares": [1.0] if prediction else list(solution.shares),
                 "transcription": "prediction" if prediction else solution.transcription,
-                "free_run": not prediction and solution.is_free_run(options.policy.joining),
+                "free_run": not prediction and solution.is_free_run(),
                 "method": problem.method,
                 "kernel": (prediction.maximum.objective.kalman.kernel if prediction else problem.kernel).name,
                 "substeps": problem.step.substeps,

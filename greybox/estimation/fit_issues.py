@@ -19,7 +19,7 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.noise_loop import compute_noise_ratios
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import ParameterShift
-from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.policy import NOISE_RATIO, EstimationPolicy
 from greybox.estimation.prediction_error import ProcessNoiseTest
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import DecisionVector
@@ -170,25 +170,33 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
+# Parameters that are not constant are listed up to this number.
+LISTED_SHIFTS = 3
+# Integration error over the noise ...
+INTEGRATION_ERROR = 0.1
+# ... and over the misfit.
+INTEGRATION_SHARE = 0.01
+
+
 def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tuple[Finding, ...]:
     """Findings about the end of an estimation, the most important first.
 
     A free run is held against the noise; a prediction corrects what it lacks, so its process noise is judged instead.
     """
-    limits, predicts = optimum.policy.reporting, isinstance(optimum, PredictionOptimum)
+    predicts = isinstance(optimum, PredictionOptimum)
     covariance, misfit = optimum.covariance, optimum.misfit
     tested = [test.name for test in optimum.tests]
     zero = [test.name for test in optimum.tests if test.value == 0]
     at_bound = [n for n, e in estimates.items() if e.at_bound and n not in zero]
     wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
-    result = [] if predicts else _find_other_plant(misfit, optimum.policy)
+    result = [] if predicts else _find_other_plant(misfit)
     result += _find_undetermined_directions(covariance)
     result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
     result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
-    result += [] if predicts else _find_nothing_to_explain(optimum.problem, misfit, optimum.policy)
+    result += [] if predicts else _find_nothing_to_explain(optimum.problem, misfit)
     result += [] if predicts else _find_excess_misfit(optimum.problem, misfit, optimum.policy)
-    result += _find_shifts(optimum.parameter_shifts, limits.listed_shifts)
+    result += _find_shifts(optimum.parameter_shifts, LISTED_SHIFTS)
     result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
     result += _find_correlation(optimum)
     if predicts and optimum.solution.problem.noise.coloured:
@@ -197,13 +205,11 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     outputs = [o.name for o in optimum.problem.model.outputs]
     error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
     coarse = [
-        n
-        for n, m in misfit.items()
-        if error[n] > limits.integration_error and error[n] > limits.integration_share * m.noise_ratio
+        n for n, m in misfit.items() if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * m.noise_ratio
     ]
     if coarse and not predicts:
         result.append(Finding(EstimationCode.INTEGRATION_TOO_COARSE, Severity.WARNING, "", {"outputs": coarse}))
-    moved = _find_moved_by_step(optimum.variables, covariance, optimum.step_shift, optimum.policy)
+    moved = _find_moved_by_step(optimum.variables, covariance, optimum.step_shift)
     if moved:
         result.append(Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": moved}))
     return tuple(result)
@@ -231,9 +237,15 @@ def _find_unmet_relations(optimum: Optimum) -> list[Finding]:
     ]
 
 
+# Sample-to-sample correlation of the residual.
+REPORTING_CORRELATION = 0.3
+# Misfit over noise below which there is no residual to speak of.
+REPORTING_LEAST_NOISE_RATIO = 0.1
+
+
 def _find_correlation(optimum: Optimum) -> list[Finding]:
     """Residuals or innovations that are correlated from sample to sample, and what the intervals allow for them."""
-    covariance, limits = optimum.covariance, optimum.policy.reporting
+    covariance = optimum.covariance
     if covariance.kind != IntervalKind.SANDWICH or not np.isfinite(covariance.inflation).any():
         return []
     inflation = float(np.nanmax(covariance.inflation))
@@ -242,11 +254,19 @@ def _find_correlation(optimum: Optimum) -> list[Finding]:
     correlated = [
         n
         for n, m in optimum.misfit.items()
-        if m.noise_ratio > limits.least_noise_ratio
-        and compute_lag_one_correlation(optimum.traces, n) > limits.correlation
+        if m.noise_ratio > REPORTING_LEAST_NOISE_RATIO
+        and compute_lag_one_correlation(optimum.traces, n) > REPORTING_CORRELATION
     ]
     values = {"outputs": correlated, "inflation": inflation}
     return [Finding(EstimationCode.RESIDUAL_CORRELATED, Severity.NOTE, "", values)] if correlated else []
+
+
+# Standard deviations by which a prior and the data disagree: one in a hundred where both are right.
+PRIOR_CONFLICT = 2.6
+# Share of the prior's variance that the data took away; below it the prior holds the parameter.
+PRIOR_VARIANCE_REDUCTION = 0.2
+# Share of a sensor's samples that may be outliers; more are no outliers.
+OUTLIER_SHARE = 0.2
 
 
 def find_option_issues(
@@ -255,16 +275,14 @@ def find_option_issues(
     per_experiment: Mapping[str, Mapping[str, Estimate]],
     priors: Mapping[str, PriorCheck],
     robust: RobustReport,
-    policy: EstimationPolicy,
 ) -> tuple[Finding, ...]:
     """Findings about what was asked of a fit: priors, parameters of each experiment, ties, a robust loss, excluded outputs."""
-    limits = policy.reporting
     result = [
         Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, {"deviations": abs(check.conflict)})
         for name, check in priors.items()
-        if check.conflict is not None and abs(check.conflict) > limits.prior_conflict
+        if check.conflict is not None and abs(check.conflict) > PRIOR_CONFLICT
     ]
-    held = [name for name, check in priors.items() if check.variance_reduction < limits.prior_variance_reduction]
+    held = [name for name, check in priors.items() if check.variance_reduction < PRIOR_VARIANCE_REDUCTION]
     result += _list_parameters(EstimationCode.HELD_BY_PRIOR, held, Severity.NOTE)
     for name, e in tied.items():
         low, high = next(q.bounds for q in problem.model.stated_parameters if q.name == name)
@@ -276,7 +294,7 @@ def find_option_issues(
         shares = {name: share for name, share in robust.outliers.items() if share > 0}
         values = {"loss": robust.name, "shares": shares}
         result.append(Finding(EstimationCode.ROBUST_LOSS_OUTLIERS, Severity.NOTE, "", values))
-        many = [name for name, share in robust.outliers.items() if share > limits.outlier_share]
+        many = [name for name, share in robust.outliers.items() if share > OUTLIER_SHARE]
         if many:
             result.append(Finding(EstimationCode.TOO_MANY_OUTLIERS, Severity.WARNING, "", {"outputs": many}))
     return (*result, *find_excluded_outputs(problem))
@@ -290,16 +308,16 @@ def find_excluded_outputs(problem: EstimationProblem) -> tuple[Finding, ...]:
     return (Finding(EstimationCode.CONSTANT_OUTPUT_EXCLUDED, Severity.WARNING, "", values),)
 
 
-def find_validation_issues(
-    misfit: Mapping[str, Misfit], validation: Mapping[str, Misfit], policy: EstimationPolicy
-) -> tuple[Finding, ...]:
+# Error on validation records over that on the fitted ones from which the difference wants an explanation.
+VALIDATION_RATIO = 1.5
+
+
+def find_validation_issues(misfit: Mapping[str, Misfit], validation: Mapping[str, Misfit]) -> tuple[Finding, ...]:
     """Outputs whose error is clearly larger on records that were not fitted."""
     return tuple(
         Finding(EstimationCode.VALIDATION_ERROR_LARGER, Severity.WARNING, name, {"ratio": m.rmse / misfit[name].rmse})
         for name, m in validation.items()
-        if name in misfit
-        and m.noise_ratio > policy.excess.noise_ratio
-        and m.rmse > policy.reporting.validation_ratio * misfit[name].rmse
+        if name in misfit and m.noise_ratio > NOISE_RATIO and m.rmse > VALIDATION_RATIO * misfit[name].rmse
     )
 
 
@@ -348,13 +366,18 @@ def _list_parameters(code: str, names: Sequence[str], severity: Severity = Sever
     return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
 
 
-def _find_other_plant(misfit: Mapping[str, Misfit], policy: EstimationPolicy) -> list[Finding]:
+# A model that follows less than this per cent of an output (best fit) ...
+FOLLOWED_PERCENT = 50.0
+# ... with a misfit so many times the noise describes another plant.
+FAR_NOISE_RATIO = 3.0
+
+
+def _find_other_plant(misfit: Mapping[str, Misfit]) -> list[Finding]:
     """Outputs of which the model follows little: then its constants mean nothing."""
-    limits = policy.reporting
     lost = {
         n: max(m.best_fit_percent, 0.0)
         for n, m in misfit.items()
-        if m.best_fit_percent < limits.followed_percent and m.noise_ratio > limits.far_noise_ratio
+        if m.best_fit_percent < FOLLOWED_PERCENT and m.noise_ratio > FAR_NOISE_RATIO
     }
     return [Finding(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, "", {"best_fit": lost})] if lost else []
 
@@ -366,13 +389,11 @@ def _find_undetermined_directions(covariance: ParameterCovariance) -> list[Findi
     ]
 
 
-def _find_nothing_to_explain(
-    problem: EstimationProblem, misfit: Mapping[str, Misfit], policy: EstimationPolicy
-) -> list[Finding]:
+def _find_nothing_to_explain(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> list[Finding]:
     """Records whose every output is at its noise already with a constant in the place of the model."""
     best_fit = {n: m.best_fit_percent for n, m in misfit.items()}
     at_noise = all(
-        m.noise_ratio <= policy.excess.noise_ratio and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
+        m.noise_ratio <= NOISE_RATIO and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
         for n, m in misfit.items()
     )
     is_useless = bool(misfit) and at_noise and not any(percent > 0 for percent in best_fit.values())
@@ -399,7 +420,7 @@ def _find_excess_misfit(
 ) -> list[Finding]:
     """Misfit above the noise; what it means depends on how the noise is known."""
     ratios = compute_noise_ratios(problem, misfit)
-    louder = {n: ratio for n, ratio in ratios.items() if ratio > policy.excess.noise_ratio}
+    louder = {n: ratio for n, ratio in ratios.items() if ratio > NOISE_RATIO}
     if not louder:
         return []
     uncertain = all(ratio <= policy.excess.certain_ratio(problem.noise, n) for n, ratio in louder.items())
@@ -424,15 +445,20 @@ def _find_shifts(shifts: Sequence[ParameterShift], listed: int) -> list[Finding]
     return [Finding(EstimationCode.PARAMETER_NOT_CONSTANT, Severity.WARNING, "", {"shifts": values})]
 
 
+# Share of a standard deviation that half the integration step may shift a parameter.
+STEP_SHIFT = 0.1
+# Nobody asks for more digits of a parameter than this share of its value.
+LAST_DIGIT = 1e-06
+
+
 def _find_moved_by_step(
-    variables: DecisionVector, covariance: ParameterCovariance, shift: np.ndarray, policy: EstimationPolicy
+    variables: DecisionVector, covariance: ParameterCovariance, shift: np.ndarray
 ) -> dict[str, float]:
     """Parameters that half the step moves by too much of their standard deviation, and by how much of it."""
-    limits = policy.reporting
     deviations = np.sqrt(np.diag(covariance.covariance))
     known = np.isfinite(deviations) & np.isfinite(shift)
     change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
-    moved = known & (shift > limits.step_shift) & (change > limits.last_digit * np.abs(variables.base))
+    moved = known & (shift > STEP_SHIFT) & (change > LAST_DIGIT * np.abs(variables.base))
     return {variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)}
 
 

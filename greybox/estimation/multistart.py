@@ -21,7 +21,6 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.starts import (
@@ -54,17 +53,16 @@ class MultiStartResult(Printable):
     best: Fit
     start_results: tuple[StartResult, ...]
     interrupted: bool = False
-    policy: MultistartPolicy = DEFAULT_POLICY.multistart
 
     @property
     def best_optimum_count(self) -> int:
         """How many starts ended at the best optimum."""
-        return len(group_by_optimum(self.start_results, self.policy)[0])
+        return len(group_by_optimum(self.start_results)[0])
 
     @property
     def summary(self) -> Finding:
         """How many starts ended where."""
-        return summarise_starts(self.start_results, self.policy)
+        return summarise_starts(self.start_results)
 
 
 def multistart(
@@ -199,12 +197,11 @@ def multistart(
         options=replace(options, other_starts=0),  # they have been tried
     )
     best = replace(best, provenance=replace(best.provenance, options=options.to_data()))
-    policy = options.policy.multistart
-    summary = summarise_starts(start_results, policy)
+    summary = summarise_starts(start_results)
     values = {"left": left, "starts": len(begins), "seconds": time_limit}
     late = (Finding(EstimationCode.STARTS_NOT_BEGUN, Severity.WARNING, "", values),) if is_late else ()
     best = replace(best, findings=(summary, *late, *best.findings), starts=tuple(start_results))
-    return MultiStartResult(best, tuple(start_results), interrupted, policy)
+    return MultiStartResult(best, tuple(start_results), interrupted)
 
 
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:

@@ -18,7 +18,6 @@ from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import Termination
 from greybox.estimation.options import ColourTreatment, FitOptions
-from greybox.estimation.policy import NoiseLoopPolicy
 from greybox.estimation.result_parts import Misfit, RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -78,7 +77,7 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     counts = np.maximum(evaluation.counts, 1)
     size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
-    if is_settled(ratio, options.policy.noise_loop):
+    if is_settled(ratio):
         return None
     return problem.with_noise(replace(problem.noise, std=problem.noise.std * ratio))
 
@@ -93,12 +92,10 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
     loss, before = options.to_loss(), solution.problem.loss
     if loss is None:
         return None
-    scale = estimate_bulk_scale(solution, options.policy.noise_loop)
+    scale = estimate_bulk_scale(solution)
     if before is None and loss.kind != LossKind.HUBER:
         loss = replace(loss, kind=LossKind.HUBER, threshold=loss.policy.huber_threshold)
-    elif (
-        before is not None and before.kind == loss.kind and is_settled(scale / before.scale, options.policy.noise_loop)
-    ):
+    elif before is not None and before.kind == loss.kind and is_settled(scale / before.scale):
         return None
     return replace(solution.problem, loss=replace(loss, scale=scale))
 
@@ -106,9 +103,7 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
 def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem | None:
     """The noise coloured as the residual is, where its colour is not known already."""
     noise, policy = solution.problem.noise, options.policy
-    residual = estimate_residual_colour(
-        solution.residuals(), solution.unknowns, noise.known, policy=policy.intervals, noise_policy=policy.noise
-    )
+    residual = estimate_residual_colour(solution.residuals(), solution.unknowns, noise.known, noise_policy=policy.noise)
     models = tuple(
         known if known.order else estimated for known, estimated in zip(noise.colour, residual.models, strict=True)
     )
@@ -117,9 +112,19 @@ def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem
     return solution.problem.with_noise(replace(noise, colour=models))
 
 
-def is_settled(ratio: np.ndarray, policy: NoiseLoopPolicy) -> bool:
+# The level of a noise, or the scale of a robust loss, stands still when it changes by less than this share from round to round.
+SETTLED_SIZE = 0.02
+
+
+def is_settled(ratio: np.ndarray) -> bool:
     """Whether what is known of the noise stands still: ``ratio`` (ny,) of the new sizes to those before."""
-    return bool(np.all(np.abs(ratio - 1) < policy.settled_size))
+    return bool(np.all(np.abs(ratio - 1) < SETTLED_SIZE))
+
+
+# Gauss-Newton steps after the last round at most, which give the parameters their last digits.
+POLISHING_STEPS = 3
+# The same with a robust loss, where each step of reweighted least squares is nearer by about the same share.
+ROBUST_POLISHING_STEPS = 30
 
 
 def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
@@ -140,7 +145,7 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
         high,
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=solution.evaluation,
-        iterations=policy.polishing_steps if problem.loss is None else policy.robust_polishing_steps,
+        iterations=POLISHING_STEPS if problem.loss is None else ROBUST_POLISHING_STEPS,
         termination_test=Termination(policy.last_digits, low, high, objective.squares).test,
         policy=replace(options.policy.minimisation, damped=policy.polishing),
     )
@@ -155,10 +160,14 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     )
 
 
-def estimate_bulk_scale(solution: Solution, policy: NoiseLoopPolicy) -> np.ndarray:
+# Lower limit of the scale of a robust loss over an estimated noise, which outliers may have made so much too large; less is rounding.
+LEAST_SCALE = 0.3
+
+
+def estimate_bulk_scale(solution: Solution) -> np.ndarray:
     """Size of the bulk of each output's residual over its noise (ny,), one at least where the noise is given."""
     r = compute_whitened_residuals(solution.problem, solution.simulate())
-    least = 1.0 if solution.problem.noise.known else policy.least_scale
+    least = 1.0 if solution.problem.noise.known else LEAST_SCALE
     return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
 
 

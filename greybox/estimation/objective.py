@@ -12,7 +12,6 @@ from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 
-from greybox.estimation.policy import LikelihoodSearchPolicy
 from greybox.estimation.transcription.decision_vector import DecisionVector, NoiseLevels
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
@@ -21,18 +20,19 @@ from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI, InnovationSen
 from greybox.simulation.filtering.smoother import BatchFilter, predict_outputs
 from greybox.simulation.kernel.record import Record
 
+# The noise of an output is not followed below this share of what the records' differences say.
+LEAST_NOISE = 0.0001
+# Nor above its start times the exponential of this.
+GREATEST_NOISE = 25.0
 
-def add_noise_levels(
-    variables: DecisionVector, problem: EstimationProblem, policy: LikelihoodSearchPolicy
-) -> DecisionVector:
+
+def add_noise_levels(variables: DecisionVector, problem: EstimationProblem) -> DecisionVector:
     """``variables`` with the noise of the outputs: known where it is given or a quiet record tells it, else estimated with the rest."""
     measured = np.any([np.isfinite(r.y).any(axis=0) for r in problem.records], axis=0)
     sources = problem.noise.sources
     known = np.array([o.name in sources and sources[o.name].is_independent for o in problem.model.outputs])
     std = problem.noise.std
-    return replace(
-        variables, noise=NoiseLevels(std, measured & ~known, policy.least_noise * std, policy.greatest_noise)
-    )
+    return replace(variables, noise=NoiseLevels(std, measured & ~known, LEAST_NOISE * std, GREATEST_NOISE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,11 +139,11 @@ class PredictionErrorObjective:
     records: tuple[Record, ...]
 
     @classmethod
-    def of(cls, problem: EstimationProblem, policy: LikelihoodSearchPolicy) -> PredictionErrorObjective:
+    def of(cls, problem: EstimationProblem) -> PredictionErrorObjective:
         """The likelihood of the records of ``problem``."""
         known_start = not problem.variables.initial.free.any()
         kalman = KalmanFilter.of(problem.model.system, problem.step, known_start=known_start)
-        return cls(add_noise_levels(problem.variables, problem, policy), kalman, problem.records)
+        return cls(add_noise_levels(problem.variables, problem), kalman, problem.records)
 
     def at(self, variables: DecisionVector) -> PredictionErrorObjective:
         """The same cost over other variables."""

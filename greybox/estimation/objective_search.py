@@ -82,6 +82,10 @@ def search_minimum(
     )
 
 
+# Damped steps of Fisher scoring, or Gauss and Newton's, at most where a minimum is near.
+SCORING_STEPS = 10
+
+
 def refine_minimum(
     objective: ObjectiveT,
     options: FitOptions,
@@ -104,7 +108,7 @@ def refine_minimum(
         high,
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=begin,
-        iterations=policy.scoring_steps,
+        iterations=SCORING_STEPS,
         termination_test=Termination(termination or policy.termination, low, high, objective.squares).test,
         policy=options.policy.minimisation,
     )

@@ -230,7 +230,7 @@ class Optimum(ABC):
         ]
         names = [e.name for e in problem.experiments]
         tested = ConstancyInput(self.variables, names, outputs, self._expected_noise, problem.model.noise_parameters)
-        return find_parameter_shifts(tested, self.residuals.rows, self.policy.constancy)
+        return find_parameter_shifts(tested, self.residuals.rows)
 
     @property
     def _expected_noise(self) -> ResidualColour:
@@ -274,14 +274,12 @@ class SimulationOptimum(Optimum):
     @cached_property
     def colour(self) -> ResidualColour:
         """Colour and variance of the residuals."""
-        problem, policy = self.problem, self.policy
+        problem = self.problem
         return estimate_residual_colour(
             self._linearised[1],
             self.solution.unknowns,
             problem.noise.known,
             problem.variance_floor,
-            policy.intervals,
-            policy.noise,
         )
 
     @cached_property
@@ -289,9 +287,7 @@ class SimulationOptimum(Optimum):
         """Of the free constants."""
         if not self.residuals:
             return ParameterCovariance.unknown(self.variables)
-        return estimate_covariance(
-            self.variables, self.evaluation, self.residuals, self.colour, self.problem, self.policy.intervals
-        )
+        return estimate_covariance(self.variables, self.evaluation, self.residuals, self.colour, self.problem)
 
     def _compute_step_change(self) -> np.ndarray:
         joined = self.solution.joined
@@ -347,14 +343,14 @@ class PredictionOptimum(Optimum):
     def colour(self) -> ResidualColour:
         """Colour and variance of the innovations."""
         rows = self.residuals.rows if self.residuals else ()
-        return estimate_residual_colour(rows, 0, True, policy=self.policy.intervals, noise_policy=self.policy.noise)
+        return estimate_residual_colour(rows, 0, True, noise_policy=self.policy.noise)
 
     @cached_property
     def covariance(self) -> ParameterCovariance:
         """Of the free constants."""
         if not self.residuals or not self.variables.size:
             return ParameterCovariance.unknown(self.variables)
-        return estimate_likelihood_covariance(self.maximum, self.residuals, self.colour, self.policy.intervals)
+        return estimate_likelihood_covariance(self.maximum, self.residuals, self.colour)
 
     @cached_property
     def one_step(self) -> Mapping[str, Misfit]:

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
-from greybox.estimation.policy import ConstancyPolicy, EstimationPolicy
+from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.solution import Runs
@@ -74,7 +74,13 @@ class ConstancyInput:
     excluded: Sequence[str] = ()
 
 
-def find_parameter_shifts(tested: ConstancyInput, rows: Runs, policy: ConstancyPolicy) -> list[ParameterShift]:
+# Standard deviations apart from which a shift counts.
+CONSTANCY_LEAST_DEVIATIONS = 3.0
+# Rate of false alarms over all comparisons of a fit.
+CONSTANCY_FALSE_ALARM_RATE = 0.01
+
+
+def find_parameter_shifts(tested: ConstancyInput, rows: Runs) -> list[ParameterShift]:
     """Parameters that differ too far between experiments, halves of the records, or small and large motion; the farthest first.
 
     Each part has its own parameters and initial states, one Gauss-Newton step from the common optimum (a score test of constancy). The
@@ -91,12 +97,12 @@ def find_parameter_shifts(tested: ConstancyInput, rows: Runs, policy: ConstancyP
         [
             (part.label, *step)
             for part in parts
-            if (step := _step_to_optimum(variables, rows, part, tested.colour, inside, policy))
+            if (step := _step_to_optimum(variables, rows, part, tested.colour, inside))
         ]
-        for parts in (_split_by_experiment(tested, rows), _split_in_halves(rows), _split_by_motion(tested, policy))
+        for parts in (_split_by_experiment(tested, rows), _split_in_halves(rows), _split_by_motion(tested))
     ]
     comparisons = max(sum(len(inside) * len(g) * (len(g) - 1) // 2 for g in groups), 1)
-    threshold = max(policy.least_deviations, float(-ndtri(policy.false_alarm_rate / comparisons / 2)))
+    threshold = max(CONSTANCY_LEAST_DEVIATIONS, float(-ndtri(CONSTANCY_FALSE_ALARM_RATE / comparisons / 2)))
     farthest: dict[int, ParameterShift] = {}
     for (one, step_a, variance_a), (other, step_b, variance_b) in (pair for g in groups for pair in combinations(g, 2)):
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -145,7 +151,15 @@ def _split_in_halves(rows: Runs) -> list[DataPart]:
     ]
 
 
-def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[DataPart]:
+# Small and large motion are told apart in so many windows of a record ...
+MOTION_WINDOWS = 50
+# ... over so many correlation times of the residual at least ...
+CONSTANCY_CORRELATION_TIMES = 5.0
+# ... if the upper quarter of the motion is so many times as large as the lower.
+MOTION_RATIO = 1.5
+
+
+def _split_by_motion(tested: ConstancyInput) -> list[DataPart]:
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
     outputs, colour = tested.outputs, tested.colour
     everything = outputs[0] if len(outputs) == 1 else np.concatenate(outputs)
@@ -157,14 +171,14 @@ def _split_by_motion(tested: ConstancyInput, policy: ConstancyPolicy) -> list[Da
     time = max((t for t, _ in colour.times), default=1.0)
     size = {}
     for e, y in enumerate(outputs):
-        width = int(min(max(len(y) / policy.motion_windows, policy.correlation_times * time), len(y)))
+        width = int(min(max(len(y) / MOTION_WINDOWS, CONSTANCY_CORRELATION_TIMES * time), len(y)))
         used = y if moving.all() else y[:, moving]
         squares = compute_running_mean(_square_motion(used, mean[moving], spread[moving]), max(width, 1))
         size[e] = np.sqrt(squares, out=squares)
     ordered = np.concatenate(list(size.values()))
     ordered.sort()
     small, middle, large = ordered[[int(share * (len(ordered) - 1)) for share in (0.25, 0.5, 0.75)]]
-    if large < policy.motion_ratio * small:
+    if large < MOTION_RATIO * small:
         return []
     parts = {e: values <= middle for e, values in size.items()}
     records = str(len(outputs))
@@ -183,6 +197,10 @@ def _square_motion(y: np.ndarray, mean: np.ndarray, spread: np.ndarray) -> np.nd
     return squares
 
 
+# A residual below this share of the noise is rounding or integration error, which is not random.
+CONSTANCY_LEAST_NOISE_RATIO = 0.1
+
+
 def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: EstimationPolicy) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residuals ``rows``, which have the ``colour``.
 
@@ -193,11 +211,15 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: 
     squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
     ratio = np.sqrt(squares.sum(axis=0) / np.maximum(counts, 1))
     del squares
-    models, variance = list(colour.models), [max(v, policy.constancy.least_noise_ratio**2) for v in colour.variance]
+    models, variance = list(colour.models), [max(v, CONSTANCY_LEAST_NOISE_RATIO**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
         if ratio[j] > policy.excess.certain_ratio(noise, name):
             models[j], variance[j] = AutoRegression(), 1.0
     return replace(colour, models=tuple(models), variance=tuple(variance))
+
+
+# Parts with fewer residuals for each unknown say nothing.
+RESIDUALS_PER_UNKNOWN = 10
 
 
 def _step_to_optimum(
@@ -206,7 +228,6 @@ def _step_to_optimum(
     part: DataPart,
     colour: ResidualColour,
     inside: np.ndarray,
-    policy: ConstancyPolicy,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Step of the parameters ``inside`` to the part's own optimum and its variance (k,), both in ``z``; None if it is too short."""
     n, shared = len(variables.which), len(inside)
@@ -223,7 +244,7 @@ def _step_to_optimum(
         },
     )
     data = {e: _select_part(*rows[e], mask, layout.lanes(e, inside), colour.coloured) for e, mask in part.rows.items()}
-    if sum(int(np.isfinite(r).sum()) for r, _ in data.values()) < policy.residuals_per_unknown * layout.size:
+    if sum(int(np.isfinite(r).sum()) for r, _ in data.values()) < RESIDUALS_PER_UNKNOWN * layout.size:
         return None
     sums = sum_scores(layout, list(data.values()), colour, list(data))
     decomposition = decompose_symmetric(sums.information).without_doubtful()

@@ -23,7 +23,6 @@ from greybox.estimation.objective_search import (
     start_at,
 )
 from greybox.estimation.options import FitOptions, prepare_estimation
-from greybox.estimation.policy import ProcessNoisePolicy
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.options import Transcription
@@ -70,23 +69,32 @@ def compute_largest_intensities(model: Model, steps: np.ndarray) -> dict[str, fl
     return largest
 
 
+# Start values reach so many decades below the intensity that would explain every movement of a state by chance.
+START_DECADES = 6.0
+# Decades between two start values.
+START_SPACING = 0.5
+
+
 def guess_intensities(
     cost: PredictionErrorObjective,
     names: Sequence[str],
     sizes: Mapping[str, float],
-    policy: ProcessNoisePolicy,
 ) -> PredictionErrorObjective:
     """``cost`` with ``z = 0`` at the most likely of some start values of the intensities ``names``, the other unknowns as they are.
 
     All of them together first, then each by itself.
     """
     # Shares of the intensity that would explain every movement of a state by chance.
-    shares = 10.0 ** np.arange(0.0, -(policy.start_decades + 0.1), -policy.start_spacing)
+    shares = 10.0 ** np.arange(0.0, -(START_DECADES + 0.1), -START_SPACING)
     together = [start_at(cost, {n: share * sizes[n] for n in names}) for share in shares]
     cost = select_best_start([cost, *together])
     for name in names if len(names) > 1 else ():
         cost = select_best_start([cost, *(start_at(cost, {name: share * sizes[name]}) for share in shares)])
     return cost
+
+
+# Zero does as well where it costs less than this in -2 log L.
+NEGLIGIBLE_DECREASE = 0.1
 
 
 def drop_insignificant(
@@ -96,7 +104,7 @@ def drop_insignificant(
     zero: list[str] = []
     for name in names:
         near = refine_minimum(remove_process_noise(optimum.objective, name), options)
-        if near.evaluation.cost <= optimum.evaluation.cost + options.policy.process_noise.negligible_decrease:
+        if near.evaluation.cost <= optimum.evaluation.cost + NEGLIGIBLE_DECREASE:
             # Each by itself: of two intensities that stand for one another either can be zero, not both.
             zero.append(name)
             optimum = search_minimum(near.objective, options)
@@ -106,6 +114,12 @@ def drop_insignificant(
 def remove_process_noise(cost: PredictionErrorObjective, name: str) -> PredictionErrorObjective:
     """``cost`` without process noise of the intensity ``name``."""
     return hold_parameters(cost, {name: 0.0})
+
+
+# An intensity below this share of the one that explains every movement counts as zero.
+PROCESS_NOISE_FLOOR = 1e-08
+# Level at which an intensity counts as clearly above zero.
+PROCESS_NOISE_SIGNIFICANCE = 0.01
 
 
 def likelihood_ratio_tests(
@@ -124,7 +138,7 @@ def likelihood_ratio_tests(
     tests = []
     for name in names:
         if name in zero:
-            upper = find_upper_limit(optimum, name, policy.floor * sizes[name], options)
+            upper = find_upper_limit(optimum, name, PROCESS_NOISE_FLOOR * sizes[name], options)
             tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
         rest = search_minimum(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
@@ -132,8 +146,16 @@ def likelihood_ratio_tests(
         p_value = 0.5 * float(chdtrc(1, ratio))
         limited = ratio < policy.limit_ratio
         limits = (0.0, find_upper_limit(optimum, name, values[name], options)) if limited else None
-        tests.append(ProcessNoiseTest(name, values[name], ratio, p_value, p_value < policy.significance, limits))
+        tests.append(ProcessNoiseTest(name, values[name], ratio, p_value, p_value < PROCESS_NOISE_SIGNIFICANCE, limits))
     return tuple(tests)
+
+
+# Factor between two trials on the way to an upper limit.
+LIMIT_GROWTH = 2.0
+# Trials at most.
+LIMIT_STEPS = 40
+# The limit is found to this share of the likelihood ratio.
+PROCESS_NOISE_LIMIT_TOLERANCE = 0.02
 
 
 def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, options: FitOptions) -> float:
@@ -142,15 +164,15 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
     ``begin`` is one that does not.
     """
     policy = options.policy.process_noise
-    limit, tolerance = policy.limit_ratio, policy.limit_tolerance * policy.limit_ratio
+    limit, tolerance = policy.limit_ratio, PROCESS_NOISE_LIMIT_TOLERANCE * policy.limit_ratio
     enough = replace(options.policy.likelihood_search.termination, negligible_decrease=tolerance)
     least = optimum.evaluation.cost
     near, low, high = optimum.objective, begin, np.inf
     value = begin
     # With the other unknowns held the cost rises at least as fast: up to there the limit is not reached.
-    while value < begin / policy.floor and hold_parameters(near, {name: value}).cost() - least < limit:
-        low, value = value, policy.limit_growth * value
-    for _ in range(policy.limit_steps):
+    while value < begin / PROCESS_NOISE_FLOOR and hold_parameters(near, {name: value}).cost() - least < limit:
+        low, value = value, LIMIT_GROWTH * value
+    for _ in range(LIMIT_STEPS):
         trial = refine_minimum(hold_parameters(near, {name: value}), options, enough)
         rise = trial.evaluation.cost - least
         if abs(rise - limit) <= tolerance:
@@ -158,7 +180,7 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
         if trial.status.success:
             near = trial.objective
         low, high = (value, high) if rise < limit else (low, value)
-        value = policy.limit_growth * value if np.isinf(high) else float(np.sqrt(low * high))
+        value = LIMIT_GROWTH * value if np.isinf(high) else float(np.sqrt(low * high))
     return value
 
 
@@ -213,10 +235,7 @@ def estimate_by_prediction_error(
         prepare_estimation(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
     )
     sizes = compute_largest_intensities(model, _compute_state_changes(solution))
-    starts = [
-        guess_intensities(start, names, sizes, options.policy.process_noise)
-        for start in _make_starts(model, names, sizes, solution, options)
-    ]
+    starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
     optimum = search_minimum(select_best_start(starts), options, report)
     if not optimum.status.success:
         return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
@@ -253,11 +272,11 @@ def _make_starts(
     model: Model, names: Sequence[str], sizes: Mapping[str, float], solution: Solution, options: FitOptions
 ) -> list[PredictionErrorObjective]:
     """The likelihood at the fit by simulation error, where there is one, and at the start values."""
-    problem, policy = solution.problem, options.policy
+    problem = solution.problem
     working = model
     for name in names:
         low, high = model.parameter(name).bounds
-        floor = max(low, policy.process_noise.floor * sizes[name])
+        floor = max(low, PROCESS_NOISE_FLOOR * sizes[name])
         value = model.values[name] or 1e-3 * sizes[name]
         working = working.start(**{name: float(np.clip(value, min(floor, high / 2), high))})
         working = working.bound(**{name: (min(floor, high / 2), high)})
@@ -269,6 +288,6 @@ def _make_starts(
     for start in (solution.variables, problem.variables) if solution.status.success else (problem.variables,):
         variables = DecisionVector.of(working, start.initial, conditions, options.per_experiment, titles)
         variables = variables.with_values(dict(zip(start.names, start.base, strict=True)))
-        variables = add_noise_levels(variables, problem, policy.likelihood_search)
+        variables = add_noise_levels(variables, problem)
         objectives.append(PredictionErrorObjective(variables, kalman, problem.records))
     return objectives

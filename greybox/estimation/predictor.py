@@ -18,7 +18,6 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autor
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.policy import InitialStatePolicy
 from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.solve import solve
@@ -65,7 +64,7 @@ def make_likelihood(
     nor known from a quiet record."""
     frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
     problem = prepare_estimation(frozen, experiments, given.noise, options)
-    return PredictionErrorObjective.of(problem, options.policy.likelihood_search)
+    return PredictionErrorObjective.of(problem)
 
 
 def estimate_initial_state(
@@ -197,6 +196,10 @@ class PredictingModel(Protocol):
         """Outputs by name (N,), each row from the measurements up to ``steps`` rows before it."""
 
 
+# Rows from which they are estimated where the rest of the record is to be predicted or judged.
+FIRST_ROWS = 50
+
+
 @dataclass(frozen=True)
 class Predictor:
     """A model with known constants and what corrects it at each sample (`PredictionCorrection`), ready for any record."""
@@ -250,9 +253,7 @@ class Predictor:
         model = self.correction.model
         given = FixedParameterModel(model, self.correction.noise, self.options)
         if initial is None:
-            return estimate_initial_state(
-                make_likelihood(given, experiment), self.options, self.options.policy.initial_state.first_rows
-            )
+            return estimate_initial_state(make_likelihood(given, experiment), self.options, FIRST_ROWS)
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]
         if unknown:
@@ -458,9 +459,7 @@ def smooth(
     given = fix_parameters(model, noise, options)
     cost = estimate_initial_state(make_likelihood(given, experiment), given.options)
     pn, x0 = cost.start(0)
-    smoothed = smooth_states(
-        cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost, given.options.policy.initial_state)
-    )
+    smoothed = smooth_states(cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost))
     record, names = cost.records[0], given.model.system.state_names
     spread = np.sqrt(np.maximum(np.diagonal(smoothed.covariance, axis1=1, axis2=2), 0.0))
     before = np.sqrt(np.maximum(np.diagonal(smoothed.filtered_covariance, axis1=1, axis2=2), 0.0))
@@ -486,7 +485,12 @@ def smooth(
     )
 
 
-def _make_prior_covariance(cost: PredictionErrorObjective, policy: InitialStatePolicy) -> np.ndarray | None:
+# Variance of the first states' prior for a smoother, over what the record says of them: all but a ten-thousandth of the smoothed variance
+# is left to the record.
+SMOOTHER_PRIOR = 10000.0
+
+
+def _make_prior_covariance(cost: PredictionErrorObjective) -> np.ndarray | None:
     """A wide covariance (nx, nx) of the first states about their estimate; None where they are declared."""
     v = cost.variables
     free = v.free_states
@@ -502,5 +506,5 @@ def _make_prior_covariance(cost: PredictionErrorObjective, policy: InitialStateP
     inverse = (vectors / np.maximum(values, UNSEEN_INFORMATION)) @ vectors.T / np.outer(scale, scale)
     covariance = np.zeros((len(v.initial.free), len(v.initial.free)))
     reach = v.initial.scale[free]
-    covariance[np.ix_(free, free)] = policy.smoother_prior * inverse * np.outer(reach, reach)
+    covariance[np.ix_(free, free)] = SMOOTHER_PRIOR * inverse * np.outer(reach, reach)
     return covariance

@@ -25,30 +25,6 @@ from greybox.estimation.result_parts import Trace
 from greybox.estimation.sandwich import ColumnLayout, compute_toeplitz_form
 from greybox.model.model import Model
 
-
-@dataclass(frozen=True)
-class ResidualTestPolicy:
-    """Rules of the residual tests."""
-
-    alarm_level: float = 0.01
-    """p-value below which a test raises an alarm: one false alarm in a hundred good fits for each test."""
-    whiteness_lags: tuple[int, ...] = (5, 10, 20)
-    """Samples over which the residual must be uncorrelated: short, medium and long memory."""
-    samples_per_whiteness_lag: int = 5
-    """The test over some lags needs more samples than this many for each of them; with fewer its statistic is not chi-square."""
-    input_lags: int = 20
-    """Samples that an input may act before the residual."""
-    samples_per_input_lag: int = 10
-    """The independence test needs more samples than this many for each lag."""
-    blocks: int = 8
-    """Parts of all records over which variance and mean must be equal: enough for drift, few enough to be sure of each."""
-    min_block_values: int = 10
-    """Fewest values of a part; smaller parts are left out."""
-
-
-RESIDUAL_TEST_POLICY = ResidualTestPolicy()
-
-
 # The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
 
 LAGGED_SIGNALS = RankTolerance(REDUNDANT_VARIANCE, REDUNDANT_VARIANCE)
@@ -234,14 +210,11 @@ class ResidualTests(Printable):
         Outputs whose residual was whitened with their known noise colour first.
     residuals
         What was tested, by output.
-    policy
-        The numbers that the tests were made under.
     """
 
     tests: tuple[ResidualTest, ...]
     whitened: tuple[str, ...] = ()
     residuals: Mapping[str, ResidualSeries] = field(default_factory=dict, repr=False, compare=False)
-    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY
 
     @property
     def alarms(self) -> tuple[ResidualTest, ...]:
@@ -261,7 +234,7 @@ class ResidualTests(Printable):
         raise KeyError(f"no test {str(kind)!r} of output {output!r}")
 
 
-def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY) -> ResidualTests:
+def residual_tests(fit: Fit) -> ResidualTests:
     """Test the free-run residual of each output over all records of a fit, or its innovations where the model has process noise.
 
     Whiteness over 5, 10 and 20 lags (Ljung and Box); independence of each input over 20 lags, with the covariance that the
@@ -274,8 +247,6 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
     ----------
     fit
         A fit that succeeded.
-    policy
-        Alarm level, lags and blocks.
 
     Returns
     -------
@@ -305,7 +276,7 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
         residuals, unbounded = [r[:, j] for r, _ in rows], [r[:, j] for r, _ in raw]
         columns = [layout.columns(e) for e in range(len(rows))]
         slopes = _spread_columns([jacobian[:, j] for _, jacobian in rows], columns, layout.size)
-        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded, policy, noise_policy)
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded)
         tested[output.name] = ResidualSeries(
             tuple(residuals),
             tuple(unbounded),
@@ -314,7 +285,23 @@ def residual_tests(fit: Fit, *, policy: ResidualTestPolicy = RESIDUAL_TEST_POLIC
             fit_autoregression(join_series(residuals), policy=noise_policy),
         )
     whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
-    return ResidualTests(tuple(tests), whitened, tested, policy)
+    return ResidualTests(tuple(tests), whitened, tested)
+
+
+# p-value below which a test raises an alarm: one false alarm in a hundred good fits for each test.
+ALARM_LEVEL = 0.01
+# Samples over which the residual must be uncorrelated: short, medium and long memory.
+WHITENESS_LAGS: tuple[int, ...] = (5, 10, 20)
+# The test over some lags needs more samples than this many for each of them; with fewer its statistic is not chi-square.
+SAMPLES_PER_WHITENESS_LAG = 5
+# Samples that an input may act before the residual.
+RESIDUAL_TEST_INPUT_LAGS = 20
+# The independence test needs more samples than this many for each lag.
+SAMPLES_PER_INPUT_LAG = 10
+# Parts of all records over which variance and mean must be equal: enough for drift, few enough to be sure of each.
+RESIDUAL_TEST_BLOCKS = 8
+# Fewest values of a part; smaller parts are left out.
+MIN_BLOCK_VALUES = 10
 
 
 def run_residual_tests(
@@ -323,7 +310,6 @@ def run_residual_tests(
     inputs: Mapping[str, list[np.ndarray]],
     slopes: Sequence[np.ndarray] | None = None,
     raw: Sequence[np.ndarray] | None = None,
-    policy: ResidualTestPolicy = RESIDUAL_TEST_POLICY,
     noise_policy: NoisePolicy = NOISE_POLICY,
 ) -> list[ResidualTest]:
     """The tests of one output.
@@ -340,8 +326,6 @@ def run_residual_tests(
         For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
     raw
         The residuals with their outliers, if ``residuals`` are without.
-    policy
-        Alarm level, lags and blocks.
     noise_policy
         How the autoregression of the residual is chosen.
     """
@@ -353,20 +337,20 @@ def run_residual_tests(
 
     def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
         statistic, p_value = result
-        return ResidualTest(output, kind, statistic, p_value, bool(p_value < policy.alarm_level), lags, name, colour)
+        return ResidualTest(output, kind, statistic, p_value, bool(p_value < ALARM_LEVEL), lags, name, colour)
 
     tests = [
         make_test(ResidualTestKind.WHITENESS, ljung_box_test(series, lags), lags)
-        for lags in policy.whiteness_lags
-        if count > policy.samples_per_whiteness_lag * lags
+        for lags in WHITENESS_LAGS
+        if count > SAMPLES_PER_WHITENESS_LAG * lags
     ]
     for name, records in inputs.items():
-        if any(np.ptp(u) > 0 for u in records) and count > policy.samples_per_input_lag * policy.input_lags:
-            regressors = [lagged_matrix(u, policy.input_lags) for u in records]
+        if any(np.ptp(u) > 0 for u in records) and count > SAMPLES_PER_INPUT_LAG * RESIDUAL_TEST_INPUT_LAGS:
+            regressors = [lagged_matrix(u, RESIDUAL_TEST_INPUT_LAGS) for u in records]
             result = input_independence_test(residuals, _remove_fitted(slopes, regressors, residuals), colour)
-            tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, policy.input_lags, name))
+            tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
     whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
-    blocks = split_into_blocks(white, policy.blocks, policy.min_block_values)
+    blocks = split_into_blocks(white, RESIDUAL_TEST_BLOCKS, MIN_BLOCK_VALUES)
     return [
         *tests,
         make_test(ResidualTestKind.NORMALITY, normality_test(whitened)),

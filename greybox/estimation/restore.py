@@ -59,8 +59,7 @@ def restore_objective(fit: Fit) -> Objective:
     """What ``fit`` minimised, at its optimum; raises as `restore_problem`."""
     problem = restore_problem(fit)
     if fit.prediction.process_noise:
-        policy = FitOptions.from_data(fit.provenance.options).policy
-        return PredictionErrorObjective.of(problem, policy.likelihood_search)
+        return PredictionErrorObjective.of(problem)
     return SimulationErrorObjective(problem)
 
 

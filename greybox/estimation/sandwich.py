@@ -19,7 +19,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
 from greybox.data.noise.policy import NoisePolicy
-from greybox.estimation.policy import DEFAULT_POLICY, IntervalPolicy
+from greybox.estimation.policy import DEFAULT_POLICY
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,15 @@ class ResidualColour:
         return max(independent - self.unknowns, 1.0)
 
 
+# A residual of fewer samples shows no colour that could be told from chance: it counts as white.
+LEAST_SAMPLES = 50
+
+
 def estimate_residual_colour(
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
     unknowns: int,
     noise_given: bool,
     variance_floor: np.ndarray | None = None,
-    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
     noise_policy: NoisePolicy = DEFAULT_POLICY.noise,
 ) -> ResidualColour:
     """Autoregression of each output's weighted residual over all records, and its variance.
@@ -79,7 +82,7 @@ def estimate_residual_colour(
             max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
         )
         counts.append(count)
-        is_enough = count >= policy.least_samples
+        is_enough = count >= LEAST_SAMPLES
         models.append(
             fit_autoregression(series, overwrite_input=True, policy=noise_policy) if is_enough else AutoRegression()
         )
@@ -139,26 +142,31 @@ def sum_scores(
     return ScoreSums(score, information, white, coloured)
 
 
+# The kernel estimate of the scores' covariance looks so many correlation times back.
+INTERVAL_CORRELATION_TIMES = 5.0
+# It looks back over this share of a record at most.
+RECORD_SHARE = 0.125
+
+
 def estimate_kernel_score_covariance(
     variables: ColumnLayout,
     rows: Sequence[tuple[np.ndarray, np.ndarray]],
     colour: ResidualColour,
     projector: np.ndarray,
-    policy: IntervalPolicy = DEFAULT_POLICY.intervals,
 ) -> np.ndarray:
     """Covariance (n, n) of the projected scores after Newey and West, with Bartlett's weights.
 
     ``projector`` (n, size) takes scores to those of the parameters with the initial states estimated as well.
     """
     total = np.zeros((len(projector), len(projector)))
-    reach = max((time for time, _ in colour.times), default=1.0) * policy.correlation_times
+    reach = max((time for time, _ in colour.times), default=1.0) * INTERVAL_CORRELATION_TIMES
     for e, (r, jacobian) in enumerate(rows):
         scores, lanes = np.empty((len(r), len(projector))), projector[:, variables.columns(e)].T
         for part in _split_rows(len(r)):
             measured = np.isfinite(r[part])
             slopes, residual = np.where(measured[:, :, None], jacobian[part], 0.0), np.where(measured, r[part], 0.0)
             scores[part] = np.einsum("tjk,tj->tk", slopes, residual) @ lanes
-        lags = int(min(max(reach, 1.0), max(policy.record_share * len(r), 1.0)))
+        lags = int(min(max(reach, 1.0), max(RECORD_SHARE * len(r), 1.0)))
         total += compute_toeplitz_form(scores, 1 - np.arange(lags) / lags)
     return total
 

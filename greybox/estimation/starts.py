@@ -19,7 +19,6 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.options import FitOptions
-from greybox.estimation.policy import DEFAULT_POLICY, MultistartPolicy
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
@@ -107,24 +106,20 @@ def _draw(q: Parameter, factor: float, share: float) -> float:
     return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
 
 
-def group_by_optimum(
-    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
-) -> list[list[StartResult]]:
+def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartResult]]:
     """Results at the same optimum, best first; starts without a result are left out."""
     groups: list[list[StartResult]] = []
     for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
-        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio, policy):
+        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio):
             groups[-1].append(result)
         else:
             groups.append([result])
     return groups
 
 
-def summarise_starts(
-    start_results: Sequence[StartResult], policy: MultistartPolicy = DEFAULT_POLICY.multistart
-) -> Finding:
+def summarise_starts(start_results: Sequence[StartResult]) -> Finding:
     """How many starts ended at each optimum, the best first, and how many have no result."""
-    groups = group_by_optimum(start_results, policy)
+    groups = group_by_optimum(start_results)
     values = {
         "counts": [len(group) for group in groups],
         "ratios": [group[0].noise_ratio for group in groups],
@@ -133,5 +128,11 @@ def summarise_starts(
     return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
 
 
-def _is_same_optimum(a: float, b: float, policy: MultistartPolicy) -> bool:
-    return b**2 <= (1 + policy.same_cost) * a**2 or b - a <= policy.same_noise_ratio
+# Difference of two costs over the smaller one.
+MULTISTART_SAME_COST = 0.01
+# Or difference of two misfits over noise.
+SAME_NOISE_RATIO = 0.001
+
+
+def _is_same_optimum(a: float, b: float) -> bool:
+    return b**2 <= (1 + MULTISTART_SAME_COST) * a**2 or b - a <= SAME_NOISE_RATIO

@@ -13,6 +13,7 @@ from greybox.estimation.noise_loop import estimate_by_simulation_error
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.predictor import FIRST_ROWS
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.options import Hessian, Transcription
@@ -95,7 +96,7 @@ def validate(
     else:
         variables = problem.variables
         if variables.initial.free.any():
-            first = _cut_to_first_rows(problem, initial_rows or skip or options.policy.initial_state.first_rows)
+            first = _cut_to_first_rows(problem, initial_rows or skip or FIRST_ROWS)
             single = replace(options, transcription=Transcription.SINGLE, progressive=False)
             variables = estimate_by_simulation_error(first, single).variables
         problem = _refine_until_fine(problem, variables, options)

@@ -37,7 +37,6 @@ from greybox.shell.options import (
     takes_study,
 )
 from greybox.shell.plants import plant_kind
-from greybox.shell.policy import PROGRESS
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.shell.study import COMPARE, Study
 from greybox.shell.terminal import exit_with_error, write_report
@@ -178,10 +177,14 @@ def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -
     return fit, time.perf_counter() - began
 
 
+# Relative time that the scan of each kind of black box usually takes.
+SCAN_TIMES: Mapping[str, float] = {"arx": 8, "armax": 40, "output error": 33, "box-jenkins": 6, "hammerstein": 13}
+
+
 def scan_share(what: str, share: float, outputs: Sequence[str]) -> float:
     """Share of all scans that is done, when ``share`` of ``what`` ("armax of x") is, by the time that each kind takes as a rule."""
     kind, _, output = what.rpartition(" of ")
-    times = PROGRESS.scan_times
+    times = SCAN_TIMES
     kinds = list(times)
     before = sum(times[k] for k in kinds[: kinds.index(kind)])
     return (outputs.index(output) + (before + share * times[kind]) / sum(times.values())) / len(outputs)

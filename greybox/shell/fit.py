@@ -40,7 +40,6 @@ from greybox.shell.options import (
     takes_study,
 )
 from greybox.shell.plants import plant_kind
-from greybox.shell.policy import COMMANDS
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import FIT, Study
 from greybox.shell.terminal import exit_with_error, hold_interrupts, write_report
@@ -231,6 +230,10 @@ def _share(executor: Executor | None, workers: int) -> ShareWork:
     return share
 
 
+# Seed of the bootstrap's draws: the same command prints the same intervals.
+BOOTSTRAP_SEED = 0
+
+
 def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstrap:
     """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
@@ -239,7 +242,7 @@ def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstra
     from greybox.estimation.uncertainty.profile import profile
 
     name, replicates = asked
-    draws = np.random.default_rng(COMMANDS.bootstrap_seed)
+    draws = np.random.default_rng(BOOTSTRAP_SEED)
     return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
 
 
@@ -299,12 +302,16 @@ def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
         yield from [f"{name} ({title})" for title in per_record[name]] if name in per_record else [name]
 
 
+# Rows up to which the error one sample ahead is shown without being asked for: longer records would make the user wait.
+UNASKED_PREDICTION_ROWS = 50000
+
+
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
     """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
     from greybox.estimation.residuals import score
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
-    unasked = [1] if rows <= COMMANDS.unasked_prediction_rows else []
+    unasked = [1] if rows <= UNASKED_PREDICTION_ROWS else []
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}

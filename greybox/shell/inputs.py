@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
-from greybox.shell.policy import COMMANDS, CommandPolicy
 from greybox.shell.study import MethodName, Study
 from greybox.shell.study_values import Numbers, Table, parse_number
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
@@ -253,24 +252,26 @@ def print_record_notes(*groups: Iterable[Experiment]) -> None:
         print_note(f"note: {finding}")
 
 
-def check_skip(study: Study, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS) -> None:
+def check_skip(study: Study, validation: Sequence[Experiment]) -> None:
     """Refuse to leave out rows where there are none, or so many that a validation record has too few left."""
     skip, label = study.skip, study.label("skip")
     if study.beginning > skip:
         skip, label = study.beginning, study.label("beginning")
     if skip:
-        check_skipped_rows(label, skip, validation, policy)
+        check_skipped_rows(label, skip, validation)
 
 
-def check_skipped_rows(
-    label: str, skip: int, validation: Sequence[Experiment], policy: CommandPolicy = COMMANDS
-) -> None:
+# Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.
+MINIMUM_VALIDATION_ROWS = 10
+
+
+def check_skipped_rows(label: str, skip: int, validation: Sequence[Experiment]) -> None:
     """`check_skip` for ``skip`` rows, which the option ``label`` gives. Raises GreyboxError."""
     if not validation:
         raise GreyboxError(
             f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
         )
-    least = policy.minimum_validation_rows
+    least = MINIMUM_VALIDATION_ROWS
     shortest = min(r.rows for r in validation)
     if shortest - skip < least:
         raise GreyboxError(
@@ -323,17 +324,21 @@ def check_workers(workers: int, cluster: str, shared: Mapping[str, object]) -> N
         raise GreyboxError(f"{given} has no effect: there is one computation; give {' or '.join(shared)} too")
 
 
-def check_intervals(study: Study, model: Model, policy: CommandPolicy = COMMANDS) -> tuple[str, ...]:
+# Replicates of a bootstrap: with fewer, each end of a 95 % interval rests on two or three of them.
+MINIMUM_REPLICATES = 100
+
+
+def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
     """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
     for name in names:
         if name not in free:
             raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
-    if 0 < study.bootstrap < policy.minimum_replicates:
+    if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
-            f" give {policy.minimum_replicates} or more"
+            f" give {MINIMUM_REPLICATES} or more"
         )
     return names
 

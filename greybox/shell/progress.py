@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
-from greybox.shell.policy import PROGRESS
 from greybox.shell.terminal import Interrupt, print_note
 
 if TYPE_CHECKING:
@@ -21,6 +20,12 @@ class ShowProgress(Protocol):
 
     def __call__(self, text: str, share: float | None = None) -> None:
         """``share`` from 0 to 1; None if unknown; then no remaining time is printed."""
+
+
+# Seconds before the line appears: short commands stay quiet.
+PROGRESS_PATIENCE = 1.0
+# Seconds between two lines where there is no terminal: a log says that the command lives, and is not filled.
+LINE_SECONDS = 10.0
 
 
 class ProgressLine:
@@ -43,11 +48,11 @@ class ProgressLine:
         left = time_left(elapsed, share)
         remaining = "" if left is None else f"about {format_duration(left)} left"
         if not self.console.is_terminal:
-            if now - self.written >= PROGRESS.line_seconds:
+            if now - self.written >= LINE_SECONDS:
                 self.written = now
                 print_note("; ".join(part for part in (text, f"{format_duration(elapsed)} so far", remaining) if part))
             return
-        if elapsed < PROGRESS.patience:
+        if elapsed < PROGRESS_PATIENCE:
             return
         if self.bar is None:
             self.bar = _bar(self.console)
@@ -112,15 +117,23 @@ def describe_progress(progress: FitProgress) -> str:
     )
 
 
+# Iterations that a stage of a fit usually takes.
+USUAL_ITERATIONS = 15
+
+
 def share_done(progress: FitProgress) -> float | None:
     """Share of a fit that is done, from the usual duration of each stage; None where a stage takes longer than usual."""
-    within = expected_share(max(progress.iteration, 0), PROGRESS.usual_iterations)
+    within = expected_share(max(progress.iteration, 0), USUAL_ITERATIONS)
     return None if within is None else (progress.stage - 1 + within) / max(progress.stages, progress.stage)
 
 
 def expected_share(done: int, usual: int) -> float | None:
     """Share that is done of what takes ``usual`` steps as a rule; None from there on, where nothing says how many are left."""
     return done / usual if done < usual else None
+
+
+# Refits that a discovery usually takes.
+USUAL_REFITS = 40
 
 
 @contextmanager
@@ -136,14 +149,18 @@ def show_search_progress() -> Iterator[tuple[Callable[[str], None], Callable[[in
             show(last)
 
         def report(done: int) -> None:
-            show(f"{last}; refit {done}", expected_share(done, PROGRESS.usual_refits))
+            show(f"{last}; refit {done}", expected_share(done, USUAL_REFITS))
 
         yield say, report
 
 
+# Share that must be done before the time left is shown: below it the extrapolation is a guess.
+MINIMUM_SHARE = 0.02
+
+
 def time_left(elapsed: float, share: float | None) -> float | None:
     """Seconds to go, if the rest goes on as the share that took ``elapsed`` seconds; None where too little is done to say."""
-    if share is None or not PROGRESS.minimum_share <= share <= 1:
+    if share is None or not MINIMUM_SHARE <= share <= 1:
         return None
     return elapsed * (1 - share) / share
 

@@ -15,7 +15,6 @@ from greybox.shell import completion
 from greybox.shell.answers import SimulationAnswer
 from greybox.shell.inputs import add_effects, check_substeps, layout_of, parse_limits, refuse_broken_limits
 from greybox.shell.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study
-from greybox.shell.policy import COMMANDS
 from greybox.shell.study import SIMULATE, Study
 from greybox.shell.study_values import Numbers
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
@@ -224,6 +223,10 @@ def _one_drive(
     return chosen
 
 
+# Rows of a simulated test signal; more would fill the memory before a word is written.
+MAXIMUM_SIMULATED_ROWS = 10000000
+
+
 def _signal(
     model: Model,
     chosen: dict[str, float],
@@ -243,9 +246,9 @@ def _signal(
     if not duration or not sampling_time or duration <= 0 or sampling_time <= 0:
         raise GreyboxError("a test signal needs --duration and --sampling-time, both above 0 seconds")
     rows = round(duration / sampling_time)
-    if not 2 <= rows <= COMMANDS.maximum_simulated_rows:
+    if not 2 <= rows <= MAXIMUM_SIMULATED_ROWS:
         raise GreyboxError(
-            f"--duration {duration:g} over --sampling-time {sampling_time:g} gives {rows} rows; give 2 to {COMMANDS.maximum_simulated_rows}"
+            f"--duration {duration:g} over --sampling-time {sampling_time:g} gives {rows} rows; give 2 to {MAXIMUM_SIMULATED_ROWS}"
         )
     time = sampling_time * np.arange(rows)
     u = np.full(rows, offset)

@@ -17,7 +17,6 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
 from greybox.base.files import write_file
-from greybox.shell.policy import COMMANDS
 from greybox.shell.study import CHECK, SPECS, STUDY_COMMANDS, Spec, Study, fields_of
 from greybox.shell.study_values import Files, Table
 
@@ -114,12 +113,16 @@ def study_text(study: Study, path: Path, command: str) -> str:
     return "\n\n".join("\n".join(part) for part in parts if part) + "\n"
 
 
+# Size of a study file: a thousand times what a long one has.
+MAXIMUM_STUDY_BYTES = 1000000
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         size = path.stat().st_size
-        if size > COMMANDS.maximum_study_bytes:
+        if size > MAXIMUM_STUDY_BYTES:
             raise GreyboxError(
-                f"{path}: {size} bytes, too long for a study file; at most {COMMANDS.maximum_study_bytes} bytes are read"
+                f"{path}: {size} bytes, too long for a study file; at most {MAXIMUM_STUDY_BYTES} bytes are read"
             )
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +12,6 @@ from greybox.base.numerics import TIME_ROUNDING
 from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
 from greybox.model.model import Model
 from greybox.simulation.kernel.record import Record
-
-
-@dataclass(frozen=True)
-class BandLimitedPolicy:
-    """How a band-limited input is interpolated between its samples."""
-
-    points: int = 12
-    """Points in each interval, between which the input is linear."""
-
-    half_length: int = 32
-    """Half the length of the interpolating filter, in intervals."""
-
-    kaiser_beta: float = 9.0
-    """Shape of the filter's Kaiser window: flat to 0.01 % up to 0.45 of the sampling rate."""
-
-
-BAND_LIMITED = BandLimitedPolicy()
 
 
 def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
@@ -52,7 +34,7 @@ def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Expe
     return number_unnamed_records(result)
 
 
-def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = BAND_LIMITED) -> Record:
+def to_record(model: Model, experiment: Experiment) -> Record:
     """An experiment as the kernels read it, its columns in the order of the model's inputs and outputs.
 
     An output that was not measured is a column of NaN. An effect of the model may say what the input does between samples; else the
@@ -83,27 +65,37 @@ def to_record(model: Model, experiment: Experiment, policy: BandLimitedPolicy = 
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
     hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
     if hold == "band-limited":
-        return _to_finer_record(experiment, u, y, policy)
+        return _to_finer_record(experiment, u, y)
     lengths, row = _group_intervals(experiment.intervals)
     return Record(u, y, lengths[row], row, lengths, hold == "first")
 
 
-def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, policy: BandLimitedPolicy) -> Record:
+# Points in each interval, between which the input is linear.
+BAND_LIMITED_POINTS = 12
+
+
+def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Record:
     if experiment.sampling_time is None:
         raise DataError(
             f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
         )
-    points = policy.points
+    points = BAND_LIMITED_POINTS
     rows = points * (len(y) - 1) + 1
     measured = np.full((rows, y.shape[1]), np.nan)
     measured[::points] = y
     length = np.array([experiment.sampling_time / points])
-    interpolated = interpolate_band_limited(u, points, policy)
+    interpolated = interpolate_band_limited(u, points)
     h = np.full(rows - 1, length[0])
     return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
 
 
-def interpolate_band_limited(u: np.ndarray, points: int, policy: BandLimitedPolicy = BAND_LIMITED) -> np.ndarray:
+# Half the length of the interpolating filter, in intervals.
+HALF_LENGTH = 32
+# Shape of the filter's Kaiser window: flat to 0.01 % up to 0.45 of the sampling rate.
+BAND_LIMITED_KAISER_BETA = 9.0
+
+
+def interpolate_band_limited(u: np.ndarray, points: int) -> np.ndarray:
     """A band-limited signal (N, n) at ``points`` points in each interval: ``(points (N - 1) + 1, n)``.
 
     A windowed sinc, flat up to 0.45 of the sampling rate (0.01 %); towards its ends the record is continued as its mirror image
@@ -112,11 +104,11 @@ def interpolate_band_limited(u: np.ndarray, points: int, policy: BandLimitedPoli
     """
     if len(u) < 2 or u.shape[1] == 0:
         return np.zeros((points * (len(u) - 1) + 1, u.shape[1])) + u[:1]
-    margin = min(policy.half_length, len(u) - 1)
+    margin = min(HALF_LENGTH, len(u) - 1)
     ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    half = policy.half_length * points
-    taps = np.sinc(np.arange(-half, half + 1) / points) * np.kaiser(2 * half + 1, policy.kaiser_beta)
-    fine = _filter_phases(ends, taps * (points / taps.sum()), points, policy.half_length)
+    half = HALF_LENGTH * points
+    taps = np.sinc(np.arange(-half, half + 1) / points) * np.kaiser(2 * half + 1, BAND_LIMITED_KAISER_BETA)
+    fine = _filter_phases(ends, taps * (points / taps.sum()), points, HALF_LENGTH)
     lines = fine.copy()
     lines[1:-1] -= (fine[2:] - 2 * fine[1:-1] + fine[:-2]) / 12
     return lines[points * margin : points * (margin + len(u) - 1) + 1]

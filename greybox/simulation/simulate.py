@@ -27,7 +27,7 @@ from greybox.simulation.integrators.policy import DiscretisationPolicy
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
-from greybox.simulation.records import BandLimitedPolicy, to_record
+from greybox.simulation.records import to_record
 
 # The inputs of a file alone, for simulating where nothing was measured.
 
@@ -87,14 +87,10 @@ def read_inputs(
 class SimulationPolicy:
     """How fine a model is integrated."""
 
-    max_change: float = 1e-6
-    """The step is halved until that changes no output by more than this share of its movement (rms)."""
     max_halvings: int = 6
     """Most halvings; a run that still changes is returned as it is."""
     discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
     """How the first step is chosen; that of `EstimationPolicy` simulates as a fit does."""
-    band_limited: BandLimitedPolicy = field(default_factory=BandLimitedPolicy)
-    """How a band-limited input is filled in between samples."""
 
 
 SIMULATION_POLICY = SimulationPolicy()
@@ -153,6 +149,10 @@ class Simulation:
         return self.source.with_outputs(outputs)
 
 
+# The step is halved until that changes no output by more than this share of its movement (rms).
+MAX_CHANGE = 1e-06
+
+
 def simulate(
     model: Model,
     inputs: Experiment | Mapping[str, ArrayLike],
@@ -196,7 +196,7 @@ def simulate(
     >>> run.outputs["x"][-1]  # doctest: +SKIP
     """
     experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
-    record, rules = to_record(model, experiment, policy.band_limited), policy.discretisation
+    record, rules = to_record(model, experiment), policy.discretisation
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
     y, x = _run(step, record, p, x0)
@@ -208,7 +208,7 @@ def simulate(
         finer = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
         before = y
         step, (y, x) = finer, _run(finer, record, p, x0)
-        if _has_settled(before, y, policy.max_change):
+        if _has_settled(before, y, MAX_CHANGE):
             break
     return Simulation(
         experiment.time,

@@ -10,7 +10,7 @@ from greybox.base.errors import ModelError
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.findings import DiscoveryCode as Code
-from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.problem import MAX_SUBSTEPS, PREDICTION_SUBSTEPS, UNSTABLE_FACTOR, DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.support.fake_candidates import toy_effect
@@ -90,5 +90,4 @@ def test_a_stiff_candidate_is_tried_with_a_bounded_number_of_steps(monkeypatch):
     tried = []
     monkeypatch.setattr(gb.discovery.problem, "_rank_starts", lambda p, starts: tried.append(p.step.substeps) or [])
     assert np.isinf(problem.predict_cost(stiff, [stiff.values]))
-    budget = problem.budget
-    assert tried == [budget.prediction_substeps, budget.unstable_factor * budget.max_substeps]
+    assert tried == [PREDICTION_SUBSTEPS, UNSTABLE_FACTOR * MAX_SUBSTEPS]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from greybox.discovery.certainty import Grade, grade_effect, probability_of, to_features
+from greybox.discovery.certainty import CERTAINTY_WEIGHTS, Grade, grade_effect, probability_of, to_features
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import Conclusion, Verdict
 from greybox.discovery.evidence import EffectEvidence
@@ -34,12 +34,12 @@ CLEAR = {
 
 
 def probability(**changes):
-    return probability_of(to_features(CLEAR | changes, POLICY), POLICY)
+    return probability_of(to_features(CLEAR | changes), POLICY)
 
 
 def grade(has_equal=False, **changes):
-    features = to_features(CLEAR | changes, POLICY)
-    return grade_effect(probability_of(features, POLICY), features, has_equal, POLICY)
+    features = to_features(CLEAR | changes)
+    return grade_effect(probability_of(features, POLICY), features, has_equal)
 
 
 def test_a_memory_that_the_records_do_not_show_is_not_established():
@@ -116,9 +116,9 @@ def test_whatever_speaks_against_an_effect_lowers_its_probability(change):
     ],
 )
 def test_no_probability_establishes_an_effect_against_a_single_test(change):
-    sure = replace(POLICY, intercept=20.0)
-    features = to_features(CLEAR | change, sure)
-    assert grade_effect(0.999, features, False, sure) is Grade.PROBABLE
+    replace(POLICY, intercept=20.0)
+    features = to_features(CLEAR | change)
+    assert grade_effect(0.999, features, False) is Grade.PROBABLE
 
 
 def test_a_curve_that_takes_a_little_beside_a_large_effect_is_no_other_form():
@@ -130,13 +130,13 @@ def test_what_another_effect_equals_is_probable_at_most():
 
 
 def test_a_model_that_cannot_be_run_without_the_effect_overflows_nothing():
-    features = to_features(CLEAR | {"loss": 1e300, "loss_t": 1e300, "rival_loss": 1e300, "rival_t": 1e300}, POLICY)
+    features = to_features(CLEAR | {"loss": 1e300, "loss_t": 1e300, "rival_loss": 1e300, "rival_t": 1e300})
     assert all(math.isfinite(value) and abs(value) <= 1 for value in features.values())
     assert 0 < probability_of(features, replace(POLICY, intercept=1e9)) <= 1
 
 
 def test_every_feature_has_a_weight():
-    assert set(to_features(CLEAR, POLICY)) == set(POLICY.weights)
+    assert set(to_features(CLEAR)) == set(CERTAINTY_WEIGHTS)
 
 
 def evidence(name, given):
@@ -163,8 +163,8 @@ def tied(name, *alike, **changes):
     ],
 )
 def test_effects_that_only_an_equal_keeps_from_certainty_are_ambiguous(effects, verdict, sets):
-    assert weigh_evidence(Conclusion(Verdict.NAMED, ()), effects, POLICY).verdict is verdict
-    assert weigh_evidence(Conclusion(Verdict.UNKNOWN, ()), effects[-1:], POLICY).verdict is Verdict.UNKNOWN
+    assert weigh_evidence(Conclusion(Verdict.NAMED, ()), effects).verdict is verdict
+    assert weigh_evidence(Conclusion(Verdict.UNKNOWN, ()), effects[-1:]).verdict is Verdict.UNKNOWN
     assert list_tied_sets(effects) == sets
 
 
@@ -187,7 +187,7 @@ SURE, LIKELY, DOUBTFUL = Grade.ESTABLISHED, Grade.PROBABLE, Grade.STAND_IN
 )
 def test_a_name_is_certain_only_where_it_is_established(before, grades, after):
     each = [evidence(f"effect_{k}", given) for k, given in enumerate(grades)]
-    conclusion = weigh_evidence(Conclusion(before, ()), each, POLICY)
+    conclusion = weigh_evidence(Conclusion(before, ()), each)
     assert conclusion.verdict is after
     outcomes = [check.passed for check in conclusion.checks if check.rule == DiscoveryRule.ESTABLISHED]
     assert outcomes == [given is SURE for given in grades]

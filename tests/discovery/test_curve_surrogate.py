@@ -67,10 +67,10 @@ def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
     assert (surrogate.site, surrogate.variable) == ("input u", "u")
     assert surrogate.explained_fraction > 0.9
     assert surrogate.shape.parity is Parity.ODD
-    assert find_missing_sites(location, surrogate, POLICY.selection) == location.likeliest  # the input is one of these
+    assert find_missing_sites(location, surrogate) == location.likeliest  # the input is one of these
     elsewhere = SimpleNamespace(likeliest=("sensor of x",))
-    assert find_missing_sites(elsewhere, surrogate, POLICY.selection) == ("input u",)
-    assert find_missing_sites(elsewhere, None, POLICY.selection) == ("sensor of x",)
+    assert find_missing_sites(elsewhere, surrogate) == ("input u",)
+    assert find_missing_sites(elsewhere, None) == ("sensor of x",)
 
 
 def test_a_validation_record_that_reaches_beyond_the_estimation_records_is_reported():
@@ -109,7 +109,7 @@ def test_a_power_starts_as_the_signal_shows_it(power):
     signal = -4.0 * np.sign(v) * np.abs(v) ** power + 7.0 * v  # the model has the straight part
     dependence = SimpleNamespace(variable="v", unit="m/s", shape=SimpleNamespace(parity=Parity.ODD))
     site = next(s for s in list_disturbance_sites(micro_actuator, ["x"]) if s.name == "force")
-    effect, start = make_power_effect(site, dependence, v, signal, POLICY.surrogate)
+    effect, start = make_power_effect(site, dependence, v, signal)
     size = effect.parameters[0].value
     assert start["power"] == power
     assert start["height"] == pytest.approx(-4.0 * size**power, rel=0.02)

@@ -23,7 +23,7 @@ from tests.support.fake_candidates import COUNT, candidate
 
 POLICY = SelectionPolicy()
 NOISE = noise_cost_limit(COUNT)  # cost per sample; four standard deviations above one
-CLEAN = clean_cost_limit(COUNT, POLICY)
+CLEAN = clean_cost_limit(COUNT)
 LIMITS = {"x": 1.1, "i": 1.2}
 
 
@@ -33,10 +33,10 @@ def outcomes(checks):
 
 def test_limits_shrink_with_the_number_of_samples_and_grow_with_the_colour():
     assert noise_cost_limit(800) == pytest.approx(1 + 4 * math.sqrt(2 / 800))
-    assert clean_cost_limit(COUNT, POLICY) == pytest.approx(NOISE + 0.05)
-    white = visible_rms_limit(5000, AutoRegression(), POLICY)
+    assert clean_cost_limit(COUNT) == pytest.approx(NOISE + 0.05)
+    white = visible_rms_limit(5000, AutoRegression())
     assert white == pytest.approx(1.05 + 4 / math.sqrt(10000))
-    assert visible_rms_limit(5000, AutoRegression((0.9,)), POLICY) > white
+    assert visible_rms_limit(5000, AutoRegression((0.9,))) > white
 
 
 @pytest.mark.parametrize(
@@ -87,7 +87,7 @@ def test_a_further_effect_explains_a_hundredth_or_leaves_only_noise(plain, small
     ],
 )
 def test_a_residual_is_clean_near_the_noise_or_as_a_small_share(plain, cost, clean):
-    assert judge_residual(candidate(plain), candidate(cost, "a"), POLICY).passed is clean
+    assert judge_residual(candidate(plain), candidate(cost, "a")).passed is clean
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_the_output_that_is_missed_most_decides():
 )
 def test_a_misfit_may_show_on_the_validation_records_only(cost, before, shows):
     errors = {"x": HoldoutError(before, before, 1.0, "m")}
-    assert judge_validation_only(candidate(cost), errors, LIMITS, POLICY).passed is shows
+    assert judge_validation_only(candidate(cost), errors, LIMITS).passed is shows
 
 
 NO_GAP, EXPLAINED, LEFT = (HoldoutError(*error, 1.0, "m") for error in ((1.0, 1.0), (10.0, 1.1), (10.0, 5.0)))

@@ -115,4 +115,4 @@ def test_an_effect_has_the_variable_of_which_it_adds_a_function(name, variable):
     values = {**model.values, amplitude: 1.0}
     states = ((0.0,) * len(model.system.state_names),)
     extended = problem.restore(model, RefitOutcome(values, states))
-    assert find_own_variable(extended, name, DiscoveryPolicy().localisation) == variable
+    assert find_own_variable(extended, name) == variable

@@ -45,11 +45,11 @@ def test_a_model_that_cannot_be_run_loses_without_limit():
 
 def test_the_share_of_the_error_has_an_interval_that_holds_it():
     without = 16 * ERRORS["x"] * np.exp(0.1 * RNG.standard_normal(24))
-    share, (low, high) = _share_of_error(ERRORS["x"], without, EvidencePolicy())
+    share, (low, high) = _share_of_error(ERRORS["x"], without)
     assert share == pytest.approx(0.75, abs=0.02)
     assert low < share < high
-    assert (low, high) == _share_of_error(ERRORS["x"], without, EvidencePolicy())[1]  # the same each time
-    assert _share_of_error(ERRORS["x"], None, EvidencePolicy())[0] == 1.0
+    assert (low, high) == _share_of_error(ERRORS["x"], without)[1]  # the same each time
+    assert _share_of_error(ERRORS["x"], None)[0] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ TIME = np.linspace(0, 1, 200)
 )
 def test_a_curve_over_some_variables_is_the_effect_itself(variable, modelled, expected):
     signal = SimpleNamespace(effect="a", variable_name="v", time=TIME, modelled=modelled)
-    assert _represents(variable, signal, EvidencePolicy()) is expected
+    assert _represents(variable, signal) is expected
 
 
 def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0, is_constant=False):
@@ -220,7 +220,7 @@ def test_the_same_effect_at_every_output_may_be_one_of_the_input(outputs, expect
         )
         for name in ("sensor_lag", "sensor_lag_at_p")
     ]
-    graded = evidence._lower_doubtful(tuple(weighed), 0.0, outputs, DiscoveryPolicy().certainty)
+    graded = evidence._lower_doubtful(tuple(weighed), 0.0, outputs)
     assert {e.grade for e in graded} == {expected}
 
 

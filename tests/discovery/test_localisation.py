@@ -8,13 +8,15 @@ from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.discovery.curve_shape import Parity, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
 from greybox.discovery.localisation import (
+    CONCENTRATED_TIME,
+    LOCALISATION_WINDOWS,
     MisfitWindow,
     divide_misfit,
     find_concentration,
     find_worst_stretch,
     localise_residual,
 )
-from greybox.discovery.policy import LocalisationPolicy, ShapePolicy
+from greybox.discovery.policy import LocalisationPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
@@ -120,13 +122,13 @@ def test_a_curve_on_one_side_of_zero_bends_or_curves(curve, kind, downwards, pos
     values = curve(z)
     if kind is ShapeKind.STRAIGHT:
         values = np.zeros(30)
-    shape = classify_shape(z, values, np.ones(30), ShapePolicy())
+    shape = classify_shape(z, values, np.ones(30))
     assert (shape.kind, shape.downwards) == (kind, downwards)
     assert shape.position == (None if position is None else pytest.approx(position, abs=0.2))
 
 
 def test_too_few_values_have_no_shape():
-    assert classify_shape(np.arange(5.0), np.ones(5), np.ones(5), ShapePolicy()).kind is ShapeKind.TOO_FEW_VALUES
+    assert classify_shape(np.arange(5.0), np.ones(5), np.ones(5)).kind is ShapeKind.TOO_FEW_VALUES
 
 
 def test_a_tone_that_the_input_does_not_have_has_a_frequency():
@@ -158,15 +160,15 @@ def test_the_stretch_is_where_the_misfit_varies_and_not_where_it_stands_still():
 def test_windows_share_out_the_misfit():
     r = np.ones((1000, 1))
     r[200:300] = 10.0
-    windows = divide_misfit(["a"], [np.arange(1000) * 0.01], [r], POLICY.windows)
+    windows = divide_misfit(["a"], [np.arange(1000) * 0.01], [r], LOCALISATION_WINDOWS)
     assert len(windows) == 20
     assert sum(w.share for w in windows if 1.99 < w.start < 3) == pytest.approx(1, abs=0.01)
-    timing = find_concentration(windows, POLICY)
+    timing = find_concentration(windows)
     assert [name for name, *_ in timing.stretches] == ["a"]
-    assert timing.time_share <= POLICY.concentrated_time
+    assert timing.time_share <= CONCENTRATED_TIME
 
 
 @pytest.mark.parametrize(("share", "stretches"), [(0.0, None), (0.05, 0)])
 def test_a_misfit_that_is_nowhere_or_everywhere_is_not_concentrated(share, stretches):
-    timing = find_concentration([MisfitWindow("a", k, k + 1.0, share, 2.0) for k in range(20)], POLICY)
+    timing = find_concentration([MisfitWindow("a", k, k + 1.0, share, 2.0) for k in range(20)])
     assert (None if timing is None else len(timing.stretches)) == stretches

@@ -16,7 +16,7 @@ from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import MisfitWindow, RankedSite, ResidualLocalisation
-from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy
+from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.proposals import explain_doubt, propose_next_steps
 from tests.discovery.test_certainty import CLEAR
 
@@ -49,7 +49,7 @@ def evidence(alike=(), rival="quadratic_damping", **measures):
     ],
 )
 def test_an_experiment_is_asked_for_only_where_the_records_do_not_separate(weak, code, values):
-    step = explain_doubt(weak, CertaintyPolicy())
+    step = explain_doubt(weak)
     assert (step.code, step.subject, dict(step.values)) == (code, "cubic_damping", values) if code else step is None
 
 
@@ -150,10 +150,10 @@ def test_what_a_sensor_adds_is_told_of_its_own_output_only():
     sensor = RankedSite("p1", SiteKind.SENSOR, 1e3, 0.1, "bar")
     location = ResidualLocalisation(10.0, 1.1, (sensor,), ((sensor.label,),), dependences=(dependence(),))
     holdout = {name: HoldoutError(2.0, 1.0, 0.1, "bar") for name in ("p1", "p2")}
-    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0, DiscoveryPolicy().evidence)
+    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0)
     assert left["p1"].sites == ("sensor of p1",) and left["p1"].dependence is not None
     assert left["p2"].sites == () and left["p2"].dependence is None
     balance = RankedSite("flow", SiteKind.BALANCE, 1e3, 0.1, "kg/s")
     location = ResidualLocalisation(10.0, 1.1, (balance,), ((balance.label,),), dependences=(dependence(),))
-    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0, DiscoveryPolicy().evidence)
+    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0)
     assert left["p1"].sites == left["p2"].sites == ("balance flow",)

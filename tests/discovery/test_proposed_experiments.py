@@ -40,7 +40,7 @@ def record(seed: int, rows: int = 300) -> gb.Experiment:
 @pytest.mark.parametrize("kind", list(InputKind))
 def test_each_input_moves_within_its_own_range_and_what_nobody_sets_stays(kind: InputKind) -> None:
     run = record(1)
-    inputs = candidate_inputs(run, HEATED.inputs, POLICY)[kind].inputs
+    inputs = candidate_inputs(run, HEATED.inputs)[kind].inputs
     assert np.array_equal(inputs["Ta"], run.inputs["Ta"])
     assert inputs["P"].min() >= 0  # a heater does not cool
     factor = 2.0 if kind is InputKind.SAME_INPUT_DOUBLED else 1.0

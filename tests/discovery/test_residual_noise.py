@@ -10,6 +10,7 @@ from greybox.data.noise.noise_model import AutoRegression, BoundDirection, Noise
 from greybox.discovery import residual_noise
 from greybox.discovery.policy import ResidualNoisePolicy
 from greybox.discovery.residual_noise import (
+    RESIDUAL_NOISE_LONGEST_CORRELATION,
     estimate_residual_noise,
     excess_autocorrelation,
     is_noise_known,
@@ -61,32 +62,32 @@ def test_noise_is_known_from_outside_the_fitted_records_only(source, quiet, know
 
 
 def test_a_coloured_residual_gives_its_colour_and_never_a_level_above_the_bound(with_residual):
-    estimated = estimate_residual_noise(with_residual(3.0 * coloured()), POLICY)
+    estimated = estimate_residual_noise(with_residual(3.0 * coloured()))
     assert estimated.std[0] == 1.0
     assert estimated.colour[0].reflection[0] == pytest.approx(0.8, abs=0.05)
-    quieter = estimate_residual_noise(with_residual(0.3 * coloured()), POLICY)
+    quieter = estimate_residual_noise(with_residual(0.3 * coloured()))
     assert quieter.std[0] == pytest.approx(0.3, rel=0.1)
 
 
 def test_a_known_level_and_colour_stay(with_residual):
     flat = NoiseBound(1.0, BoundDirection.ABOUT, NoiseSource.FLAT_PIECES, 0.0)
     model = replace(noise(NoiseSource.FLAT_PIECES), bounds={"x": flat})
-    estimated = estimate_residual_noise(with_residual(0.3 * coloured(), model), POLICY)
+    estimated = estimate_residual_noise(with_residual(0.3 * coloured(), model))
     assert estimated.std[0] == 1.0 and estimated.colour[0].order == 0
 
 
 def test_a_residual_remembers_no_longer_than_a_sensor(with_residual):
-    estimated = estimate_residual_noise(with_residual(coloured(correlation=0.999)), POLICY)
-    assert estimated.colour[0].reflection[0] == POLICY.longest_correlation
+    estimated = estimate_residual_noise(with_residual(coloured(correlation=0.999)))
+    assert estimated.colour[0].reflection[0] == RESIDUAL_NOISE_LONGEST_CORRELATION
 
 
 def test_a_white_residual_gives_no_colour(with_residual):
-    estimated = estimate_residual_noise(with_residual(RNG.normal(size=4000)), POLICY)
+    estimated = estimate_residual_noise(with_residual(RNG.normal(size=4000)))
     assert estimated.colour[0].order == 0
 
 
 def test_a_level_that_was_given_stays(with_residual):
-    estimated = estimate_residual_noise(with_residual(3.0 * coloured(), noise(NoiseSource.GIVEN)), POLICY)
+    estimated = estimate_residual_noise(with_residual(3.0 * coloured(), noise(NoiseSource.GIVEN)))
     assert estimated.std[0] == 1.0
     assert estimated.colour[0].order == 1
 
@@ -96,7 +97,7 @@ def test_a_level_that_was_given_stays(with_residual):
     [(1.04, WHITE, True), (1.06, WHITE, False), (1.0, AutoRegression((0.5,)), False)],
 )
 def test_the_noise_stands_still_within_its_tolerance(std, colour, same):
-    assert bool(is_same_noise(noise(std=std, colour=colour), noise(), POLICY)) is same
+    assert bool(is_same_noise(noise(std=std, colour=colour), noise())) is same
 
 
 def test_noise_leaves_no_autocorrelation_and_structure_does(with_residual):

@@ -11,7 +11,6 @@ from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import localise_residual, to_candidate_fit
 from greybox.discovery.pipeline import discover
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.surrogate import fit_tone_surrogate
 from greybox.estimation.options import FitOptions
@@ -85,7 +84,7 @@ def test_the_model_with_the_tone_is_fitted_to_records_at_rest_from_its_file(foun
 def test_a_tone_is_found_at_rest_too_and_not_where_there_is_none(rig):
     def fit_surrogate(fit):
         problem, candidate = DiscoveryProblem.from_fit(fit), to_candidate_fit(fit)
-        return fit_tone_surrogate(problem, candidate, localise_residual(fit), (rig[1],), fit, DiscoveryPolicy())
+        return fit_tone_surrogate(problem, candidate, localise_residual(fit), (rig[1],), fit)
 
     # At rest the way the tone sets in shows its site.
     model = plain_model(micro_actuator)

@@ -71,11 +71,7 @@ def test_half_the_step_is_nearer_to_the_exact_one(kind):
         options = FitOptions(method=method, substeps=substeps)
         problem = prepare_estimation(model, data, LEVEL, options)
         simulation = kind == "simulation"
-        objective = (
-            SimulationErrorObjective(problem)
-            if simulation
-            else PredictionErrorObjective.of(problem, options.policy.likelihood_search)
-        )
+        objective = SimulationErrorObjective(problem) if simulation else PredictionErrorObjective.of(problem)
         here = objective.variables.here
         costs[method] = objective.evaluate(here).cost
         costs["halves"] = objective.halve_step().evaluate(here).cost

@@ -33,11 +33,35 @@ class AlwaysHealthy:
         return ""
 
 
+# Seconds without an answer of the scheduler after which it is lost. A scheduler that is busy answers within a few.
+SILENCE_SECONDS = 20.0
+# Seconds without any worker: a worker that is started anew takes three to ten, and thirty on a machine with far more to do than it can.
+EMPTY_SECONDS = 40.0
+# Seconds that one call of the scheduler may take.
+CALL_SECONDS = 5.0
+# Seconds between two calls: a worker that lives for a shorter time is not counted.
+LOOK_SECONDS = 1.0
+# Seconds between two looks at the heartbeats of the workers.
+LISTEN_SECONDS = 4.0
+# Seconds without a heartbeat after which a worker is done without; one beats twice a second in a small cluster, and on a machine with far
+# more to do than it can every ten.
+FROZEN_SECONDS = 25.0
+# The same for each worker of a large cluster: a thousand of them beat every six seconds only.
+FROZEN_SECONDS_PER_WORKER = 0.03
+# Workers that may die one after another while no job is finished: one bad job kills four before Dask gives it up.
+LEAST_LOSSES = 6
+# The same for each worker of a large cluster, which may lose many at once when a machine goes.
+LOSSES_PER_WORKER = 3
+# Seconds without a finished job after which a cluster that has lost more workers than it ever had at a time is given up: where workers
+# begin slowly and die, their number alone would take minutes to tell.
+FRUITLESS_SECONDS = 40.0
+
+
 class DaskHealth:
     """The scheduler's answers, and the workers that come and go."""
 
     def __init__(self, client: Any, policy: ClusterPolicy = CLUSTER_POLICY) -> None:
-        self._client, self._policy = client, policy
+        self._client = client
         now = time.monotonic()
         self._looked = self._answered = self._staffed = self._listened = self._worked = now
         self._heartbeats: dict[str, tuple[Any, float]] = {}
@@ -50,30 +74,30 @@ class DaskHealth:
 
         Workers that die while one job is left may die of it: Dask gives it up, and it is named.
         """
-        policy, now = self._policy, time.monotonic()
+        now = time.monotonic()
         if self._client.status in ("closed", "closing"):
             return "the connection to its scheduler is closed"
         if finished > self._finished:
             self._finished, self._lost, self._worked = finished, 0, now
-        if now - self._looked < policy.look_seconds:
+        if now - self._looked < LOOK_SECONDS:
             return ""
         present = self._ask() if self._client.status == "running" else None
         self._looked = now = time.monotonic()
         if present is None:
             silent = now - self._answered
-            return f"its scheduler has not answered for {silent:.0f} s" if silent > policy.silence_seconds else ""
+            return f"its scheduler has not answered for {silent:.0f} s" if silent > SILENCE_SECONDS else ""
         self._answered = now
         self._lost += len(self._present - present)
         self._present, self._most_present = present, max(self._most_present, len(present))
         if present:
             self._staffed = now
-        if now - self._listened > policy.listen_seconds:
+        if now - self._listened > LISTEN_SECONDS:
             self._listened = now
             self._remove_frozen(now)
-        if now - self._staffed > policy.empty_seconds:
+        if now - self._staffed > EMPTY_SECONDS:
             return f"it has had no worker for {now - self._staffed:.0f} s"
-        is_fruitless = now - self._worked > policy.fruitless_seconds and self._lost > self._most_present
-        are_many = self._lost > max(policy.least_losses, policy.losses_per_worker * self._most_present)
+        is_fruitless = now - self._worked > FRUITLESS_SECONDS and self._lost > self._most_present
+        are_many = self._lost > max(LEAST_LOSSES, LOSSES_PER_WORKER * self._most_present)
         if not is_alone and (are_many or is_fruitless):
             return f"{self._lost} workers have died one after another without finishing a job"
         return ""
@@ -89,7 +113,7 @@ class DaskHealth:
         A worker that computes goes on beating: the solvers and the compiled kernels let its other threads run.
         """
         workers = (self._call("identity", n_workers=-1) or {}).get("workers", {})
-        limit = max(self._policy.frozen_seconds, self._policy.frozen_seconds_per_worker * len(workers))
+        limit = max(FROZEN_SECONDS, FROZEN_SECONDS_PER_WORKER * len(workers))
         for address, worker in workers.items():
             beat = worker.get("last_seen")
             last, since = self._heartbeats.get(address, (None, now))
@@ -102,7 +126,7 @@ class DaskHealth:
         """A call of the scheduler; None where it does not answer."""
         try:
             call = getattr(self._client.scheduler, name)
-            return self._client.sync(call, callback_timeout=self._policy.call_seconds, **arguments)
+            return self._client.sync(call, callback_timeout=CALL_SECONDS, **arguments)
         except Exception:  # of the network, in as many kinds as there are transports: each means no answer
             return None
 
@@ -150,6 +174,10 @@ def watch_executor(executor: Executor) -> WorkersHealth:
     return DaskHealth(executor.client) if isinstance(executor, DaskExecutor) else AlwaysHealthy()
 
 
+# Workers of a local cluster that may die of a job before it is tried alone: each takes seconds to replace.
+LOCAL_FAILURES = 1
+
+
 @contextmanager
 def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER_POLICY) -> Iterator[Executor]:
     """An executor on a Dask cluster.
@@ -186,7 +214,7 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
         logger.setLevel(logging.CRITICAL)  # a loss is told once, by us
         try:
             if address == LOCAL:
-                failures = {"distributed.scheduler.allowed-failures": policy.local_failures}
+                failures = {"distributed.scheduler.allowed-failures": LOCAL_FAILURES}
                 stack.enter_context(import_module("dask.config").set(failures))
                 folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="greybox-", ignore_cleanup_errors=True))
                 cluster = distributed.LocalCluster(
@@ -197,17 +225,21 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
                     local_directory=folder,
                     silence_logs=logging.CRITICAL,
                 )
-                stack.callback(_close, cluster, policy)
+                stack.callback(_close, cluster)
             client = distributed.Client(cluster if address == LOCAL else address, timeout=policy.connect_seconds)
         except (OSError, ValueError, RuntimeError, TimeoutError) as error:
             reason = str(error) or type(error).__name__
             raise GreyboxError(
                 f"cluster {address}: no scheduler answers ({reason}); give the address of one"
             ) from error
-        stack.callback(_close, client, policy)
+        stack.callback(_close, client)
         yield DaskExecutor(client)
 
 
-def _close(value: Any, policy: ClusterPolicy) -> None:
+# Seconds that closing may take.
+CLOSE_SECONDS = 5.0
+
+
+def _close(value: Any) -> None:
     with suppress(Exception):  # it may be lost already, and its loss was told
-        value.close(timeout=policy.close_seconds)
+        value.close(timeout=CLOSE_SECONDS)

@@ -13,7 +13,6 @@ from typing import Any
 from greybox.base.errors import GreyboxError, WorkersLostError
 from greybox.base.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
 from greybox.base.parallel.local_pool import (
-    RETRY_POLICY,
     LocalPool,
     count_cores,
     describe_version,
@@ -111,6 +110,12 @@ def open_workers(workers: int = 0, cluster: str = "") -> Iterator[Executor | Non
         yield executor
 
 
+# A job whose worker died is tried once more, and then alone: only a job that kills its own worker is given up.
+RETRY_TRIES = 2
+# Seconds between looks at the jobs, so that Ctrl-C is heard.
+WAKE_SECONDS = 0.5
+
+
 class _Book:
     """Which jobs are done, and how often the others were tried."""
 
@@ -162,7 +167,7 @@ class _Book:
         """All jobs in workers; a job that was lost twice with its worker runs alone, and is given up if that kills its worker."""
         health = watch_executor(executor)
         while (pending := self.open) and not self.is_late:
-            suspects = [k for k in pending if self.tries[k] >= RETRY_POLICY.tries]
+            suspects = [k for k in pending if self.tries[k] >= RETRY_TRIES]
             group = suspects[:1] or pending
             self.submit(executor, group, health)
             if suspects and self.results[group[0]] is None:
@@ -181,7 +186,7 @@ class _Book:
                 except Exception as error:  # broken or closed while we were still handing out jobs
                     self.lose(k, error)
             while waiting and not self.is_late:
-                finished, _ = wait(waiting, timeout=RETRY_POLICY.wake_seconds, return_when=FIRST_COMPLETED)
+                finished, _ = wait(waiting, timeout=WAKE_SECONDS, return_when=FIRST_COMPLETED)
                 for future in finished:
                     self.take(waiting.pop(future), future, is_alone=len(group) == 1)
                 self.check(health, waiting)
@@ -204,7 +209,7 @@ class _Book:
             self.lose(k, error)
             if type(error).__name__ == "KilledWorker":
                 # Dask tried it several times, but counts the deaths by its neighbours as well: it is tried alone.
-                self.tries[k] = RETRY_POLICY.tries
+                self.tries[k] = RETRY_TRIES
                 if is_alone:
                     self.enter(
                         k,

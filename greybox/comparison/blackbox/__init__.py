@@ -4,7 +4,7 @@ from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity, hammerstein
 from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
-from greybox.comparison.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy, SubspacePolicy
+from greybox.comparison.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
 from greybox.comparison.blackbox.resample import keep_measured_rows, resample
@@ -30,7 +30,6 @@ __all__ = [
     "StructureScan",
     "StructureScanPolicy",
     "SubspaceOutput",
-    "SubspacePolicy",
     "armax",
     "arx",
     "best_black_boxes",

@@ -85,7 +85,7 @@ def best_black_boxes(
     >>> print(scans["arx"])  # doctest: +SKIP
     """
     whole = to_sampled_data(experiments, output, inputs)
-    estimation, validation, skip = _split(whole, policy)
+    estimation, validation, skip = _split(whole)
     data = to_sampled_data(estimation, whole.output, whole.inputs)
     scans: dict[BlackBoxKind, StructureScan] = {}
     reason = "no kinds asked for"
@@ -120,29 +120,39 @@ def best_black_boxes(
     return {BlackBoxKind(k): scans[BlackBoxKind(k)] for k in kinds if k in scans}
 
 
-def _split(
-    data: SampledData, policy: StructureScanPolicy
-) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
+# Share of a single record, its end, that is held out for validation.
+HOLDOUT_SHARE = 0.3
+# The end of a record validates if an input still moves there by this share of its earlier range.
+HOLDOUT_EXCITATION = 0.3
+# Measured values that such an end must hold.
+HOLDOUT_VALUES = 60
+
+
+def _split(data: SampledData) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...], int]:
     """Estimation records, validation records, and how many first rows of these do not count; no validation records where only the
     estimation records themselves can serve."""
     records = data.experiments
     if len(records) > 1:
         count = max(1, len(records) // 3)
-        return _shorten(records[:-count], policy), _shorten(records[-count:], policy), 0
-    (record,) = _shorten(records, policy)
-    cut = round((1 - policy.holdout_share) * record.rows)
+        return _shorten(records[:-count]), _shorten(records[-count:]), 0
+    (record,) = _shorten(records)
+    cut = round((1 - HOLDOUT_SHARE) * record.rows)
     measured = min(int(np.isfinite(part).sum()) for part in np.split(record.outputs[data.output], [cut]))
     inputs = [record.inputs[name] for name in data.inputs]
-    moving = any(np.ptp(u[cut:]) > policy.holdout_excitation * np.ptp(u[:cut]) for u in inputs)
-    if measured < policy.holdout_values or not moving:
+    moving = any(np.ptp(u[cut:]) > HOLDOUT_EXCITATION * np.ptp(u[:cut]) for u in inputs)
+    if measured < HOLDOUT_VALUES or not moving:
         return (record,), (), 0
     # The whole record is run, so that its end begins with the state that the run has there.
     return (record.window(0, cut),), (record,), cut
 
 
-def _shorten(experiments: Sequence[Experiment], policy: StructureScanPolicy) -> tuple[Experiment, ...]:
+# Rows of all records that a scan uses; the chosen structure is fitted to all.
+SCANNED_ROWS = 20000
+
+
+def _shorten(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
     """The first rows of each record, ``policy.scanned_rows`` in all."""
-    share = min(1.0, policy.scanned_rows / sum(e.rows for e in experiments))
+    share = min(1.0, SCANNED_ROWS / sum(e.rows for e in experiments))
     return tuple(e if share == 1 else e.window(0, max(2, int(share * e.rows))) for e in experiments)
 
 
@@ -155,7 +165,7 @@ def _choices(
 ) -> Iterator[OrderChoice]:
     """What to scan of this kind, given the scans of the kinds before."""
     if kind == BlackBoxKind.ARX:
-        delay = _find_delay(data, at_rest, policy)
+        delay = _find_delay(data, at_rest)
         delays = sorted({*policy.first_delays, max(delay - 1, 0), delay, delay + 1})
         for na, nk, offset in product(range(1, policy.largest_poles + 1), delays, (False, True)):
             for nb, focus in product(sorted({1, 2, na, na + 1}), ("prediction", "simulation")):
@@ -185,11 +195,17 @@ def _choices(
                     yield {**linear, "nb": nb, "nf": nf, "shape": shape, "basis_size": basis_size}
 
 
-def _find_delay(data: SampledData, at_rest: bool, policy: StructureScanPolicy) -> int:
+# Longest delay in samples that is looked for.
+LARGEST_DELAY = 40
+# Rows of the shortest record for each sample of delay, at least.
+ROWS_PER_DELAY = 20
+
+
+def _find_delay(data: SampledData, at_rest: bool) -> int:
     """Samples of delay with which two poles and two zeros predict the records best."""
     shortest = min(r.rows for r in data.records)
     least, delay = np.inf, 1
-    for nk in range(min(policy.largest_delay, shortest // policy.rows_per_delay) + 1):
+    for nk in range(min(LARGEST_DELAY, shortest // ROWS_PER_DELAY) + 1):
         orders = {"na": 2, "nb": 2, "nk": nk, "offset": not at_rest, "focus": "prediction"}
         try:
             model = fit_structure(data, BlackBoxKind.ARX, orders, at_rest=at_rest)

@@ -342,7 +342,7 @@ class _HammersteinProblem:
         names = tuple(f"{name} {j}" for name, m in zip(self.data.inputs, counts, strict=True) for j in range(m))
         data = replace(self.data, inputs=names, records=records)
         estimate_starts = estimate_armax_starts if orders.na else estimate_output_error_starts
-        for start in estimate_starts(wide, data, self.rest, policy):
+        for start in estimate_starts(wide, data, self.rest):
             a, *parts = wide.parts(start)
             b, f, remainder = parts[: len(names)], parts[len(names) : 2 * len(names)], parts[2 * len(names) :]
             weights, numerators, poles = [], [], []

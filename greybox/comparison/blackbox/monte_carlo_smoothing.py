@@ -16,7 +16,6 @@ from greybox.base.numerics import NEGLIGIBLE_JUMP
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.linear_regression import to_sampled_data
-from greybox.comparison.blackbox.policy import DEFAULT_SMOOTHING, SmoothingPolicy
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding, PolynomialModel
 from greybox.comparison.blackbox.responses import InitialChoice
 from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
@@ -28,6 +27,12 @@ from greybox.data.experiment import Experiment
 # tail, decay and ratio from the envelope of the oscillation, the phase from the first passage through the final value.
 
 NO_OSCILLATION = "the response does not oscillate, so equation 17 does not describe it: use output_error"
+
+
+# Share of an interval within which a best draw allows the interval to be halved.
+WELL_INSIDE = 0.8
+# Frequency, decay and ratio stay above this share of their interval's upper end.
+LOWER_END = 1e-09
 
 
 @dataclass(frozen=True)
@@ -62,14 +67,14 @@ class DrawIntervals:
                 raise DataError(f"no parameter {axis!r} in equation 17; {nearest(axis, AXES)}")
         return replace(self, **given)
 
-    def around(self, best: Mapping[str, float], policy: SmoothingPolicy = DEFAULT_SMOOTHING) -> DrawIntervals:
+    def around(self, best: Mapping[str, float]) -> DrawIntervals:
         """The adjusted intervals of figure 1: centred on the ``best`` values, half as wide where they lay well inside."""
         adjusted = {}
         for axis in AXES:
             low, high = getattr(self, axis)
             half, middle = (high - low) / 2, (high + low) / 2
-            half *= 0.5 if abs(best[axis] - middle) < policy.well_inside * half else 1.0
-            floor = policy.lower_end * high if axis in POSITIVE else -np.inf
+            half *= 0.5 if abs(best[axis] - middle) < WELL_INSIDE * half else 1.0
+            floor = LOWER_END * high if axis in POSITIVE else -np.inf
             adjusted[axis] = (max(best[axis] - half, floor), best[axis] + half)
         return DrawIntervals(**adjusted)
 
@@ -100,16 +105,24 @@ def find_resonance(w: np.ndarray, density: np.ndarray) -> float:
     return float(w[start + int(np.argmax(density[start:]))])
 
 
-def estimate_intervals(
-    time: np.ndarray, y: np.ndarray, sampling_time: float, points: int, policy: SmoothingPolicy = DEFAULT_SMOOTHING
-) -> DrawIntervals:
+# The last ``1 / tail`` of the record shows the final value.
+SMOOTHING_TAIL = 4
+# Factor by which the estimated decay may be off either way.
+DECAY_FACTOR = 1.6
+# Factor by which the estimated ratio may be off either way.
+RATIO_FACTOR = 1.25
+# Half width of the amplitude's interval, relative, where the tail is constant.
+LEVEL_SPREAD = 0.01
+
+
+def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, points: int) -> DrawIntervals:
     """The intervals that the step response ``y`` (N,) at ``time`` (N,) after the step itself suggests.
 
     Frequency: the spectrum's peak, one of its ``points`` bins to either side. Amplitude: extremes of the last quarter. Decay and
     ratio: a straight line through the logarithm of the envelope, by factors of 1.6 and 1.25. Phase: ``pi - w t`` of the first
     passage through that amplitude. Raises DataError for a response that does not oscillate about a final value.
     """
-    tail = y[-max(len(y) // policy.tail, 2) :]
+    tail = y[-max(len(y) // SMOOTHING_TAIL, 2) :]
     level, low, high = float(tail.mean()), float(tail.min()), float(tail.max())
     if low <= 0 <= high:
         raise DataError(
@@ -117,10 +130,10 @@ def estimate_intervals(
             " equation 17 oscillates about a final value; take a longer record, or use output_error"
         )
     if not low < high:
-        low, high = level - policy.level_spread * abs(level), level + policy.level_spread * abs(level)
+        low, high = level - LEVEL_SPREAD * abs(level), level + LEVEL_SPREAD * abs(level)
     w = _frequency(y, level, sampling_time, points)
     bin_width = 2 * np.pi / (points * sampling_time)
-    decay, size = _estimate_envelope(time, y - level, w, sampling_time, policy)
+    decay, size = _estimate_envelope(time, y - level, w, sampling_time)
     ratio = size / abs(level)
     first, last = (_first_passage(time, y, part * level) for part in _levels(level, low, high))
     if w * first > 2 * np.pi:
@@ -132,10 +145,10 @@ def estimate_intervals(
     slack = w * sampling_time
     return DrawIntervals(
         amplitude=(low, high),
-        ratio=(ratio / policy.ratio_factor, ratio * policy.ratio_factor),
+        ratio=(ratio / RATIO_FACTOR, ratio * RATIO_FACTOR),
         phase=(np.pi - fastest * last - slack, np.pi - slowest * first + slack),
         frequency=(slowest, fastest),
-        decay=(decay / policy.decay_factor, decay * policy.decay_factor),
+        decay=(decay / DECAY_FACTOR, decay * DECAY_FACTOR),
     )
 
 
@@ -158,32 +171,40 @@ def _levels(level: float, low: float, high: float) -> tuple[float, float]:
     return tuple(sorted((low / level, high / level)))  # type: ignore[return-value]
 
 
-def _estimate_envelope(
-    time: np.ndarray, swing: np.ndarray, w: float, sampling_time: float, policy: SmoothingPolicy
-) -> tuple[float, float]:
+# An envelope counts while it is this many times what is left of it at the end.
+ABOVE_FLOOR = 4.0
+# Share of the largest deviation that an oscillation which does not decay must have.
+SMOOTHING_PERSISTENT = 0.5
+# Least decay, over the inverse of the record's length, where the oscillation does not decay within the record.
+HIDDEN_DECAY = 0.1
+# Periods that are needed to see an oscillation decay.
+SMOOTHING_FEWEST_PERIODS = 3
+
+
+def _estimate_envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_time: float) -> tuple[float, float]:
     """Decay (1/s) and size at time zero of an oscillation of about ``w`` rad/s: its amplitude over each period, in a line."""
     period = max(round(2 * np.pi / (w * sampling_time)), 2)
     count = len(swing) // period
-    if count < policy.fewest_periods:
+    if count < SMOOTHING_FEWEST_PERIODS:
         raise DataError(
-            f"the record holds {count} periods of {w:.4g} rad/s; at least {policy.fewest_periods} show how the oscillation decays:"
+            f"the record holds {count} periods of {w:.4g} rad/s; at least {SMOOTHING_FEWEST_PERIODS} show how the oscillation decays:"
             " take a longer record, or use output_error"
         )
     turned = swing[: count * period] * np.exp(-1j * w * time[: count * period])
     size = 2 * np.abs(turned.reshape(count, period).mean(axis=1))
     middle = time[: count * period].reshape(count, period).mean(axis=1)
-    floor = float(np.median(size[-max(count // policy.tail, 1) :]))
-    fading = floor < size[0] / policy.above_floor
-    if not fading and size[0] <= policy.persistent * np.abs(swing).max():
+    floor = float(np.median(size[-max(count // SMOOTHING_TAIL, 1) :]))
+    fading = floor < size[0] / ABOVE_FLOOR
+    if not fading and size[0] <= SMOOTHING_PERSISTENT * np.abs(swing).max():
         raise DataError(
             f"the oscillation at {w:.4g} rad/s is not larger after the step than at the end; {NO_OSCILLATION}"
         )
-    clear = int(np.argmax(np.append(size, 0.0) <= policy.above_floor * floor)) if fading else count
+    clear = int(np.argmax(np.append(size, 0.0) <= ABOVE_FLOOR * floor)) if fading else count
     used = slice(0, max(clear, 2))
-    size = np.maximum(size, policy.lower_end * size[0])
+    size = np.maximum(size, LOWER_END * size[0])
     slope, start = np.polyfit(middle[used], np.log(size[used]), 1, w=size[used])
     # an oscillation that does not fade within the record: a tenth of its length is the fastest that it could hide
-    least = policy.hidden_decay / float(time[-1])
+    least = HIDDEN_DECAY / float(time[-1])
     return max(-float(slope), least), float(np.exp(start))
 
 
@@ -582,7 +603,6 @@ def monte_carlo_smoothing(
     spectrum_points: int = 1024,
     units: Mapping[str, str] | None = None,
     report: Callable[[SmoothingProgress], None] | None = None,
-    policy: SmoothingPolicy = DEFAULT_SMOOTHING,
 ) -> MonteCarloSmoothing:
     """Fit ``yhat(t) = A {1 - r e^(-sigma t) sin(w t + theta)}`` (equation 17) to a step response by random search.
 
@@ -620,8 +640,6 @@ def monte_carlo_smoothing(
         Name of a signal -> unit.
     report
         Called with a `SmoothingProgress` after every evaluation.
-    policy
-        How the intervals are estimated and adjusted.
 
     Returns
     -------
@@ -640,11 +658,11 @@ def monte_carlo_smoothing(
     if evaluations < 1 or adjustments < 0:
         raise DataError(f"{evaluations} evaluations, {adjustments} adjustments; give at least 1 and 0")
     generator, counts = np.random.default_rng(seed), draws or DrawCounts()
-    step = _extract_step(experiment, output, input, policy)
+    step = _extract_step(experiment, output, input)
     time, y = step.time, step.y
     chosen = intervals if isinstance(intervals, DrawIntervals) else None
     if chosen is None:
-        chosen = estimate_intervals(time, y, step.sampling_time, spectrum_points, policy).with_some(intervals or {})  # type: ignore[arg-type]
+        chosen = estimate_intervals(time, y, step.sampling_time, spectrum_points).with_some(intervals or {})  # type: ignore[arg-type]
     rounds: list[SmoothingRound] = []
     while True:
         evaluated: list[StepResponseConstants] = []
@@ -654,10 +672,10 @@ def monte_carlo_smoothing(
                 best = min(c.error for c in [*evaluated, *(r.best for r in rounds)])
                 report(SmoothingProgress(len(rounds) + 1, adjustments + 1, k + 1, evaluations, best))
         rounds.append(SmoothingRound(chosen, tuple(evaluated)))
-        if len(rounds) > adjustments or _is_good_enough(rounds, specification, policy):
+        if len(rounds) > adjustments or _is_good_enough(rounds, specification):
             break
         best_yet = min((r.best for r in rounds), key=lambda c: c.error)
-        chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES}, policy)
+        chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES})
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
         step.output,
@@ -673,11 +691,15 @@ def monte_carlo_smoothing(
     )
 
 
-def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | None, policy: SmoothingPolicy) -> bool:
+# Share by which another adjustment of the intervals must lower the mean square error.
+SMOOTHING_IMPROVEMENT = 0.02
+
+
+def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | None) -> bool:
     errors = [r.best.error for r in rounds]
     if specification is not None:
         return min(errors) <= specification
-    return len(errors) > 1 and errors[-1] > (1 - policy.improvement) * min(errors[:-1])
+    return len(errors) > 1 and errors[-1] > (1 - SMOOTHING_IMPROVEMENT) * min(errors[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -692,7 +714,11 @@ class _Step:
     y: np.ndarray
 
 
-def _extract_step(experiment: Experiment, output: str | None, input: str | None, policy: SmoothingPolicy) -> _Step:
+# Rows after the step that are needed for a spectrum and a final value.
+SMOOTHING_FEWEST_ROWS = 32
+
+
+def _extract_step(experiment: Experiment, output: str | None, input: str | None) -> _Step:
     data = to_sampled_data(experiment, output, input)
     (record,) = data.records
     if len(data.inputs) > 1:
@@ -718,8 +744,8 @@ def _extract_step(experiment: Experiment, output: str | None, input: str | None,
             f"experiment {experiment.name!r}: {int(np.isnan(y).sum())} of {len(y)} rows after the step lack {data.output!r};"
             " smoothing needs them all: cut the record, or use output_error"
         )
-    if len(y) < policy.fewest_rows:
+    if len(y) < SMOOTHING_FEWEST_ROWS:
         raise DataError(
-            f"experiment {experiment.name!r}: {len(y)} rows after the step; smoothing needs {policy.fewest_rows} and a final value"
+            f"experiment {experiment.name!r}: {len(y)} rows after the step; smoothing needs {SMOOTHING_FEWEST_ROWS} and a final value"
         )
     return _Step(data.output, name, record.sampling_time, float(u[edge]), record.sampling_time * np.arange(len(y)), y)

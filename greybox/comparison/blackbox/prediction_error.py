@@ -45,7 +45,7 @@ from greybox.estimation.optim.policy import MinimisationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 HistoryTreatment = Literal["estimated", "zero"]
-Starts = Callable[[PolynomialStructure, SampledData, bool, PredictionErrorPolicy], Sequence[np.ndarray]]
+Starts = Callable[[PolynomialStructure, SampledData, bool], Sequence[np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,7 @@ def fit_prediction_error(
     label = structure.model(np.zeros(structure.size), data).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
     refuse_few_rows(data, label, count, structure.size, history)
-    starts = [problem.stabilise(start) for start in estimate_starts(structure, data, problem.rest, policy)]
+    starts = [problem.stabilise(start) for start in estimate_starts(structure, data, problem.rest)]
     errors = [problem.evaluate(start, False) for start in starts] if problem.parts else []
     states = max((e.states for e in errors), default=0)
     refuse_few_rows(data, label, count - states, structure.size, history)
@@ -273,6 +273,10 @@ def _gradient(
 # ---- Search ----
 
 
+# Relative difference of two starts' sums of squares below which they are the same start.
+PREDICTION_ERROR_DUPLICATE = 0.001
+
+
 def minimise_from_starts(
     problem: PredictionErrorProblem,
     starts: Sequence[np.ndarray],
@@ -282,7 +286,7 @@ def minimise_from_starts(
     """Short searches from the ``starts`` that differ, and a long one from where the best of them ended."""
     distinct: list[int] = []
     for k in sorted(range(len(starts)), key=lambda k: squares[k]):
-        if all(abs(squares[k] - squares[c]) > policy.duplicate * squares[c] for c in distinct):
+        if all(abs(squares[k] - squares[c]) > PREDICTION_ERROR_DUPLICATE * squares[c] for c in distinct):
             distinct.append(k)
     followed = distinct[: policy.starts]
     first = policy.first_iterations if len(followed) > 1 else policy.iterations
@@ -460,9 +464,11 @@ def interpolate_gaps(data: SampledData) -> SampledData:
     return replace(data, records=tuple(map(interpolate, data.records)))
 
 
-def estimate_output_error_starts(
-    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
-) -> list[np.ndarray]:
+# Passes of Steiglitz and McBride's filter.
+FILTER_PASSES = 8
+
+
+def estimate_output_error_starts(structure: PolynomialStructure, data: SampledData, rest: bool) -> list[np.ndarray]:
     """Candidates for ``B / F``: ARX, Steiglitz and McBride's iteration (one ``F`` for all inputs), and realised impulse responses."""
     filled, orders = interpolate_gaps(data), structure.orders
     candidates: list[tuple[np.ndarray, ...]] = []
@@ -471,16 +477,14 @@ def estimate_output_error_starts(
         rows = collect_equations(filled, replace(orders, na=poles), structure.offset, rest)
         a = to_monic(rows.solve()[:poles])
         candidates.append((confine_roots(a),) * len(orders.nb))
-        for _ in range(policy.filter_passes):
+        for _ in range(FILTER_PASSES):
             a = to_monic(rows.filtered(reflect_roots(a)).solve()[:poles])
             candidates.append((confine_roots(reflect_roots(a)),) * len(orders.nb))
-    candidates.append(tuple(map(confine_roots, _realise_poles(structure, filled, rest, policy))))
+    candidates.append(tuple(map(confine_roots, _realise_poles(structure, filled, rest))))
     return [_with_best_numerators(structure, f, data, rest) for f in candidates]
 
 
-def estimate_armax_starts(
-    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
-) -> list[np.ndarray]:
+def estimate_armax_starts(structure: PolynomialStructure, data: SampledData, rest: bool) -> list[np.ndarray]:
     """Candidates for ``A, B, C``: ARX with ``C = 1``, pseudo-linear regression on a long ARX model's innovations (Hannan and
     Rissanen 1982), and Steiglitz and McBride's ``A`` with ``C = A``, which white noise on the output alone would have."""
     filled, orders = interpolate_gaps(data), structure.orders
@@ -488,21 +492,19 @@ def estimate_armax_starts(
     plain = rows.solve()
     starts = [_with_noise(structure, plain, np.zeros(structure.nc))]
     a = to_monic(plain[: orders.na])
-    for _ in range(policy.filter_passes if orders.na else 0):
+    for _ in range(FILTER_PASSES if orders.na else 0):
         theta = rows.filtered(reflect_roots(a)).solve()
         a = to_monic(theta[: orders.na])
         stable = reflect_roots(a)[1:]
         noise = np.append(stable, np.zeros(structure.nc))[: structure.nc]
         starts.append(_with_noise(structure, np.append(stable, theta[orders.na :]), noise))
-    return starts + list(_pseudo_linear_starts(structure, filled, rest, policy))
+    return starts + list(_pseudo_linear_starts(structure, filled, rest))
 
 
-def estimate_box_jenkins_starts(
-    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy = DEFAULT_SEARCH
-) -> list[np.ndarray]:
+def estimate_box_jenkins_starts(structure: PolynomialStructure, data: SampledData, rest: bool) -> list[np.ndarray]:
     """Candidates for ``B / F`` as of an output error, the best of them with ``C / D`` from its residual."""
     plain = replace(structure, kind="output error", nc=0, nd=0)
-    starts = estimate_output_error_starts(plain, data, rest, policy)
+    starts = estimate_output_error_starts(plain, data, rest)
     squares = [
         compute_prediction_errors(plain, s, data, data.records, rest=rest, with_gradient=False).squares for s in starts
     ]
@@ -513,7 +515,7 @@ def estimate_box_jenkins_starts(
         runs = [predict_ahead(model, s, 1, "zero" if rest else "estimated", None)[0] for s in data.records]
         residuals = [replace(s, y=s.y - run, u=s.u[:, :0]) for s, run in zip(data.records, runs, strict=True)]
         residual = replace(data, inputs=(), records=tuple(residuals))
-        for coloured in estimate_armax_starts(noise, residual, rest, policy):
+        for coloured in estimate_armax_starts(noise, residual, rest):
             d, c = np.split(coloured, [structure.nd])
             parts = structure.parts(structure.vector(model))
             parts[-3], parts[-2] = c, reflect_roots(to_monic(d))[1:]
@@ -521,18 +523,20 @@ def estimate_box_jenkins_starts(
     return candidates
 
 
-def _pseudo_linear_starts(
-    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy
-) -> Iterator[np.ndarray]:
+# Passes of the pseudo-linear regression on the innovations (Hannan and Rissanen 1982).
+INNOVATION_PASSES = 4
+
+
+def _pseudo_linear_starts(structure: PolynomialStructure, data: SampledData, rest: bool) -> Iterator[np.ndarray]:
     """Least squares with the last estimate's innovations as further columns."""
     orders = structure.orders
-    long = _long_orders(orders, structure.nc, data, policy)
+    long = _long_orders(orders, structure.nc, data)
     model = collect_equations(data, long, structure.offset, rest).solve()
     innovations = [s.y - build_regressors(s, long, structure.offset) @ model for s in data.records]
     if not rest:
         for e in innovations:
             e[: long.reach] = 0.0
-    for _ in range(policy.innovation_passes):
+    for _ in range(INNOVATION_PASSES):
         blocks, targets = [], []
         for record, e in zip(data.records, innovations, strict=True):
             rows = slice(0 if rest else orders.reach + structure.nc, None)
@@ -575,24 +579,36 @@ def _with_best_numerators(
     return start
 
 
-def _long_orders(orders: Orders, more: int, data: SampledData, policy: PredictionErrorPolicy) -> Orders:
+# Least order of the long ARX model whose innovations and impulse response the starts are made of.
+LONG_ORDER = 12
+# Order of the long ARX model over that of the structure, where this is larger.
+LONG_ORDER_FACTOR = 3
+# Measured values for each coefficient of the long ARX model, at least: more coefficients would fit noise.
+ROWS_PER_LONG_ORDER = 10
+
+
+def _long_orders(orders: Orders, more: int, data: SampledData) -> Orders:
     """Orders of an ARX model that is long enough to whiten its errors, and no longer than the records allow."""
-    largest = max(1, data.measured // (policy.rows_per_long_order * (1 + len(orders.nb))))
-    order = min(max(policy.long_order, policy.long_order_factor * (orders.na + more)), largest)
+    largest = max(1, data.measured // (ROWS_PER_LONG_ORDER * (1 + len(orders.nb))))
+    order = min(max(LONG_ORDER, LONG_ORDER_FACTOR * (orders.na + more)), largest)
     return Orders(max(order, orders.na), tuple(max(order, b) for b in orders.nb), orders.nk)
 
 
-def _realise_poles(
-    structure: PolynomialStructure, data: SampledData, rest: bool, policy: PredictionErrorPolicy
-) -> list[np.ndarray]:
+# Least number of impulse-response samples that are realised as a state space.
+IMPULSE_ROWS = 60
+# Impulse-response samples for each pole, where this is more.
+IMPULSE_ROWS_PER_POLE = 12
+
+
+def _realise_poles(structure: PolynomialStructure, data: SampledData, rest: bool) -> list[np.ndarray]:
     """``F`` of each input from the impulse response of a long ARX model, by Ho and Kalman's realisation (Kung 1978)."""
-    long = _long_orders(replace(structure.orders, na=max(structure.nf)), max(structure.nf), data, policy)
+    long = _long_orders(replace(structure.orders, na=max(structure.nf)), max(structure.nf), data)
     theta = collect_equations(data, long, structure.offset, rest).solve()
     shape = PolynomialStructure("arx", long, (0,) * len(structure.nf), offset=structure.offset)
     model = shape.model(theta, data)
     polynomials = []
     for b, nk, nf in zip(model.b, long.nk, structure.nf, strict=True):
-        length = max(policy.impulse_rows, policy.impulse_rows_per_pole * nf)
+        length = max(IMPULSE_ROWS, IMPULSE_ROWS_PER_POLE * nf)
         response = lfilter(b, reflect_roots(model.a), np.eye(1, 2 * length + nk + 1)[0])[nk + 1 :]
         if nf == 0 or not response.any():
             polynomials.append(np.append(1.0, np.zeros(nf)))

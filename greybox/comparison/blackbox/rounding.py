@@ -10,7 +10,6 @@ from scipy.linalg import logm
 from greybox.base.errors import DataError, nearest
 from greybox.base.numerics import IMAGINARY_ROUNDING, REAL_POLE
 from greybox.base.values import Printable
-from greybox.comparison.blackbox.policy import DEFAULT_ROUNDING, RoundingPolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel
 
 
@@ -58,7 +57,19 @@ def round_coefficients(model: PolynomialModel, digits: int) -> PolynomialModel:
     )
 
 
-def count_digits_needed(model: PolynomialModel, policy: RoundingPolicy = DEFAULT_ROUNDING) -> int:
+# Significant digits below which nobody rounds.
+FEWEST_DIGITS = 2
+# Significant digits of a double.
+MOST_DIGITS = 15
+# Relative change of the frequency response that rounding may cause.
+RESPONSE_CHANGE = 0.01
+# Frequencies at which the response is compared.
+ROUNDING_FREQUENCIES = 200
+# The lowest frequency is one line of a record of at least this many samples.
+SHORTEST_RECORD = 1000
+
+
+def count_digits_needed(model: PolynomialModel) -> int:
     """Count the significant digits that a model's coefficients need.
 
     Rounding may make no stable model unstable, and change the frequency response, from one line of the record that the model was
@@ -68,24 +79,22 @@ def count_digits_needed(model: PolynomialModel, policy: RoundingPolicy = DEFAULT
     ----------
     model
         A linear black-box model.
-    policy
-        What counts as the same behaviour.
 
     Returns
     -------
     int
         Smallest number of digits from which on the behaviour is kept.
     """
-    lowest = 1 / max(model.samples, policy.shortest_record)
-    frequency = np.geomspace(lowest, 0.5, policy.frequencies) / model.sampling_time
+    lowest = 1 / max(model.samples, SHORTEST_RECORD)
+    frequency = np.geomspace(lowest, 0.5, ROUNDING_FREQUENCIES) / model.sampling_time
     before = [model.response(frequency, name) for name in model.inputs]
-    needed = policy.fewest_digits
-    for digits in range(policy.most_digits, policy.fewest_digits - 1, -1):
+    needed = FEWEST_DIGITS
+    for digits in range(MOST_DIGITS, FEWEST_DIGITS - 1, -1):
         short = round_coefficients(model, digits)
         if model.stable and not short.stable:
             return digits + 1
         after = [short.response(frequency, name) for name in model.inputs]
-        if any(np.any(np.abs(y - x) > policy.response_change * np.abs(x)) for x, y in zip(before, after, strict=True)):
+        if any(np.any(np.abs(y - x) > RESPONSE_CHANGE * np.abs(x)) for x, y in zip(before, after, strict=True)):
             return digits + 1
         needed = digits
     return needed

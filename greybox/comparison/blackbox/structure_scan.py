@@ -245,7 +245,7 @@ def scan_choices(
             written = ", ".join(f"{letter} {orders[letter]}" for letter in ORDERS_BY_KIND[kind] if letter in orders)
             structure = ScannedStructure(f"{kind}({written})", orders, failure=str(error))
         else:
-            free_run = _free_run_error(model, data, records, skip, at_rest, policy)
+            free_run = _free_run_error(model, data, records, skip, at_rest)
             structure = ScannedStructure(model.label, orders, model, free_run=free_run)
         structures.append(structure)
         if report is not None:
@@ -257,7 +257,7 @@ def scan_choices(
             else f"{kind}: no structure to fit; give at least one order of each kind"
         )
     structures = _add_criteria(structures)
-    chosen = _choose([s for s in structures if s.model is not None], criterion, policy)
+    chosen = _choose([s for s in structures if s.model is not None], criterion)
     best = fit_structure(final or data, kind, chosen.orders, at_rest=at_rest, policy=policy.final_search)
     known_units = units or {}
     return StructureScan(
@@ -317,17 +317,20 @@ def _as_list(value: Any) -> list[Any]:
     return [value] if isinstance(value, (bool, int, np.integer, str)) else list(value)
 
 
+# Rows of a validation record that determine the initial state, where no ``skip`` is given.
+STRUCTURE_SCAN_INITIAL_ROWS = 50
+
+
 def _free_run_error(
     model: BlackBox,
     data: SampledData,
     validation: Sequence[Experiment],
     skip: int,
     at_rest: bool,
-    policy: StructureScanPolicy,
 ) -> float:
     """Root mean square error of the free run over the validation records, or over the estimation records without any."""
     squares, count = 0.0, 0
-    rows, first = ((skip or policy.initial_rows), skip) if validation else (None, 0)
+    rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
     for experiment in validation or data.experiments:
         run = model.simulate(experiment, initial="zero" if at_rest else "estimated", rows=rows)[model.output][first:]
         output = experiment.outputs[model.output][first:]
@@ -353,15 +356,17 @@ def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructu
     return result
 
 
-def _choose(
-    fitted: Sequence[ScannedStructure], criterion: SelectionCriterion, policy: StructureScanPolicy
-) -> ScannedStructure:
+# Relative difference of free-run errors within which the simpler structure is chosen.
+AS_GOOD = 0.005
+
+
+def _choose(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -> ScannedStructure:
     if criterion != "free run":
         return min(fitted, key=lambda s: s.aic if criterion == "aic" else s.bic)
     stable = [s for s in fitted if s.model is not None and s.model.stable and np.isfinite(s.free_run)]
     pool = stable or list(fitted)
     smallest = min(s.free_run for s in pool)
-    as_good = [s for s in pool if s.free_run <= (1 + policy.as_good) * smallest] or pool
+    as_good = [s for s in pool if s.free_run <= (1 + AS_GOOD) * smallest] or pool
     return min(as_good, key=_simplicity)
 
 

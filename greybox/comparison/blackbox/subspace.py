@@ -21,7 +21,6 @@ from greybox.base.findings import Finding
 from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
-from greybox.comparison.blackbox.policy import DEFAULT_SUBSPACE, SubspacePolicy
 from greybox.comparison.blackbox.responses import InitialChoice
 from greybox.data.experiment import Experiment
 
@@ -203,6 +202,12 @@ class SubspaceOutput:
         return {self.output: result}
 
 
+# Highest order that is chosen by itself.
+LARGEST_ORDER = 20
+# A singular value below this share of the first is rounding: records without noise show their order so.
+ZERO_SHARE = 1e-06
+
+
 def subspace(
     experiments: Experiment | Sequence[Experiment],
     order: int | None = None,
@@ -211,7 +216,6 @@ def subspace(
     inputs: Sequence[str] | None = None,
     weight: str = "cva",
     feedthrough: bool = True,
-    policy: SubspacePolicy = DEFAULT_SUBSPACE,
 ) -> StateSpaceModel:
     """Identify a state-space model of several inputs and outputs.
 
@@ -227,8 +231,6 @@ def subspace(
         ``cva`` or ``n4sid``.
     feedthrough
         Whether an input may act on an output at once.
-    policy
-        How far past and future reach, and how the order is chosen.
 
     Returns
     -------
@@ -253,14 +255,14 @@ def subspace(
     names = tuple(outputs or group[0].outputs), tuple(inputs or group[0].inputs)
     parts, step = _collect_segments(group, *names)
     ny, nu = len(names[0]), len(names[1])
-    horizon = _choose_horizon(parts, ny, nu, order, policy)
+    horizon = _choose_horizon(parts, ny, nu, order)
     gamma, singular, columns = _project(parts, horizon, weight)
     if order is None:
-        limit = min(policy.largest_order, ny * (horizon - 1), len(singular) - 1)
+        limit = min(LARGEST_ORDER, ny * (horizon - 1), len(singular) - 1)
         costs = [
             singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny) for n in range(1, limit + 1)
         ]
-        noise_free = singular[1 : limit + 1] < policy.zero_share * singular[0]
+        noise_free = singular[1 : limit + 1] < ZERO_SHARE * singular[0]
         order = 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
     if not 1 <= order <= ny * (horizon - 1):
         raise DataError(
@@ -297,14 +299,20 @@ def _collect_segments(
     return parts, steps[0]
 
 
-def _choose_horizon(
-    parts: Sequence[tuple[np.ndarray, np.ndarray]], ny: int, nu: int, order: int | None, policy: SubspacePolicy
-) -> int:
+# Rows of past and of future: several times the order over the number of outputs.
+SUBSPACE_HORIZON = 15
+# Fewest rows of past and of future that show a state.
+LEAST_HORIZON = 3
+# Columns of the data matrices for each of their rows, at least: fewer and noise is projected as well.
+COLUMNS_PER_ROW = 3
+
+
+def _choose_horizon(parts: Sequence[tuple[np.ndarray, np.ndarray]], ny: int, nu: int, order: int | None) -> int:
     rows = max((len(u) for u, _ in parts), default=0)
-    wanted = max(policy.horizon, 2 * (order or 0) // ny + 2)
+    wanted = max(SUBSPACE_HORIZON, 2 * (order or 0) // ny + 2)
     # Every projection has to be overdetermined.
-    most = (rows + 1) // (policy.columns_per_row * (2 * ny + 2 * nu) + 2)
-    if most < policy.least_horizon:
+    most = (rows + 1) // (COLUMNS_PER_ROW * (2 * ny + 2 * nu) + 2)
+    if most < LEAST_HORIZON:
         raise DataError(f"{rows} rows without a gap are too few for {ny} outputs and {nu} inputs; give longer records")
     return min(wanted, most)
 

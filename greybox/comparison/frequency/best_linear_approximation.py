@@ -17,7 +17,6 @@ from scipy.stats import f as f_distribution
 from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Check
 from greybox.base.values import Printable
-from greybox.comparison.frequency.policy import DEFAULT_APPROXIMATION, ApproximationPolicy
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment
 
@@ -100,6 +99,10 @@ class BestLinearApproximation(Printable):
         )
 
 
+# Amplitude of a line of the input, over the largest, from which it is excited.
+EXCITED_SHARE = 0.0001
+
+
 def estimate_best_linear_approximation(
     experiments: Experiment | Sequence[Experiment],
     *,
@@ -107,7 +110,6 @@ def estimate_best_linear_approximation(
     input: str | None = None,
     output: str | None = None,
     transient_periods: int = 1,
-    policy: ApproximationPolicy = DEFAULT_APPROXIMATION,
 ) -> BestLinearApproximation:
     """Estimate the best linear approximation from records with a periodic input.
 
@@ -122,8 +124,6 @@ def estimate_best_linear_approximation(
         Names of the signals; needed where there are several.
     transient_periods
         Periods at the beginning of each record that are left out.
-    policy
-        Which lines are excited, and when the system is called nonlinear.
 
     Returns
     -------
@@ -143,12 +143,12 @@ def estimate_best_linear_approximation(
     step = group[0].sampling_time
     if step is None or any(e.sampling_time is None or not np.isclose(e.sampling_time, step) for e in group):
         raise DataError("a best linear approximation needs uniform time, the same in all records; resample them")
-    rows = period or find_period(group[0], source, policy)
-    spectra = [_take_periods(e, source, sink, rows, transient_periods, policy) for e in group]
+    rows = period or find_period(group[0], source)
+    spectra = [_take_periods(e, source, sink, rows, transient_periods) for e in group]
     count = min(len(u) for u, _ in spectra)
     U, Y = (np.stack([part[k][:count] for part in spectra]) for k in (0, 1))  # (realisations, periods, lines)
     size = np.abs(U.mean(axis=1))
-    excited = np.flatnonzero(np.all(size > policy.excited_share * size.max(axis=1, keepdims=True), axis=0))
+    excited = np.flatnonzero(np.all(size > EXCITED_SHARE * size.max(axis=1, keepdims=True), axis=0))
     excited = excited[(excited > 0) & (excited < rows / 2)]
     if not len(excited):
         raise DataError("the records have no excited line in common; give realisations of one spectrum")
@@ -166,7 +166,6 @@ def estimate_best_linear_approximation(
                 noise,
                 2 * (len(group) - 1),
                 2 * len(group) * (count - 1),
-                policy,
             )
         )
     levels: dict[str, float | None] = {}
@@ -181,7 +180,7 @@ def estimate_best_linear_approximation(
             spread = Y[:, :, lines].var(axis=1, ddof=1) / count
             levels[name] = float(power.sum() / spread.sum())
             degrees = 2 * len(group), 2 * len(group) * (count - 1)
-            checks.append(_compare_variances(rule, power.mean(axis=0), spread.mean(axis=0), *degrees, policy))
+            checks.append(_compare_variances(rule, power.mean(axis=0), spread.mean(axis=0), *degrees))
     return BestLinearApproximation(
         source,
         sink,
@@ -197,7 +196,11 @@ def estimate_best_linear_approximation(
     )
 
 
-def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy = DEFAULT_APPROXIMATION) -> int:
+# Change of the input from one period to the next (rms, over its standard deviation), up to which it repeats; a measured input has noise.
+PERIOD_ERROR = 0.01
+
+
+def find_period(experiment: Experiment, input: str) -> int:
     """Find the rows after which an input repeats.
 
     Parameters
@@ -206,8 +209,6 @@ def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy 
         The record.
     input
         Name of the input.
-    policy
-        How nearly it must repeat.
 
     Returns
     -------
@@ -229,7 +230,7 @@ def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy 
         lags = np.arange(1, n // 2 + 1)
         # Mean square of u[k + lag] - u[k] by its three sums.
         change = (square[n] - square[lags] + square[n - lags] - 2 * products[lags]) / (n - lags)
-        repeats = lags[change <= (policy.period_error * spread) ** 2]
+        repeats = lags[change <= (PERIOD_ERROR * spread) ** 2]
         # A slow input hardly changes over one row: the period is the first repetition after it has changed.
         moved = np.flatnonzero(change > spread**2)
         later = repeats[repeats > (moved[0] + 1 if len(moved) else n)]
@@ -242,17 +243,21 @@ def find_period(experiment: Experiment, input: str, policy: ApproximationPolicy 
     )
 
 
+# Periods of a record that are needed after the transient: fewer show no noise.
+LEAST_PERIODS = 2
+
+
 def _take_periods(
-    experiment: Experiment, source: str, sink: str, rows: int, transient: int, policy: ApproximationPolicy
+    experiment: Experiment, source: str, sink: str, rows: int, transient: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """Spectra (periods, lines) of input and output, amplitude for amplitude."""
     if source not in experiment.inputs or sink not in experiment.outputs:
         raise DataError(f"experiment {experiment.name!r} has no {source!r} or no {sink!r}")
     count = experiment.rows // rows - transient
-    if count < policy.least_periods:
+    if count < LEAST_PERIODS:
         raise DataError(
             f"experiment {experiment.name!r}: {count} whole periods of {rows} rows after the transient, at least"
-            f" {policy.least_periods} are needed"
+            f" {LEAST_PERIODS} are needed"
         )
     window = slice(transient * rows, (transient + count) * rows)
     u, y = experiment.inputs[source][window], experiment.outputs[sink][window]
@@ -261,13 +266,17 @@ def _take_periods(
     return tuple(np.fft.rfft(v.reshape(count, rows), axis=1) * 2 / rows for v in (u, y))  # type: ignore[return-value]
 
 
+# Probability that a linear system is called nonlinear.
+FALSE_ALARM = 0.001
+
+
 def _compare_variances(
-    rule: str, upper: np.ndarray, lower: np.ndarray, upper_freedom: int, lower_freedom: int, policy: ApproximationPolicy
+    rule: str, upper: np.ndarray, lower: np.ndarray, upper_freedom: int, lower_freedom: int
 ) -> Check:
     """Whether the first variance (nf,) is no larger than the second: an F test over all lines."""
     lines = len(upper)
     ratio = float(np.mean(upper / np.where(lower > 0, lower, np.finfo(float).tiny)))
-    limit = float(f_distribution.ppf(1 - policy.false_alarm, lines * upper_freedom, lines * lower_freedom))
+    limit = float(f_distribution.ppf(1 - FALSE_ALARM, lines * upper_freedom, lines * lower_freedom))
     # A mean of ratios is larger than a ratio of means by d / (d - 2), of few periods.
     bias = lower_freedom / max(lower_freedom - 2, 1)
     return Check(rule, ratio / bias, limit, ratio / bias <= limit)

@@ -16,7 +16,6 @@ from greybox.base.errors import DataError, GreyboxError, nearest
 from greybox.base.findings import Finding
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
-from greybox.comparison.frequency.policy import DEFAULT_RESPONSE_FIT, ResponseFitPolicy
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment
 from greybox.estimation.fit import fit
@@ -81,6 +80,18 @@ class FrequencyFit(Printable):
         return self.status.success
 
 
+# Step of a parameter for the slope of the response, over its size.
+RESPONSE_FIT_DIFFERENCE = 1e-06
+# Most steps on the logarithm of the response, whose minimum is wide: resonances far from the data attract.
+LOG_ITERATIONS = 100
+# Most steps on the response itself.
+RESPONSE_FIT_ITERATIONS = 200
+# Predicted decrease of the cost, in squared standard deviations, below which a search that cannot go on has ended well.
+RESPONSE_FIT_CONVERGED = 0.001
+# Error of points without a stated variance, over ``unknown_std``, below which it is rounding: beside records they weigh no more.
+RESPONSE_FIT_EXACT = 1e-06
+
+
 def fit_frequency_response(
     model: Model,
     responses: FrequencyResponse | Sequence[FrequencyResponse],
@@ -89,7 +100,6 @@ def fit_frequency_response(
     at: OperatingPoints = None,
     noise: Mapping[str, float] | None = None,
     options: FitOptions | None = None,
-    policy: ResponseFitPolicy = DEFAULT_RESPONSE_FIT,
 ) -> FrequencyFit:
     """Fit a model to frequency responses, and to records over time if there are any.
 
@@ -107,8 +117,6 @@ def fit_frequency_response(
         Standard deviation of the outputs of the records; None estimates it.
     options
         How the records are simulated.
-    policy
-        How the search is made.
 
     Returns
     -------
@@ -136,7 +144,7 @@ def fit_frequency_response(
     names = tuple(q.name for q in model.free_parameters)
     if not names:
         raise DataError(f"{model.title} has no free parameter; free one")
-    rows = _ResponseRows(model, names, group, tuple(points), policy)
+    rows = _ResponseRows(model, names, group, tuple(points))
     records = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     time_fit = fit(model, records, noise=noise, options=options) if records else None
     start = np.array(
@@ -144,9 +152,9 @@ def fit_frequency_response(
     )
     search = _ScaledSearch.of(model, names, start)
     low, high = search.bounds
-    for residual, iterations in ((rows.log_residual, policy.log_iterations), (rows.residual, policy.iterations)):
+    for residual, iterations in ((rows.log_residual, LOG_ITERATIONS), (rows.residual, RESPONSE_FIT_ITERATIONS)):
         outcome = minimise(
-            search.quadratic_model(residual, policy.difference),
+            search.quadratic_model(residual, RESPONSE_FIT_DIFFERENCE),
             search.here,
             low,
             high,
@@ -157,27 +165,30 @@ def fit_frequency_response(
         )
         search = replace(search, values=search.values_at(outcome.z))
     values, status = search.values, outcome.status
-    if not status.success and outcome.value.predicted_decrease(low - outcome.z, high - outcome.z) <= policy.converged:
+    if (
+        not status.success
+        and outcome.value.predicted_decrease(low - outcome.z, high - outcome.z) <= RESPONSE_FIT_CONVERGED
+    ):
         status = TerminationStatus.CONVERGED  # nothing is left to gain: exact data end at rounding
     weighted = all(r.variance is not None for r in group)
     freedom = max(rows.count - len(names), 1)
     scale = 1.0 if weighted else float(np.sum(rows.residual(values) ** 2)) / freedom
-    slopes = search.slopes(rows.residual, values, policy.difference)
+    slopes = search.slopes(rows.residual, values, RESPONSE_FIT_DIFFERENCE)
     information = slopes.T @ slopes / max(scale, np.finfo(float).tiny)
     if time_fit is not None:
         resolved = resolve_options(options)
         problem = prepare_estimation(_with_values(model, names, values), records, time_fit.noise.std, resolved)
-        weight = 1 / max(scale, policy.exact**2)
-        joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, policy.difference)
+        weight = 1 / max(scale, RESPONSE_FIT_EXACT**2)
+        joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, RESPONSE_FIT_DIFFERENCE)
         minimum = search_minimum(joint, resolved)
         variables, status = minimum.objective.variables, minimum.status
-        if not status.success and minimum.evaluation.predicted_decrease(*variables.bounds()) <= policy.converged:
+        if not status.success and minimum.evaluation.predicted_decrease(*variables.bounds()) <= RESPONSE_FIT_CONVERGED:
             status = TerminationStatus.CONVERGED
         optimum = minimum.objective.variables.here
         all_names = list(problem.model.system.parameter_names)
         chosen = [all_names.index(n) for n in names]
         values = variables.parameters(optimum)[chosen]
-        moves = _differentiate(lambda z: variables.parameters(z)[chosen], optimum, policy.difference)
+        moves = _differentiate(lambda z: variables.parameters(z)[chosen], optimum, RESPONSE_FIT_DIFFERENCE)
         covariance = moves @ pseudo_inverse(minimum.evaluation.hessian / 2) @ moves.T
     else:
         covariance = pseudo_inverse(information)
@@ -198,6 +209,10 @@ def fit_frequency_response(
     )
 
 
+# Standard deviation of a point, over its magnitude, where the response states none; the intervals are then scaled by the residual.
+UNKNOWN_STD = 0.01
+
+
 @dataclass(frozen=True, eq=False)
 class _ResponseRows:
     """The residuals of responses as a function of the values (n,) of the free parameters."""
@@ -206,7 +221,6 @@ class _ResponseRows:
     names: tuple[str, ...]
     responses: tuple[FrequencyResponse, ...]
     points: tuple[Mapping[str, float] | None, ...]
-    policy: ResponseFitPolicy
 
     def __post_init__(self) -> None:
         for kind, known in (("inputs", self.model.inputs), ("outputs", self.model.outputs)):
@@ -239,7 +253,7 @@ class _ResponseRows:
         """Errors over their standard deviation, real and imaginary part of each point."""
         parts = []
         for r, fitted in zip(self.responses, self.respond(values), strict=True):
-            std = self.policy.unknown_std * np.abs(r.response) if r.variance is None else np.sqrt(r.variance)
+            std = UNKNOWN_STD * np.abs(r.response) if r.variance is None else np.sqrt(r.variance)
             error = ((r.response - fitted) / std * np.sqrt(2))[np.isfinite(r.response)]
             parts += [error.real, error.imag]
         return np.concatenate(parts)

@@ -17,6 +17,10 @@ from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 # Coloured noise as an autoregression: fitted by Burg's method, with gaps, its order by BIC.
 
 
+# Samples over which the autocorrelation of coloured noise is summed.
+MEMORY_SAMPLES = 500
+
+
 @dataclass(frozen=True, eq=False)
 class AutoRegression(Printable):
     """Noise of unit variance ``r[k] = a1 r[k-1] + ... + ap r[k-p] + e[k]``, stated by its reflection coefficients (p,).
@@ -54,7 +58,7 @@ class AutoRegression(Printable):
     @property
     def memory(self) -> float:
         """How long the noise remembers, in samples: the sum of the sizes of its autocorrelation from the first lag on, 0 for white."""
-        return float(np.abs(self.autocorrelation(NOISE_POLICY.memory_samples)[1:]).sum()) if self.order else 0.0
+        return float(np.abs(self.autocorrelation(MEMORY_SAMPLES)[1:]).sum()) if self.order else 0.0
 
     def autocorrelation(self, count: int) -> np.ndarray:
         """Autocorrelation at lags 0 ... count-1."""
@@ -133,6 +137,10 @@ def join_series(parts: Iterable[np.ndarray]) -> np.ndarray:
     return np.concatenate([piece for part in parts for piece in (np.asarray(part, float), [np.nan])] or [np.zeros(0)])
 
 
+# Samples that a record must have for each order: with fewer a coefficient is chance.
+SAMPLES_PER_ORDER = 10
+
+
 def fit_autoregression(
     values: np.ndarray,
     *,
@@ -179,12 +187,12 @@ def fit_autoregression(
     count = np.isfinite(forward).sum() / copies
     reflection: list[float] = []
     best, chosen, criterion = 0.0, 0, 0.0
-    for order in range(1, min(max_order, int(count / policy.samples_per_order)) + 1):
+    for order in range(1, min(max_order, int(count / SAMPLES_PER_ORDER)) + 1):
         f, b = forward[1:], backward[:-1]
         both = slice(None) if is_whole else np.isfinite(f) & np.isfinite(b)
         used_f, used_b = f[both], b[both]
         energy = float(used_f @ used_f + used_b @ used_b)
-        if len(used_f) < policy.samples_per_order or energy <= 0:
+        if len(used_f) < SAMPLES_PER_ORDER or energy <= 0:
             break
         k = 2 * float(used_f @ used_b) / energy
         if not abs(k) < 1:

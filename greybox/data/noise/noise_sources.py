@@ -32,6 +32,7 @@ from greybox.data.noise.repeats import (
     find_flat_pieces,
 )
 from greybox.data.noise.spectrum import (
+    ABOUT_RATIO,
     LeftoverSpectrum,
     estimate_noise_of_records,
     estimate_spread,
@@ -107,7 +108,7 @@ def estimate_noise(
     """
     quiet_records = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
     check_given_noise(model, given)
-    _check_quiet(model, experiments, quiet_records, policy)
+    _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}
     std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
     for j, output in enumerate(model.outputs):
@@ -123,6 +124,10 @@ def estimate_noise(
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
     return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds)
+
+
+# Fewest samples of a quiet record from which the level is taken.
+QUIET_MIN_SAMPLES = 20
 
 
 def _estimate_level(
@@ -142,17 +147,17 @@ def _estimate_level(
     colour = WHITE
     if at_rest:
         series = join_series(at_rest)
-        if _have_same_pace(experiments, quiet, policy):
+        if _have_same_pace(experiments, quiet):
             colour = fit_autoregression(series, policy=policy)
         samples = int(np.isfinite(series).sum())
-        if name not in given and samples >= policy.quiet_min_samples and not is_constant(series):
+        if name not in given and samples >= QUIET_MIN_SAMPLES and not is_constant(series):
             return _Level(estimate_spread(series, robust=robust), NoiseSource.QUIET_RECORD, colour, samples=samples)
     if name in given:
         return _Level(given[name], NoiseSource.GIVEN, colour)
     measured = [e for e in experiments if name in e.outputs]
     columns = [e.outputs[name] for e in measured]
     movement = float(np.nanstd(np.concatenate(columns))) or float(np.nanmax(np.abs(np.concatenate(columns)))) or 1.0
-    rounding = estimate_resolution(columns, policy) / np.sqrt(12)
+    rounding = estimate_resolution(columns) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
         or _level_of_records(measured, name, inputs, robust, policy)
@@ -172,22 +177,20 @@ def _level_of_records(
     A fit weighs with what differences show where that is less than the ceiling: of white noise on a slow signal they show it closely.
     """
     flat = _flat_level(experiments, name, inputs, robust, policy)
-    moving = _moving_level(experiments, name, inputs, robust, policy)
+    moving = _moving_level(experiments, name, inputs, robust)
     levels = [level for level in (flat, moving) if level is not None]
     if not levels:
         return None
     ceiling = min(level.std for level in levels)
     about = [
-        level
-        for level in levels
-        if level.direction is BoundDirection.ABOUT and level.std <= policy.about_ratio * ceiling
+        level for level in levels if level.direction is BoundDirection.ABOUT and level.std <= ABOUT_RATIO * ceiling
     ]
     if about:
         return about[0]
     lowest = min(levels, key=lambda level: level.std)
     # The signal jumps across a gap in time: no difference may reach over it.
     columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
-    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    differences = estimate_noise_of_records(columns, robust=robust)
     at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE)
     return replace(at_most, weight=differences) if np.isfinite(differences) else at_most
 
@@ -201,8 +204,8 @@ def _repeated_level(
     policy: NoisePolicy,
 ) -> _Level | None:
     """The noise from periods of a periodic input, or from experiments with the same input."""
-    periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs, policy))]
-    repeats = deviations_between_repeats(experiments, name, inputs, policy) if alike else []
+    periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs))]
+    repeats = deviations_between_repeats(experiments, name, inputs) if alike else []
     for source, sets in (NoiseSource.REPEATED_PERIODS, periods), (NoiseSource.REPEATED_EXPERIMENTS, repeats):
         if sets and estimate_spread(series := join_series([d for each in sets for d in each])) > 0:
             # K repeats less their mean hold the information of K - 1.
@@ -213,11 +216,15 @@ def _repeated_level(
     return None
 
 
+# Sum of autocorrelations, in samples, beyond which a series is no sensor's noise: something moves, or a model lacks something.
+LONGEST_MEMORY = 20.0
+
+
 def _flat_level(
     experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
 ) -> _Level | None:
     """The noise from the flat pieces of the records, no larger than what their spectra allow."""
-    flat = find_flat_pieces(experiments, name, inputs, policy)
+    flat = find_flat_pieces(experiments, name, inputs)
     if flat is None:
         return None
     series = join_series(flat.pieces)
@@ -225,32 +232,28 @@ def _flat_level(
     if not flat.agree:
         return _Level(flat.most, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
     colour = fit_autoregression(series, policy=policy)
-    if colour.memory > policy.longest_memory:
+    if colour.memory > LONGEST_MEMORY:
         # What remembers for longer moves: the pieces had not settled, or something drifts.
         return _Level(flat.std, NoiseSource.FLAT_PIECES, WHITE, BoundDirection.AT_MOST, samples)
     level = max(estimate_spread(series, robust=True), flat.std) if robust else flat.std
     return _Level(level, NoiseSource.FLAT_PIECES, colour, BoundDirection.ABOUT, samples)
 
 
-def _moving_level(
-    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
-) -> _Level | None:
+def _moving_level(experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool) -> _Level | None:
     """The noise while the plant moves: from what is left of the spectrum, or from differences where records are short or broken."""
-    spectra = [] if robust else _leftover_spectra(experiments, name, inputs, policy)
+    spectra = [] if robust else _leftover_spectra(experiments, name, inputs)
     if spectra:
-        level = spectral_level(spectra, policy)
+        level = spectral_level(spectra)
         if level.is_noise:
             return _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
         return _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
     # The signal jumps across a gap in time: no difference may reach over it.
     columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
-    differences = estimate_noise_of_records(columns, robust=robust, policy=policy)
+    differences = estimate_noise_of_records(columns, robust=robust)
     return _Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None
 
 
-def _leftover_spectra(
-    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], policy: NoisePolicy
-) -> list[LeftoverSpectrum]:
+def _leftover_spectra(experiments: Sequence[Experiment], name: str, inputs: Sequence[str]) -> list[LeftoverSpectrum]:
     """What no linear response explains, in every stretch of evenly sampled rows without a gap that is long enough."""
     spectra = []
     for record in experiments:
@@ -266,7 +269,7 @@ def _leftover_spectra(
         for start, stop in pairwise(edges):
             if missing[start]:
                 continue
-            spectrum = leftover_spectrum(driven[start:stop], values[start:stop], policy)
+            spectrum = leftover_spectrum(driven[start:stop], values[start:stop])
             if spectrum is not None:
                 spectra.append(spectrum)
     return spectra
@@ -299,9 +302,11 @@ def check_given_noise(model: Model, given: Mapping[str, float]) -> None:
             raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {unit}")
 
 
-def _check_quiet(
-    model: Model, experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy
-) -> None:
+# Largest movement of an input in a quiet record, over its movement in the other records, for it to be at rest.
+QUIET_INPUT_SHARE = 0.05
+
+
+def _check_quiet(model: Model, experiments: Sequence[Experiment], quiet: Sequence[Experiment]) -> None:
     for record in quiet:
         for signal in model.inputs:
             if signal.name not in record.inputs:
@@ -310,7 +315,7 @@ def _check_quiet(
                 )
             moved = float(np.ptp(record.inputs[signal.name]))
             range_of = max((float(np.ptp(e.inputs[signal.name])) for e in experiments), default=0.0)
-            if moved > policy.quiet_input_share * range_of:
+            if moved > QUIET_INPUT_SHARE * range_of:
                 raise DataError(
                     f"quiet record {record.name!r}: input {signal.name!r} moves by {moved:.4g} {signal.unit}, and by {range_of:.4g}"
                     f" {signal.unit} in the estimation records; give a record with the input at rest"
@@ -321,6 +326,10 @@ def _check_quiet(
             )
 
 
-def _have_same_pace(experiments: Sequence[Experiment], quiet: Sequence[Experiment], policy: NoisePolicy) -> bool:
+# Sampling times that differ by more than this share of the longest do not share a colour.
+SAME_PACE = 0.01
+
+
+def _have_same_pace(experiments: Sequence[Experiment], quiet: Sequence[Experiment]) -> bool:
     paces = [float(np.median(e.intervals)) for e in (*experiments, *quiet)]
-    return max(paces) - min(paces) <= policy.same_pace * max(paces)
+    return max(paces) - min(paces) <= SAME_PACE * max(paces)

@@ -20,7 +20,6 @@ from scipy.special import chdtri
 
 from greybox.base.numerics import MAD_TO_STD
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.data.problems import is_constant
 
 
@@ -76,19 +75,29 @@ class SpectralLevel:
         return AutoRegression((self.correlation,)) if self.correlation else AutoRegression()
 
 
-def leftover_spectrum(
-    inputs: np.ndarray, output: np.ndarray, policy: NoisePolicy = NOISE_POLICY
-) -> LeftoverSpectrum | None:
+# Order of the polynomials by which frequency response and transient are smooth over a band.
+RESPONSE_ORDER = 2
+# Frequencies of a band beyond its unknowns: they carry the estimate.
+FREE_FREQUENCIES = 12
+# Fewest bands of a record that is long enough to separate noise from a response.
+FEWEST_BANDS = 4
+# Bands that a spectrum is averaged to at most: each with little scatter.
+MOST_BANDS = 48
+# Singular value, over the largest, below which two inputs are the same in a band.
+SAME_RESPONSE = 1e-10
+
+
+def leftover_spectrum(inputs: np.ndarray, output: np.ndarray) -> LeftoverSpectrum | None:
     """What a smooth frequency response from ``inputs`` (N, nu) leaves of ``output`` (N,); None for a record that is too short."""
     rows = len(output)
     moving = inputs[:, np.ptp(inputs, axis=0) > 0] if rows else inputs
-    order = policy.response_order + 1
+    order = RESPONSE_ORDER + 1
     unknowns = order * (moving.shape[1] + 1)
-    width = unknowns + policy.free_frequencies
+    width = unknowns + FREE_FREQUENCIES
     y = np.fft.rfft(output - output.mean())[1:] / np.sqrt(rows)
     u = np.fft.rfft(moving - moving.mean(axis=0), axis=0)[1:] / np.sqrt(rows)
     blocks = len(y) // width
-    if blocks < policy.fewest_bands:
+    if blocks < FEWEST_BANDS:
         return None
     edges = np.linspace(0, len(y), blocks + 1).astype(int)
     position, power, freedom, measured = [], [], [], []
@@ -100,7 +109,7 @@ def leftover_spectrum(
         scale = np.linalg.norm(basis, axis=0)
         basis = basis[:, scale > 0] / scale[scale > 0]
         left, singular, _ = np.linalg.svd(basis, full_matrices=False)
-        left = left[:, singular > policy.same_response * singular[0]]
+        left = left[:, singular > SAME_RESPONSE * singular[0]]
         rest = y[start:end] - left @ (left.conj().T @ y[start:end])
         free = end - start - left.shape[1]
         position.append(np.pi * (start + end + 1) / 2 / len(y))
@@ -108,19 +117,26 @@ def leftover_spectrum(
         freedom.append(2 * free)
         measured.append(float(np.mean(np.abs(y[start:end]) ** 2)))
     columns = (np.array(each, float) for each in (position, power, freedom, measured))
-    return _join_bands(LeftoverSpectrum(*columns), policy.most_bands)
+    return _join_bands(LeftoverSpectrum(*columns), MOST_BANDS)
 
 
-def spectral_level(spectra: list[LeftoverSpectrum], policy: NoisePolicy = NOISE_POLICY) -> SpectralLevel:
+# Shares of half the sampling rate above which a band without signal is looked for, the widest first.
+NOISE_BAND_BEGINS: tuple[float, ...] = (0.0, 0.1, 0.25, 0.4, 0.55, 0.7)
+# Power of an output over what a linear response leaves of it, up to which a band holds no signal to speak of: what the plant does
+# nonlinearly there is a share of the signal, and less than the noise.
+SIGNAL_SHARE = 4.0
+
+
+def spectral_level(spectra: list[LeftoverSpectrum]) -> SpectralLevel:
     """The noise of a sensor from what is left of its records."""
     frequency, power, freedom, measured = (
         np.concatenate([getattr(s, name) for s in spectra]) for name in ("frequency", "power", "freedom", "measured")
     )
-    without_signal = measured <= policy.signal_share * power
-    most = _most_of_a_sensor(frequency, power, freedom, policy)
-    for begin in policy.noise_band_begins:
+    without_signal = measured <= SIGNAL_SHARE * power
+    most = _most_of_a_sensor(frequency, power, freedom)
+    for begin in NOISE_BAND_BEGINS:
         band = frequency >= begin * np.pi
-        level = _fit_sensor(frequency[band], power[band], freedom[band], policy)
+        level = _fit_sensor(frequency[band], power[band], freedom[band])
         if level is not None and level.is_noise and without_signal[band].all():
             return level
         if level is not None:
@@ -145,37 +161,55 @@ def sensor_shape(frequency: np.ndarray, correlation: float) -> np.ndarray:
     return (1 - correlation**2) / np.abs(1 - correlation * np.exp(-1j * frequency)) ** 2
 
 
-def _fit_sensor(
-    frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy
-) -> SpectralLevel | None:
+# Fewest bands that can show the shape of a spectrum.
+FEWEST_NOISE_BANDS = 6
+# Probability by chance below which a spectrum is not that of a sensor.
+NOISE_BAND_CHANCE = 0.001
+# Largest correlation of a sensor's noise from sample to sample, twenty samples of memory: what remembers for longer is something else.
+NOISE_LONGEST_CORRELATION = 0.95
+# Twice the log-likelihood by which two correlations must differ for one of them to be unlikely: three standard deviations.
+COLOUR_GAIN = 9.0
+# Ratio of the largest to the smallest likely level up to which a level is known, and not bounded only.
+ABOUT_RATIO = 1.6
+# Standard deviations of chance by which these levels are widened.
+SPECTRAL_DEVIATIONS = 2.0
+# Steps of the search over correlations.
+CORRELATION_STEPS = 50
+
+
+def _fit_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -> SpectralLevel | None:
     """The noise with the spectrum of a sensor that explains these bands; None where it does not, by more than chance."""
-    if len(power) < policy.fewest_noise_bands or not (power > 0).all():
+    if len(power) < FEWEST_NOISE_BANDS or not (power > 0).all():
         return None
-    correlations = np.linspace(0.0, policy.longest_correlation, policy.correlation_steps)
+    correlations = np.linspace(0.0, NOISE_LONGEST_CORRELATION, CORRELATION_STEPS)
     shares = power / np.array([sensor_shape(frequency, c) for c in correlations])
     variances = shares @ freedom / freedom.sum()
     ratios = shares / variances[:, None]
     # Whittle's likelihood of means of freedom / 2 exponential periodograms
     deviances = (ratios - 1 - np.log(ratios)) @ freedom
     best = int(np.argmin(deviances))
-    if deviances[best] > chdtri(len(power) - 1, policy.noise_band_chance):
+    if deviances[best] > chdtri(len(power) - 1, NOISE_BAND_CHANCE):
         return None
-    likely = deviances <= deviances[best] + policy.colour_gain
+    likely = deviances <= deviances[best] + COLOUR_GAIN
     chosen = 0 if likely[0] else best
     levels = np.sqrt(variances)
-    chance = 1 + policy.spectral_deviations / np.sqrt(2 * freedom.sum())
+    chance = 1 + SPECTRAL_DEVIATIONS / np.sqrt(2 * freedom.sum())
     high, low = levels[likely].max() * chance, levels[likely].min() / chance
-    is_noise = bool(high <= policy.about_ratio * low)
+    is_noise = bool(high <= ABOUT_RATIO * low)
     return SpectralLevel(
         float(levels[chosen]), float(high), is_noise, float(correlations[chosen]), float(freedom.sum())
     )
 
 
-def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, policy: NoisePolicy) -> float:
+# Probability that the lowest of all bands falls short by more than is allowed for.
+LOWEST_BAND_CHANCE = 0.2
+
+
+def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -> float:
     """The largest standard deviation of a sensor whose spectrum nowhere exceeds what is left."""
     # The lowest of many bands is low by chance: each counts as what one of them hardly ever falls short of.
-    power = power * freedom / chdtri(freedom, 1 - policy.lowest_band_chance / len(power))
-    correlations = np.linspace(0.0, policy.longest_correlation, policy.correlation_steps)
+    power = power * freedom / chdtri(freedom, 1 - LOWEST_BAND_CHANCE / len(power))
+    correlations = np.linspace(0.0, NOISE_LONGEST_CORRELATION, CORRELATION_STEPS)
     most = max(float(np.min(power / sensor_shape(frequency, c))) for c in correlations)
     return float(np.sqrt(most))
 
@@ -183,9 +217,13 @@ def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndar
 # The noise level of a sensor from the record itself, where it is not given.
 
 
-def estimate_noise_from_differences(
-    values: np.ndarray, *, robust: bool = False, policy: NoisePolicy = NOISE_POLICY
-) -> float:
+# Highest order of differences; each removes a smoother part of the signal, and the smallest result counts.
+MAX_DIFFERENCE_ORDER = 8
+# Fewest differences from which a standard deviation is computed.
+MIN_DIFFERENCES = 10
+
+
+def estimate_noise_from_differences(values: np.ndarray, *, robust: bool = False) -> float:
     """Standard deviation of white noise on a sampled signal, from its high-order differences.
 
     The difference of order ``d`` has variance ``binomial(2 d, d) sigma^2`` for white noise, and little left of a smooth signal. An
@@ -195,25 +233,23 @@ def estimate_noise_from_differences(
     """
     estimates = []
     variance, difference = 1.0, np.asarray(values, float)
-    for order in range(1, policy.max_difference_order + 1):
+    for order in range(1, MAX_DIFFERENCE_ORDER + 1):
         difference = np.diff(difference)
         variance *= 2 * (2 * order - 1) / order
         usable = difference[np.isfinite(difference)]
-        if len(usable) >= policy.min_differences:
+        if len(usable) >= MIN_DIFFERENCES:
             estimates.append(estimate_spread(usable, robust=robust) / float(np.sqrt(variance)))
     return min(estimates, default=float("nan"))
 
 
-def estimate_noise_of_records(
-    records: Iterable[np.ndarray], *, robust: bool = False, policy: NoisePolicy = NOISE_POLICY
-) -> float:
+def estimate_noise_of_records(records: Iterable[np.ndarray], *, robust: bool = False) -> float:
     """`estimate_noise_from_differences` over several records of one sensor, pooled by their number of samples.
 
     A record in which the sensor does not move at all tells nothing of its noise, and is left out if there are others.
     """
     columns = list(records)
     columns = [c for c in columns if not is_constant(c)] or columns
-    levels = [estimate_noise_from_differences(values, robust=robust, policy=policy) for values in columns]
+    levels = [estimate_noise_from_differences(values, robust=robust) for values in columns]
     pairs = [(level, int(np.isfinite(values).sum())) for level, values in zip(levels, columns, strict=True)]
     usable = [(noise, count) for noise, count in pairs if np.isfinite(noise)]
     total = sum(count for _, count in usable)

@@ -13,7 +13,6 @@ from scipy.special import ndtri
 from greybox.base.numerics import TINY
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
-from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import LawTerm, list_terms
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.model.model import Model
@@ -76,6 +75,21 @@ def list_unseen_states(model: Model) -> list[str]:
     return [s.name for s in model.states if s.name not in measured | rates]
 
 
+# Standard deviation of the plain model's constants before the records are seen, over their values: the observer does not take them
+# further than the records ask.
+LAW_CONSTANT_SPREAD = 0.4
+# The same for constants of which nothing is known, over their values and at least over 1.
+UNKNOWN_SPREAD = 100.0
+# Decrease of minus twice the log-likelihood below which the observer's constants stand still.
+SETTLED_DECREASE = 0.5
+# Runge-Kutta steps a row that the observer takes at most.
+MOST_SUBSTEPS = 8
+# Rows of a record that the observer runs over; of longer records every second, third... row.
+LAW_MOST_ROWS = 600
+# The same of a record with inputs: between rows that are skipped their mean acts, which a fast part of the plant does not believe.
+MOST_DRIVEN_ROWS = 1500
+
+
 def fit_in_observer(
     problem: DiscoveryProblem,
     model: Model,
@@ -83,30 +97,27 @@ def fit_in_observer(
     initial: Mapping[str, Sequence[float]],
     intensities: Sequence[float],
     steps: int,
-    policy: LawPolicy,
 ) -> ObservedFit | None:
     """The free constants of a model as the observer's innovations ask for; None where it cannot be run.
 
     ``nominal``: constants that are known to about `LawPolicy.constant_spread`; the others may be anything.
     """
     names = [q.name for q in model.free_parameters]
-    substeps = max(1, min(problem.prepare(model).step.substeps, policy.most_substeps))
+    substeps = max(1, min(problem.prepare(model).step.substeps, MOST_SUBSTEPS))
     observer = StateObserver(model, names, [name for name, _ in list_law_sites(model)], substeps)
     definitions = _list_definitions(model)
     rates = {rate: state for state, rate in definitions.items()}
     pushed = [s for s in model.system.state_names if s not in list_unseen_states(model) or s not in definitions]
     records = observe_records(
-        problem, model, initial, pushed, rates, policy.most_driven_rows if model.inputs else policy.most_rows
+        problem, model, initial, pushed, rates, MOST_DRIVEN_ROWS if model.inputs else LAW_MOST_ROWS
     )
     noise = problem.noise_model.std
     bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)
     mean = np.array([model.values[n] for n in names])
     known = np.array([n in nominal for n in names], bool)
     mean[known] = [nominal[n] for n in names if n in nominal]
-    spread = np.where(
-        known, policy.constant_spread * np.abs(mean), policy.unknown_spread * np.maximum(np.abs(mean), 1.0)
-    )
-    spread = np.where(spread > 0, spread, policy.unknown_spread)
+    spread = np.where(known, LAW_CONSTANT_SPREAD * np.abs(mean), UNKNOWN_SPREAD * np.maximum(np.abs(mean), 1.0))
+    spread = np.where(spread > 0, spread, UNKNOWN_SPREAD)
     start = np.array([model.values[n] for n in names])
 
     def run(z: np.ndarray, intensity: float) -> tuple[float, list[FilteredRun]]:
@@ -143,7 +154,7 @@ def fit_in_observer(
             break
         z = tried
         best = _descend({at: new}, at, partial(at_intensity, z), len(intensities))
-        if objective - best[0] < policy.settled_decrease:
+        if objective - best[0] < SETTLED_DECREASE:
             break
     objective, runs, at = best
     p = np.array(list(model.values.values()))
@@ -183,7 +194,15 @@ def _descend(
         at = lowest
 
 
-def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
+# Where time constants of memory are tried, as shares of the record.
+LAG_PLACES: tuple[float, ...] = (0.01, 0.03, 0.1, 0.3)
+# Terms that are propagated through the observer at once: what fits into the cache and into memory.
+TERMS_AT_ONCE = 1000
+# What one unit of complexity costs in Schwarz's criterion: of the many terms that could be written, complicated ones fit by chance.
+COMPLEXITY_COST = 4.0
+
+
+def rank_terms(observed: ObservedFit) -> list[TermStart]:
     """Every term that the model may have, with what it promises beside its complexity; best first."""
     model, runs, records = observed.model, observed.runs, observed.records
     names = [*model.system.state_names, *(i.name for i in model.inputs)]
@@ -192,7 +211,7 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
     sites = list_law_sites(model)
     free = _FreeDirections.of(observed)
     starts: dict[LawTerm, TermStart] = {}
-    terms = list_terms(model, sites, everywhere, policy)
+    terms = list_terms(model, sites, everywhere)
     index = {name: k for k, (name, _) in enumerate(sites)}
     signals = _Signals(everywhere, [len(a) for a in along], [r.h for r in records])
     for site in index:
@@ -200,11 +219,11 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
             (term, shape, lag)
             for term in terms
             if term.site == site
-            for shape in term.shape_starts(everywhere, policy)
-            for lag in ([q * records[0].duration for q in policy.lag_places] if term.has_memory else [0.0])
+            for shape in term.shape_starts(everywhere)
+            for lag in ([q * records[0].duration for q in LAG_PLACES] if term.has_memory else [0.0])
         ]
-        for first in range(0, len(columns), policy.terms_at_once):
-            chunk = columns[first : first + policy.terms_at_once]
+        for first in range(0, len(columns), TERMS_AT_ONCE):
+            chunk = columns[first : first + TERMS_AT_ONCE]
             values = [signals.of(*column) for column in chunk]
             slopes = [
                 tape.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
@@ -216,22 +235,30 @@ def rank_terms(observed: ObservedFit, policy: LawPolicy) -> list[TermStart]:
                 if decrease > (starts[term].decrease if term in starts else 0.0):
                     bounds = term.shape_bounds(everywhere)
                     starts[term] = TermStart(term, amplitude, shape, lag, bounds, decrease)
-    return sorted(starts.values(), key=lambda s: policy.complexity_cost * s.term.complexity - s.decrease)
+    return sorted(starts.values(), key=lambda s: COMPLEXITY_COST * s.term.complexity - s.decrease)
 
 
-def rank_everywhere(variants: Sequence[ObservedFit], policy: LawPolicy) -> list[tuple[TermStart, ObservedFit]]:
+def rank_everywhere(variants: Sequence[ObservedFit]) -> list[tuple[TermStart, ObservedFit]]:
     """Every term beside the variant of the observed model where it promises most; best first."""
     best: dict[LawTerm, tuple[float, TermStart, ObservedFit]] = {}
     for observed in variants:
-        for start in rank_terms(observed, policy):
-            promise = observed.objective - start.decrease + policy.complexity_cost * start.term.complexity
+        for start in rank_terms(observed):
+            promise = observed.objective - start.decrease + COMPLEXITY_COST * start.term.complexity
             if start.term not in best or promise < best[start.term][0]:
                 best[start.term] = promise, start, observed
     return [(start, observed) for _, start, observed in sorted(best.values(), key=lambda one: one[0])]
 
 
+# Process noise of the observer that is tried, in standard deviations of a state over the whole record: the likeliest is taken.
+LAW_INTENSITIES: tuple[float, ...] = (0.01, 0.1, 1.0, 10.0)
+# Where a state has no sensor: other constants and first states from which the terms are ranked as well.
+UNSEEN_DRAWS = 12
+# Standard deviation of the first states that are drawn, over their values.
+UNSEEN_SPREAD = 0.5
+
+
 def observe_variants(
-    problem: DiscoveryProblem, observed: ObservedFit, nominal: Mapping[str, float], policy: LawPolicy
+    problem: DiscoveryProblem, observed: ObservedFit, nominal: Mapping[str, float]
 ) -> list[ObservedFit]:
     """The observed model, and where a state is unseen the same from other constants and first states that are as likely beforehand.
 
@@ -244,15 +271,15 @@ def observe_variants(
     names = [n for n in nominal if n in observed.values]
     from scipy.stats import qmc  # half a second to import
 
-    points = ndtri(qmc.Halton(len(names) + len(unseen), scramble=False).random(policy.unseen_draws + 1)[1:])
+    points = ndtri(qmc.Halton(len(names) + len(unseen), scramble=False).random(UNSEEN_DRAWS + 1)[1:])
     places = {n: model.system.state_names.index(n) for n in unseen}
     starts = {n: [float(record.start[j]) for record in observed.records] for n, j in places.items()}
     variants = [observed]
     for point in points:
         # Constants keep their signs.
-        values = {n: nominal[n] * float(np.exp(policy.constant_spread * z)) for n, z in zip(names, point, strict=False)}
+        values = {n: nominal[n] * float(np.exp(LAW_CONSTANT_SPREAD * z)) for n, z in zip(names, point, strict=False)}
         first = {
-            n: tuple(start + policy.unseen_spread * float(z) * (abs(start) or 1.0) for start in starts[n])
+            n: tuple(start + UNSEEN_SPREAD * float(z) * (abs(start) or 1.0) for start in starts[n])
             for n, z in zip(unseen, point[len(names) :], strict=True)
         }
         one = problem.failures.attempt(
@@ -264,9 +291,8 @@ def observe_variants(
                 model.start(**values),
                 nominal,
                 {**observed.initial, **first},
-                policy.intensities,
+                LAW_INTENSITIES,
                 0,
-                policy,
             ),
             None,
         )
@@ -275,14 +301,24 @@ def observe_variants(
     return variants
 
 
-def choose_terms(
-    ranked: Sequence[tuple[TermStart, ObservedFit]], count: int, policy: LawPolicy
-) -> list[tuple[TermStart, ObservedFit]]:
+# Complexity up to which a term counts as simple: such terms have a third of the places that are run through the observer.
+SIMPLE_COMPLEXITY = 4
+
+
+def choose_terms(ranked: Sequence[tuple[TermStart, ObservedFit]], count: int) -> list[tuple[TermStart, ObservedFit]]:
     """The leading terms; a third of the places is for simple ones, that a complicated one of the same shape would hide."""
     places = range(len(ranked))
-    simple = [k for k in places if ranked[k][0].term.complexity <= policy.simple_complexity][: count // 3]
+    simple = [k for k in places if ranked[k][0].term.complexity <= SIMPLE_COMPLEXITY][: count // 3]
     rest = [k for k in places if k not in simple][: count - len(simple)]
     return [ranked[k] for k in sorted((*simple, *rest))]
+
+
+# The same once a term is in the model, which may leave nothing to the process noise.
+FINER_INTENSITIES: tuple[float, ...] = (0.0001, 0.001, 0.01, 0.1, 1.0)
+# The same with a term in the model.
+TERM_STEPS = 3
+# Gauss-Newton steps in the observer with a term in the model where a state has no sensor: its start is a guess.
+UNSEEN_STEPS = 10
 
 
 def observe_terms(
@@ -290,7 +326,6 @@ def observe_terms(
     nominal: Mapping[str, float],
     starts: Sequence[tuple[TermStart, ObservedFit]],
     name: str,
-    policy: LawPolicy,
 ) -> list[tuple[TermStart, ObservedFit]]:
     """Each term in the model beside which it was ranked and run through the observer; those that can be, best first."""
     fits: list[tuple[TermStart, ObservedFit]] = []
@@ -305,15 +340,14 @@ def observe_terms(
                 observed.model.start(**observed.values) + effect,
                 nominal,
                 observed.initial,
-                policy.finer_intensities,
-                policy.unseen_steps if list_unseen_states(observed.model) else policy.term_steps,
-                policy,
+                FINER_INTENSITIES,
+                UNSEEN_STEPS if list_unseen_states(observed.model) else TERM_STEPS,
             )
 
         one = problem.failures.attempt(SearchStage.SCREENING, (name,), fit, None)
         if one is not None:
             fits.append((start, one))
-    return sorted(fits, key=lambda one: one[1].objective + policy.complexity_cost * one[0].term.complexity)
+    return sorted(fits, key=lambda one: one[1].objective + COMPLEXITY_COST * one[0].term.complexity)
 
 
 class _Signals:

@@ -20,8 +20,10 @@ from greybox.discovery.decision import clean_cost_limit, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate
-from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.screening import (
+    COMPLEXITY_COST,
+    LAW_INTENSITIES,
+    SETTLED_DECREASE,
     ObservedFit,
     TermStart,
     choose_terms,
@@ -42,6 +44,7 @@ from greybox.discovery.laws.terms import (
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.residual_noise import is_level_known
+from greybox.discovery.selection import TIE_COST
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 
@@ -59,9 +62,9 @@ class LawFit:
         """Of its terms together."""
         return sum(term.complexity for term in self.terms)
 
-    def criterion(self, policy: LawPolicy) -> float:
+    def criterion(self) -> float:
         """Schwarz's criterion with a cost for complexity."""
-        return self.candidate.criterion + policy.complexity_cost * self.complexity
+        return self.candidate.criterion + COMPLEXITY_COST * self.complexity
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +145,25 @@ class LawSearch(ReadOnly):
         return self.laws[0].grade if self.laws else None
 
 
+# Terms that are run through the observer after the linear ranking, those that promise most first; the next batch only where none of the
+# one before leaves mere noise.
+OBSERVED_TERMS: tuple[int, ...] = (18, 24)
+# Of these a term is refitted only if its objective there (minus twice the log-likelihood) is within this of the best.
+LEADING_DECREASE = 100.0
+# The same once a term leaves only noise: others are refitted that may do so as well.
+RIVAL_DECREASE = 30.0
+# Iterations of such a refit.
+LAW_REFIT_ITERATIONS = 40
+# Second terms that are refitted beside each of these.
+SECOND_TERMS = 4
+# Laws that are refitted to the end and judged on the validation records.
+FINISHED_LAWS = 6
+# Iterations of that.
+FINISH_ITERATIONS = 80
+# Rms error over noise on the validation records, constants moved within their uncertainty, up to which a law leaves only noise.
+CLEAN_SCORE = 1.15
+
+
 @dataclass
 class _LawSelection:
     problem: DiscoveryProblem
@@ -152,16 +174,12 @@ class _LawSelection:
     fits: list[LawFit] = field(default_factory=list)
     tried: int = 0
 
-    @property
-    def limits(self) -> LawPolicy:
-        return self.policy.laws
-
     def is_clean(self, candidate: CandidateFit) -> bool:
-        return candidate.per_sample <= clean_cost_limit(candidate.count, self.policy.selection)
+        return candidate.per_sample <= clean_cost_limit(candidate.count)
 
     def is_clean_everywhere(self, candidate: CandidateFit) -> bool:
         """Whether only noise is left on the validation records too, within what the constants' uncertainty does there."""
-        return self.is_clean(candidate) and self.judge(candidate) <= self.limits.clean_score
+        return self.is_clean(candidate) and self.judge(candidate) <= CLEAN_SCORE
 
     def judge(self, candidate: CandidateFit) -> float:
         """Rms error over noise on the validation records once constants and first states have moved within their uncertainty.
@@ -183,15 +201,15 @@ class _LawSelection:
 
     def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], most: int) -> None:
         """The laws that have one term more than the observed model: the leading ones refitted, more of them while none is clean."""
-        limits, name = self.limits, LAW if not terms else f"{LAW}_{len(terms) + 1}"
+        name = LAW if not terms else f"{LAW}_{len(terms) + 1}"
         # Beside a law whose constants the records have settled there is one variant.
-        variants = [observed] if terms else observe_variants(self.problem, observed, self.nominal, limits)
-        ranked = rank_everywhere(variants, limits)
+        variants = [observed] if terms else observe_variants(self.problem, observed, self.nominal)
+        ranked = rank_everywhere(variants)
         self.tried += len(ranked)
-        chosen = choose_terms(ranked, sum(limits.observed_terms), limits)
+        chosen = choose_terms(ranked, sum(OBSERVED_TERMS))
         first = 0
-        for count in limits.observed_terms[: 1 if terms else None]:
-            batch = observe_terms(self.problem, self.nominal, chosen[first : first + count], name, limits)
+        for count in OBSERVED_TERMS[: 1 if terms else None]:
+            batch = observe_terms(self.problem, self.nominal, chosen[first : first + count], name)
             first += count
             if self._refit_leading(terms, batch, most) or self.problem.executor.is_late:
                 return
@@ -203,9 +221,9 @@ class _LawSelection:
         is_any_clean = False
         for k, (start, one) in enumerate(batch[:most]):
             behind = one.objective - batch[0][1].objective
-            if k and behind > (self.limits.rival_decrease if is_any_clean else self.limits.leading_decrease):
+            if k and behind > (RIVAL_DECREASE if is_any_clean else LEADING_DECREASE):
                 break
-            fit = self.refit(one, self.limits.refit_iterations)
+            fit = self.refit(one, LAW_REFIT_ITERATIONS)
             if fit is not None:
                 self.fits.append(LawFit((*terms, start.term), fit))
                 is_any_clean = is_any_clean or self.is_clean_everywhere(fit)
@@ -214,7 +232,7 @@ class _LawSelection:
     def refit_second_terms(self) -> None:
         """The second term of each of the leading laws of two terms alone: the first may have stood in for it."""
         tried = {law.terms for law in self.fits}
-        for law in [law for law in self.ranked() if len(law.terms) > 1][: self.limits.second_terms]:
+        for law in [law for law in self.ranked() if len(law.terms) > 1][:SECOND_TERMS]:
             term, model = law.terms[-1], law.candidate.model
             names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
             if (term,) in tried or self.problem.executor.is_late:
@@ -235,7 +253,7 @@ class _LawSelection:
             for name in names:
                 model = model.without(name)
             alone = model + effect
-            job = RefitJob(alone, (alone.values,), 1, self.limits.refit_iterations, _first_states(law.candidate))
+            job = RefitJob(alone, (alone.values,), 1, LAW_REFIT_ITERATIONS, _first_states(law.candidate))
             fit = self.problem.refit_all([job])[0]
             if fit is not None:
                 self.fits.append(LawFit((term,), fit))
@@ -249,24 +267,28 @@ class _LawSelection:
     # Judging
 
     def ranked(self) -> list[LawFit]:
-        return sorted(self.fits, key=lambda law: law.criterion(self.limits))
+        return sorted(self.fits, key=lambda law: law.criterion())
 
     def finish_leading(self) -> None:
         """The leading laws refitted to the end and run over the validation records."""
         best: dict[tuple[LawTerm, ...], LawFit] = {}
         for law in self.ranked():
             best.setdefault(tuple(sorted(law.terms, key=str)), law)
-        leading = list(best.values())[: self.limits.finished_laws]
+        leading = list(best.values())[:FINISHED_LAWS]
         finished = []
         for law in leading:
             fit = law.candidate
-            if fit.promised_decrease > self.limits.settled_decrease:
-                again = self.problem.refit_best(
-                    fit.model, [fit.model.values], 1, self.limits.finish_iterations, like=fit
-                )
+            if fit.promised_decrease > SETTLED_DECREASE:
+                again = self.problem.refit_best(fit.model, [fit.model.values], 1, FINISH_ITERATIONS, like=fit)
                 fit = again if again is not None and again.cost < fit.cost else fit
             finished.append(replace(law, candidate=fit, score=self.judge(fit)))
         self.fits = finished
+
+
+# Terms that are refitted by simulation after that.
+REFITTED_TERMS = 10
+# Single terms beside which a second one is looked for.
+STARTING_LAWS = 1
 
 
 def search_laws(
@@ -291,24 +313,23 @@ def search_laws(
     on_message
         Called with a line about each step.
     """
-    limits = policy.laws
     search = _LawSelection(problem, scores, policy, _free_values(problem.model), on_message)
     observed = _observe_plain(search, baseline)
     if observed is not None:
-        again = search.refit(observed, limits.finish_iterations)
+        again = search.refit(observed, FINISH_ITERATIONS)
         if again is not None and again.cost < baseline.cost:
             baseline = again
     if observed is None or not _lacks_something(search, baseline):
         is_missing = _lacks_something(search, baseline)
         return LawSearch((), (), baseline, None, None, search.is_clean(baseline), is_missing=is_missing)
-    search.find_terms(observed, (), limits.refitted_terms)
+    search.find_terms(observed, (), REFITTED_TERMS)
     on_message(str(Finding(DiscoveryCode.LAW_TERMS_RANKED, values={"terms": search.tried})))
     ranked = search.ranked()
     if not any(search.is_clean_everywhere(law.candidate) for law in ranked):
-        for law in ranked[: limits.starting_laws]:
+        for law in ranked[:STARTING_LAWS]:
             beside = _observe_law(search, law)
             if beside is not None:
-                search.find_terms(beside, law.terms, limits.second_terms)
+                search.find_terms(beside, law.terms, SECOND_TERMS)
         search.refit_second_terms()
     search.finish_leading()
     return _judge(search, _retest_baseline(search, baseline))
@@ -318,9 +339,12 @@ def _free_values(model: Model) -> dict[str, float]:
     return {q.name: q.value for q in model.free_parameters}
 
 
+# Gauss-Newton steps of the plain model's constants in the observer.
+OBSERVER_STEPS = 4
+
+
 def _observe_plain(search: _LawSelection, baseline: CandidateFit) -> ObservedFit | None:
     """The plain model in the observer, from the constants that it came with: those of its fit have swallowed the missing term."""
-    limits = search.limits
     # An effect that the model has already keeps its fitted constants.
     values = {**baseline.model.values, **search.nominal}
     fit = partial(
@@ -329,15 +353,14 @@ def _observe_plain(search: _LawSelection, baseline: CandidateFit) -> ObservedFit
         baseline.model.start(**values),
         search.nominal,
         {},
-        limits.intensities,
-        limits.observer_steps,
-        limits,
+        LAW_INTENSITIES,
+        OBSERVER_STEPS,
     )
     return search.problem.failures.attempt(SearchStage.SCREENING, baseline.effects, fit, None)
 
 
 def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
-    limits, fit = search.limits, law.candidate
+    fit = law.candidate
     columns = fit.variables.initial.guess.T.tolist()
     initial = dict(zip(fit.model.system.state_names, map(tuple, columns), strict=True))
     return search.problem.failures.attempt(
@@ -349,9 +372,8 @@ def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
             fit.model,
             search.nominal,
             initial,
-            limits.intensities,
-            limits.observer_steps,
-            limits,
+            LAW_INTENSITIES,
+            OBSERVER_STEPS,
         ),
         None,
     )
@@ -368,28 +390,38 @@ def _retest_baseline(search: _LawSelection, baseline: CandidateFit) -> Candidate
         return baseline
     best = ranked[0].candidate
     values = {n: v for n, v in best.model.values.items() if n in baseline.model.values}
-    again = search.problem.refit_best(baseline.model, [values], 1, search.limits.finish_iterations, like=None)
+    again = search.problem.refit_best(baseline.model, [values], 1, FINISH_ITERATIONS, like=None)
     return again if again is not None and again.cost < baseline.cost else baseline
+
+
+# Laws whose error on the validation records is within this share of the least do as well.
+LAW_SAME_ERROR = 0.1
+# Share of the plain model's error on the validation records that a law must take away.
+LAW_LEAST_SHARE = 0.5
+# The same for a law that counts as established where it does not reach the noise.
+ESTABLISHED_SHARE = 0.9
+# Share of the law's error on the validation records that a free curve must take away to beat it.
+CURVE_GAIN = 0.25
 
 
 def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     """The law, or the laws that do equally well."""
-    limits, selection = search.limits, search.policy.selection
+    selection = search.policy.selection
     nothing = LawSearch((), (), baseline, None, None, search.is_clean(baseline), tried=search.tried)
     laws = [law for law in search.ranked() if np.isfinite(law.score)]
     if not laws or not _lacks_something(search, baseline):
         return replace(nothing, is_missing=_lacks_something(search, baseline))
     before, least = search.scores.score(baseline), min(law.score for law in laws)
-    near = [law for law in laws if law.score <= (1 + limits.same_error) * max(least, 1.0)]
+    near = [law for law in laws if law.score <= (1 + LAW_SAME_ERROR) * max(least, 1.0)]
     best = near[0]
     subject = " + ".join(write_equation(best.candidate.model, best.terms))
-    gain = baseline.criterion - best.criterion(limits)
+    gain = baseline.criterion - best.criterion()
     explained = (before - best.score) / max(before - 1, 1e-3) if np.isfinite(before) else 1.0
     checks = [
         make_check(
             DiscoveryRule.CRITERION_GAIN, gain, selection.criterion_gain, gain > selection.criterion_gain, subject
         ),
-        Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, explained, limits.least_share, subject),
+        Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, explained, LAW_LEAST_SHARE, subject),
     ]
     if not all(check.passed for check in checks):
         return replace(nothing, checks=tuple(checks))
@@ -399,24 +431,24 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
         for law in near
         if law is not best
         and law.complexity <= best.complexity
-        and (law.candidate.criterion - best.candidate.criterion) / scale < selection.tie_cost
+        and (law.candidate.criterion - best.candidate.criterion) / scale < TIE_COST
     ]
     checks += [
         make_check(
             DiscoveryRule.TIE,
             (law.candidate.criterion - best.candidate.criterion) / scale,
-            selection.tie_cost,
+            TIE_COST,
             True,
             " + ".join(write_equation(law.candidate.model, law.terms)),
         )
         for law in rivals
     ]
-    is_clean = search.is_clean(best.candidate) and best.score <= limits.clean_score
-    explains = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, explained, limits.established_share, subject)
-    curve = make_check(DiscoveryRule.LAW_CURVE, 0.0, limits.curve_gain, True, subject)
+    is_clean = search.is_clean(best.candidate) and best.score <= CLEAN_SCORE
+    explains = Check.at_least(DiscoveryRule.HOLDOUT_EXPLAINED, explained, ESTABLISHED_SHARE, subject)
+    curve = make_check(DiscoveryRule.LAW_CURVE, 0.0, CURVE_GAIN, True, subject)
     if not is_clean:
         taken = _share_of_curve(search, best)
-        curve = make_check(DiscoveryRule.LAW_CURVE, taken, limits.curve_gain, taken <= limits.curve_gain, subject)
+        curve = make_check(DiscoveryRule.LAW_CURVE, taken, CURVE_GAIN, taken <= CURVE_GAIN, subject)
     checks += [explains, curve]
     if not curve.passed:
         grade = Grade.STAND_IN
@@ -451,13 +483,17 @@ def _is_better(search: _LawSelection, baseline: CandidateFit, fit: Fit) -> bool:
     return score < search.scores.score(baseline)
 
 
+# Iterations of its refit.
+CURVE_ITERATIONS = 25
+
+
 def _share_of_curve(search: _LawSelection, law: LawFit) -> float:
     """Share of the law's error on the validation records that the best free curve in the place of one of its factors takes away."""
-    candidate, limits = law.candidate, search.limits
+    candidate = law.candidate
     seen = _ranges(candidate)
     best = 0.0
-    for model, start in curve_effects(candidate.model, law.terms, seen, limits):
-        job = RefitJob(model, (start,), 1, limits.curve_iterations, _first_states(candidate))
+    for model, start in curve_effects(candidate.model, law.terms, seen):
+        job = RefitJob(model, (start,), 1, CURVE_ITERATIONS, _first_states(candidate))
         fit = search.problem.refit_all([job])[0]
         if fit is not None and candidate.criterion - fit.criterion > search.policy.selection.criterion_gain:
             best = max(best, 1 - search.scores.score(fit) / law.score)

@@ -20,7 +20,6 @@ import numpy as np
 
 from greybox.base.linear_algebra import decompose_columns
 from greybox.base.units import ONE, parse_unit
-from greybox.discovery.laws.policy import LawPolicy
 from greybox.model.effect import Effect
 from greybox.model.effects.formula import formula_effect
 from greybox.model.expressions.text import evaluate_formula, number_text
@@ -76,6 +75,12 @@ class ConstantNames:
         """Names that no variable has."""
         taken = set(variables)
         return cls(*(n if n not in taken else f"{n}_law" for n in ("k", "c", "T")))
+
+
+# Where constants of shape are tried, in multiples of the variable's rms: a term changes little between neighbours.
+SHAPE_PLACES: tuple[float, ...] = (0.1, 0.3, 1.0, 3.0)
+# Where thresholds are tried, as quantiles of the variable.
+THRESHOLD_PLACES: tuple[float, ...] = (0.15, 0.35, 0.5, 0.65, 0.85)
 
 
 @dataclass(frozen=True)
@@ -146,15 +151,15 @@ class LawTerm:
         rows = np.vstack([*(values[n] for n in names), np.full(len(values[names[0]]), shape)])
         return np.asarray(function(rows).full()).ravel()
 
-    def shape_starts(self, values: Mapping[str, np.ndarray], policy: LawPolicy) -> tuple[float, ...]:
+    def shape_starts(self, values: Mapping[str, np.ndarray]) -> tuple[float, ...]:
         """Where its constant of shape is tried; one number without meaning where it has none."""
         if self.shape is None:
             return (1.0,)
         v = values[self.shape.variables[0]]
         if self.shape.is_threshold:
-            return tuple(float(np.quantile(v, q)) for q in policy.threshold_places)
+            return tuple(float(np.quantile(v, q)) for q in THRESHOLD_PLACES)
         size = float(np.sqrt(np.mean(v**2))) or 1.0
-        scales = tuple((p * size) ** (self.shape.shape_power or 0.0) for p in policy.shape_places)
+        scales = tuple((p * size) ** (self.shape.shape_power or 0.0) for p in SHAPE_PLACES)
         return (*scales, *(-s for s in scales)) if self.shape.signed else scales
 
     def shape_bounds(self, values: Mapping[str, np.ndarray]) -> tuple[float, float]:
@@ -210,9 +215,11 @@ class _Symbols(dict):
         return list(self)
 
 
-def list_terms(
-    model: Model, sites: Sequence[tuple[str, str]], values: Mapping[str, np.ndarray], policy: LawPolicy
-) -> list[LawTerm]:
+# Largest complexity of a term that is tried with memory.
+MEMORY_COMPLEXITY = 2
+
+
+def list_terms(model: Model, sites: Sequence[tuple[str, str]], values: Mapping[str, np.ndarray]) -> list[LawTerm]:
     """The terms that may act at balances, simplest first.
 
     Parameters
@@ -223,27 +230,31 @@ def list_terms(
         Name and unit of each balance.
     values
         Variable -> what it was along the records (K,): signs and ranges decide which functions have a meaning.
-    policy
-        Degrees and powers.
     """
     units = {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
     names = [n for n in units if n in values and float(np.ptp(values[n])) > 0]
-    products = list(_list_products(names, units, values, policy))
+    products = list(_list_products(names, units, values))
     texts, constants = tuple(units.items()), ConstantNames.beside(units)
     terms = [LawTerm(site, factors, texts, unit, constants) for site, unit in sites for factors in products]
-    memory = [replace(t, has_memory=True) for t in terms if 1 < t.complexity <= 1 + policy.memory_complexity]
+    memory = [replace(t, has_memory=True) for t in terms if 1 < t.complexity <= 1 + MEMORY_COMPLEXITY]
     return sorted((*terms, *memory), key=lambda t: t.complexity)
 
 
+# Degree of the largest product of several variables.
+MOST_DEGREE = 3
+# Highest power of one variable alone.
+MOST_POWER = 5
+
+
 def _list_products(
-    names: Sequence[str], units: Mapping[str, str], values: Mapping[str, np.ndarray], policy: LawPolicy
+    names: Sequence[str], units: Mapping[str, str], values: Mapping[str, np.ndarray]
 ) -> Iterator[tuple[Factor, ...]]:
-    monomials = list(_list_monomials(names, policy))
+    monomials = list(_list_monomials(names))
     yield ()
     yield from monomials
-    yield from ((_power(n, p),) for n in names for p in range(policy.most_degree + 1, policy.most_power + 1))
+    yield from ((_power(n, p),) for n in names for p in range(MOST_DEGREE + 1, MOST_POWER + 1))
     short = [(), *(m for m in monomials if _degree(m) == 1)]
-    plain = {n: _list_plain_functions(n, units[n], values[n], policy) for n in names}
+    plain = {n: _list_plain_functions(n, units[n], values[n]) for n in names}
     shaped = {n: _list_shaped_functions(n, values[n]) for n in names}
     for n in names:
         for function in (*plain[n], *shaped[n]):
@@ -269,8 +280,8 @@ def _list_products(
             yield (Factor(f"sin({a} - {b})", (a, b), 3, 0),)
 
 
-def _list_monomials(names: Sequence[str], policy: LawPolicy) -> Iterator[tuple[Factor, ...]]:
-    for degree in range(1, policy.most_degree + 1):
+def _list_monomials(names: Sequence[str]) -> Iterator[tuple[Factor, ...]]:
+    for degree in range(1, MOST_DEGREE + 1):
         for chosen in itertools.combinations_with_replacement(names, degree):
             powers = {n: chosen.count(n) for n in dict.fromkeys(chosen)}
             yield tuple(_power(n, p) for n, p in powers.items())
@@ -280,7 +291,11 @@ def _power(name: str, power: int) -> Factor:
     return Factor(name if power == 1 else f"{name}**{power}", (name,), power, power)
 
 
-def _list_plain_functions(name: str, unit: str, v: np.ndarray, policy: LawPolicy) -> list[Factor]:
+# Least size of a variable over its largest from which one over it is a term: beyond that it is singular within the record.
+LEAST_RECIPROCAL = 0.05
+
+
+def _list_plain_functions(name: str, unit: str, v: np.ndarray) -> list[Factor]:
     """Functions of a variable without a constant."""
     functions = []
     if v.min() < 0 < v.max():
@@ -292,7 +307,7 @@ def _list_plain_functions(name: str, unit: str, v: np.ndarray, policy: LawPolicy
         ]
     elif v.min() >= 0:
         functions.append(Factor(f"sqrt({name})", (name,), 2, 0.5))
-    if np.abs(v).min() > policy.least_reciprocal * np.abs(v).max():
+    if np.abs(v).min() > LEAST_RECIPROCAL * np.abs(v).max():
         functions += [Factor(f"(1/{name})", (name,), 2, -1), Factor(f"(1/{name}**2)", (name,), 3, -2)]
     if _is_number(unit):
         functions += [Factor(f"sin({name})", (name,), 2, 0), Factor(f"cos({name})", (name,), 2, 0)]
@@ -484,8 +499,12 @@ def _kind_of(model: Model, term: LawTerm) -> LikenessKind | None:
 LAW_CURVE = "law_curve"
 
 
+# Heights of the free curve that stands in the place of a law's factor.
+CURVE_HEIGHTS = 9
+
+
 def curve_effects(
-    model: Model, terms: Sequence[LawTerm], seen: Mapping[str, tuple[float, float]], policy: LawPolicy
+    model: Model, terms: Sequence[LawTerm], seen: Mapping[str, tuple[float, float]]
 ) -> Iterator[tuple[Model, dict[str, float]]]:
     """For each variable of the last term the model with a curve over it, its other factors kept, and start values: the law itself."""
     names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
@@ -500,12 +519,12 @@ def curve_effects(
             continue
         shape = values.get(term.constants.shape, 1.0)
         low, high = seen[variable]
-        pitch = (high - low) / (policy.curve_heights - 1) or 1.0
-        z = np.linspace(low, high, 8 * policy.curve_heights)
+        pitch = (high - low) / (CURVE_HEIGHTS - 1) or 1.0
+        z = np.linspace(low, high, 8 * CURVE_HEIGHTS)
         target = values[term.constants.amplitude] * _product_of(term, mine, {variable: z}, shape)
-        bumps = np.exp(-(((z[:, None] - low) / pitch - np.arange(policy.curve_heights)) ** 2))
-        heights = decompose_columns(np.vstack([bumps, 1e-6 * np.eye(policy.curve_heights)])).solve(
-            np.append(target, np.zeros(policy.curve_heights))
+        bumps = np.exp(-(((z[:, None] - low) / pitch - np.arange(CURVE_HEIGHTS)) ** 2))
+        heights = decompose_columns(np.vstack([bumps, 1e-6 * np.eye(CURVE_HEIGHTS)])).solve(
+            np.append(target, np.zeros(CURVE_HEIGHTS))
         )
         unit = term.site_unit if not others else f"({term.site_unit})/({_unit_of(term, others)})"
         effect = _curve_effect(term, variable, others, shape, low, pitch, unit, heights)

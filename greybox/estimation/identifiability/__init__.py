@@ -2,7 +2,6 @@
 
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
-from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.estimation.identifiability.practical import (
     ExpectedPrecision,
     PracticalIdentifiability,
@@ -16,10 +15,8 @@ from greybox.estimation.identifiability.structural import (
 )
 
 __all__ = [
-    "IDENTIFIABILITY_POLICY",
     "Excitation",
     "ExpectedPrecision",
-    "IdentifiabilityPolicy",
     "IdentifiabilityVerdict",
     "OpenDirection",
     "PracticalIdentifiability",

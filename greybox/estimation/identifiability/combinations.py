@@ -16,7 +16,6 @@ from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable
 from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.estimation.identifiability.sensitivity import Sensitivity, SensitivityRank, highest_ranks
 from greybox.estimation.identifiability.transfer_functions import (
     Polynomial,
@@ -50,20 +49,17 @@ class OpenDirection(Printable):
         return tuple(self.weights)
 
 
-def find_open_directions(
-    ranks: Sequence[SensitivityRank], names: Sequence[str], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
-) -> list[OpenDirection]:
+def find_open_directions(ranks: Sequence[SensitivityRank], names: Sequence[str]) -> list[OpenDirection]:
     """The open directions, as many as there are, each with as few constants as possible; scalings first."""
     size = ranks[0].null.shape[1]
     chosen: list[np.ndarray] = []
     directions = []
     # At one point alone every direction is the same everywhere: whole exponents show a scaling there.
     common = common_null_space([r.row for r in ranks], size)
-    powers = (to_small_integers(v, policy) for v in find_sparsest_vectors(common, policy))
-    scalings = (OpenDirection(_name_weights(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v, policy))
+    powers = (to_small_integers(v) for v in find_sparsest_vectors(common))
+    scalings = (OpenDirection(_name_weights(v, names), True) for v in powers if len(ranks) > 1 or is_integer(v))
     trades = (
-        OpenDirection(_name_weights(v / np.abs(v).max(), names), False)
-        for v in find_sparsest_vectors(ranks[0].null, policy)
+        OpenDirection(_name_weights(v / np.abs(v).max(), names), False) for v in find_sparsest_vectors(ranks[0].null)
     )
     for direction in itertools.chain(scalings, trades):
         if len(chosen) == size:
@@ -83,9 +79,11 @@ def common_null_space(spans: Sequence[np.ndarray], most: int) -> np.ndarray:
     return decompose_columns(stacked, DIRECTION_RANK, np.ones(stacked.shape[1])).weak
 
 
-def find_sparsest_vectors(
-    basis: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
-) -> Iterator[np.ndarray]:
+# Sets of constants that are tried for the sparsest directions.
+MAX_SUBSETS = 20000
+
+
+def find_sparsest_vectors(basis: np.ndarray) -> Iterator[np.ndarray]:
     """Vectors of a subspace (n, k) with the fewest entries, fewest first: those of which no entry can be made zero."""
     n, k = basis.shape
     if not k:
@@ -95,7 +93,7 @@ def find_sparsest_vectors(
     for size in range(1, n - k + 2):
         for subset in itertools.combinations(touched.tolist(), size):
             tried += 1
-            if tried > policy.max_subsets:
+            if tried > MAX_SUBSETS:
                 yield from _echelon(basis)
                 return
             if any(s <= set(subset) for s in seen):
@@ -109,20 +107,24 @@ def find_sparsest_vectors(
                 yield v
 
 
-def to_small_integers(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> np.ndarray:
+# Largest exponent of a combination that people would write.
+LARGEST_EXPONENT = 6
+
+
+def to_small_integers(v: np.ndarray) -> np.ndarray:
     """``v`` times a number that makes its entries small integers, if there is one; the first entry positive."""
     entries = v[np.abs(v) > DIRECTION_CUTOFF]
     v = v / entries[np.argmin(np.abs(entries))]
     v = v * (1.0 if v[np.flatnonzero(np.abs(v) > DIRECTION_CUTOFF)[0]] > 0 else -1.0)
-    for times in range(1, policy.largest_exponent + 1):
-        if np.abs(v * times - np.round(v * times)).max() < EXPONENT_AGREEMENT * policy.largest_exponent:
+    for times in range(1, LARGEST_EXPONENT + 1):
+        if np.abs(v * times - np.round(v * times)).max() < EXPONENT_AGREEMENT * LARGEST_EXPONENT:
             return np.round(v * times)
     return v
 
 
-def is_integer(v: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY) -> bool:
+def is_integer(v: np.ndarray) -> bool:
     """Whether all entries are small integers."""
-    return bool(np.all(v == np.round(v)) and np.abs(v).max() <= policy.largest_exponent)
+    return bool(np.all(v == np.round(v)) and np.abs(v).max() <= LARGEST_EXPONENT)
 
 
 def _echelon(basis: np.ndarray) -> Iterator[np.ndarray]:
@@ -163,7 +165,6 @@ def find_determined_combinations(
     model: Model,
     ranks: Sequence[SensitivityRank],
     points: Sequence[np.ndarray],
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> list[ParameterCombination]:
     """Independent combinations that every point determines, the plainest first; at most as many as the rank.
 
@@ -173,7 +174,7 @@ def find_determined_combinations(
     which = free_parameter_indices(model)
     chosen: list[ParameterCombination] = []
     slopes: list[np.ndarray] = []
-    candidates = [*find_product_combinations(model, ranks, policy), *find_transfer_function_combinations(model)]
+    candidates = [*find_product_combinations(model, ranks), *find_transfer_function_combinations(model)]
     for plain in sorted(candidates, key=simplicity_key):
         if len(chosen) == ranks[0].rank:
             break
@@ -192,14 +193,12 @@ def free_parameter_indices(model: Model) -> np.ndarray:
     return np.array([k for k, q in enumerate(model.all_parameters) if not q.fixed], int)
 
 
-def find_product_combinations(
-    model: Model, ranks: Sequence[SensitivityRank], policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
-) -> Iterator[ParameterCombination]:
+def find_product_combinations(model: Model, ranks: Sequence[SensitivityRank]) -> Iterator[ParameterCombination]:
     """Products of powers that do not change along any open direction, at any point."""
     which, names = free_parameter_indices(model), list(model.values)
-    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which)), policy):
-        powers = to_small_integers(v, policy)
-        if is_integer(powers, policy):
+    for v in find_sparsest_vectors(common_null_space([r.null for r in ranks], len(which))):
+        powers = to_small_integers(v)
+        if is_integer(powers):
             whole = np.zeros(len(names), int)
             # A quotient with the positive powers in front is what people call it.
             whole[which] = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
@@ -268,7 +267,6 @@ def find_recommendations(
     measured: Sequence[str],
     others: Sequence[str],
     sensors: Sequence[str],
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> list[Finding]:
     """What would determine more constants, the most effective first.
 
@@ -285,15 +283,17 @@ def find_recommendations(
         if best == present.rank:
             continue
         useful = [o for o in ranks if ranks[o].rank == best]
-        then = find_closing_constants(model, names, ranks[useful[0]], policy)
+        then = find_closing_constants(model, names, ranks[useful[0]])
         findings.append(Finding(code, values={"signals": useful, "rank": best, "count": len(names), "then": then}))
-    closing = find_closing_constants(model, names, present, policy)
+    closing = find_closing_constants(model, names, present)
     return [*findings, Finding(IdentifiabilityCode.FIX_CONSTANTS, values=closing)]
 
 
-def find_closing_constants(
-    model: Model, names: Sequence[str], rank: SensitivityRank, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
-) -> dict[str, Any]:
+# Relations between two constants that a remedy names.
+MAX_RELATIONS = 3
+
+
+def find_closing_constants(model: Model, names: Sequence[str], rank: SensitivityRank) -> dict[str, Any]:
     """Which constants to fix, and which relations would do as well; empty where nothing is missing.
 
     ``missing``: how many; ``constants``: where one is missing those of which any closes the gap, else a set that closes all of
@@ -303,7 +303,7 @@ def find_closing_constants(
     if not missing:
         return {}
     easy = {q.name for q in model.free_parameters if q.role in EASILY_MEASURED}
-    sets = find_closing_sets(rank.null, policy)
+    sets = find_closing_sets(rank.null)
     if missing == 1:
         constants = [names[k] for (k,) in sorted(sets)]
     else:
@@ -311,16 +311,18 @@ def find_closing_constants(
         constants = [names[k] for k in sets[0]] if sets else []
     relations = find_closing_relations(model, names, rank.null)
     equal = [relation for relation in relations if relation["equal"]]
-    return {"missing": missing, "constants": constants, "relations": equal[: policy.max_relations] or relations[:1]}
+    return {"missing": missing, "constants": constants, "relations": equal[:MAX_RELATIONS] or relations[:1]}
 
 
-def find_closing_sets(
-    null: np.ndarray, policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY
-) -> list[tuple[int, ...]]:
+# Sets of constants to fix that are tried.
+MAX_CLOSING_SETS = 5000
+
+
+def find_closing_sets(null: np.ndarray) -> list[tuple[int, ...]]:
     """Sets of as many constants as there are open directions that, once known, close them all."""
     n, k = null.shape
     sets: list[tuple[int, ...]] = []
-    for subset in itertools.islice(itertools.combinations(range(n), k), policy.max_closing_sets):
+    for subset in itertools.islice(itertools.combinations(range(n), k), MAX_CLOSING_SETS):
         if decompose_columns(null[list(subset)], DIRECTION_RANK, np.ones(k)).rank == k:
             sets.append(subset)
     return sets

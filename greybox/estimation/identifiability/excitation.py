@@ -14,7 +14,6 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.policy import EXCITATION_POLICY, ExcitationPolicy
 from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.model.model import Model
@@ -53,7 +52,6 @@ def analyse_excitation(
     model: Model | None = None,
     *,
     structure: StructuralIdentifiability | None = None,
-    policy: ExcitationPolicy = EXCITATION_POLICY,
 ) -> Excitation:
     """Persistent excitation of the inputs of a record, against what a model asks for.
 
@@ -71,8 +69,6 @@ def analyse_excitation(
         What the inputs are to excite; None looks at the inputs alone.
     structure
         The model's `analyse_structural_identifiability`, if it is at hand: saves computing it.
-    policy
-        How orders and bands are judged.
 
     Returns
     -------
@@ -95,9 +91,9 @@ def analyse_excitation(
         raise DataError(
             f"experiment {experiment.name!r} has no input {missing[0]!r}; it has {', '.join(experiment.inputs) or 'none'}"
         )
-    limit = _find_highest_order(experiment.rows, policy)
-    orders = {name: excitation_order(experiment.inputs[name], policy) for name in names}
-    bands = {name: excitation_bandwidth(experiment.time, experiment.inputs[name], policy) for name in names}
+    limit = _find_highest_order(experiment.rows)
+    orders = {name: excitation_order(experiment.inputs[name]) for name in names}
+    bands = {name: excitation_bandwidth(experiment.time, experiment.inputs[name]) for name in names}
     if model is None or not names:
         return Excitation(orders, bands, limit)
     fastest, _ = fastest_and_slowest_rate(model)
@@ -107,17 +103,21 @@ def analyse_excitation(
         structure = structure or analyse_structural_identifiability(model, measured or None)
         needed = math.ceil(structure.rank / len(structure.outputs))
     moves = any(np.ptp(experiment.inputs[name]) > 0 for name in names)
-    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, policy, moves)
+    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, moves)
     return Excitation(orders, bands, limit, needed, fastest, tuple(findings))
 
 
-def excitation_order(u: np.ndarray, policy: ExcitationPolicy = EXCITATION_POLICY) -> int:
+# Size of a direction of the lagged inputs, over the largest one, from which it counts.
+ORDER_THRESHOLD = 0.001
+
+
+def excitation_order(u: np.ndarray) -> int:
     """Order of persistent excitation of one input (N,), at most about a quarter of its rows and the policy's highest."""
     size = float(np.abs(u).max(initial=0.0))
     if size == 0.0:
         return 0
-    length = _choose_segment(len(u), policy)
-    limit = _find_highest_order(len(u), policy)
+    length = _choose_segment(len(u))
+    limit = _find_highest_order(len(u))
     generator = np.random.default_rng(0)  # lags without a common divisor: no two tones look alike
     lags = np.sort(generator.choice(np.arange(1, length // 2), limit - 1, replace=False))
     lags = np.concatenate([[0], lags])
@@ -126,11 +126,15 @@ def excitation_order(u: np.ndarray, policy: ExcitationPolicy = EXCITATION_POLICY
     for k in range(len(u) // length):
         part = u[k * length : (k + 1) * length] / size
         s = np.linalg.svd(part[starts[:, None] + lags], compute_uv=False)
-        orders.append(int((s > policy.order_threshold * s[0]).sum()) if s[0] > 0 else 0)
+        orders.append(int((s > ORDER_THRESHOLD * s[0]).sum()) if s[0] > 0 else 0)
     return statistics.median_high(orders)
 
 
-def excitation_bandwidth(time: np.ndarray, u: np.ndarray, policy: ExcitationPolicy = EXCITATION_POLICY) -> float:
+# Share of an input's movement that lies below its band.
+BAND_POWER = 0.999
+
+
+def excitation_bandwidth(time: np.ndarray, u: np.ndarray) -> float:
     """Frequency in rad/s below which nearly all of the movement of an input (N,) lies."""
     grid = np.linspace(time[0], time[-1], len(time))
     even = np.interp(grid, time, u)
@@ -138,16 +142,30 @@ def excitation_bandwidth(time: np.ndarray, u: np.ndarray, policy: ExcitationPoli
     power = np.abs(np.fft.rfft(even)) ** 2
     if power.sum() <= 0:
         return 0.0
-    k = int(np.searchsorted(np.cumsum(power), policy.band_power * power.sum()))
+    k = int(np.searchsorted(np.cumsum(power), BAND_POWER * power.sum()))
     return float(2 * np.pi * np.fft.rfftfreq(len(even), grid[1] - grid[0])[min(k, len(power) - 1)])
 
 
-def _choose_segment(rows: int, policy: ExcitationPolicy) -> int:
-    return max(min(policy.min_segment_rows, rows), rows // policy.segments)
+# Parts of a record of which the median order counts, so that a single step in a long record does not.
+EXCITATION_SEGMENTS = 8
+# Fewest rows of a part; shorter records have fewer parts.
+MIN_SEGMENT_ROWS = 60
 
 
-def _find_highest_order(rows: int, policy: ExcitationPolicy) -> int:
-    return max(1, min(policy.max_order, _choose_segment(rows, policy) // 4))
+def _choose_segment(rows: int) -> int:
+    return max(min(MIN_SEGMENT_ROWS, rows), rows // EXCITATION_SEGMENTS)
+
+
+# Highest order of persistent excitation that is looked for; no model of an actuator needs more coefficients.
+MAX_ORDER = 40
+
+
+def _find_highest_order(rows: int) -> int:
+    return max(1, min(MAX_ORDER, _choose_segment(rows) // 4))
+
+
+# Band over the model's fastest motion, below which that motion hardly shows.
+MIN_BAND_SHARE = 0.5
 
 
 def _find_poor_excitation(
@@ -156,7 +174,6 @@ def _find_poor_excitation(
     limit: int,
     needed: int | None,
     fastest: float,
-    policy: ExcitationPolicy,
     moves: bool,
 ) -> list[Finding]:
     total = sum(orders.values())
@@ -168,7 +185,7 @@ def _find_poor_excitation(
         figures = {"inputs": list(orders), "order": total, "needed": needed}
         findings.append(Finding(IdentifiabilityCode.EXCITATION_ORDER_LOW, Severity.WARNING, values=figures))
     widest = max(bands.values())
-    if 0 < widest < policy.min_band_share * fastest:
+    if 0 < widest < MIN_BAND_SHARE * fastest:
         rates = {"band": widest, "fastest": fastest}
         findings.append(Finding(IdentifiabilityCode.EXCITATION_BAND_NARROW, Severity.WARNING, values=rates))
     return findings

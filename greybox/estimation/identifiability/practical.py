@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -22,7 +23,6 @@ from greybox.estimation.identifiability.combinations import (
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
 from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.estimation.identifiability.sensitivity import SensitivityRank
 from greybox.estimation.identifiability.sensitivity import compute_rank as rank_at
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
@@ -108,7 +108,6 @@ def analyse_practical_identifiability(
     method: str = "automatic",
     substeps: int = 0,
     structure: StructuralIdentifiability | None = None,
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> PracticalIdentifiability:
     """Which constants, and which combinations of them, given records determine near the present values of a model.
 
@@ -129,8 +128,6 @@ def analyse_practical_identifiability(
         How the model is integrated, as in `greybox.FitOptions`.
     structure
         The model's `analyse_structural_identifiability` from the measured outputs, if it is at hand.
-    policy
-        When a constant is determined.
 
     Returns
     -------
@@ -150,8 +147,8 @@ def analyse_practical_identifiability(
     problem = prepare_problem(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
     if structure is None:
         measured = list_measured_outputs(problem)
-        structure = analyse_structural_identifiability(model, measured, at_rest=at_rest, policy=policy)
-    return analyse_problem(problem, structure, policy)
+        structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
+    return analyse_problem(problem, structure)
 
 
 def list_measured_outputs(problem: EstimationProblem) -> list[str]:
@@ -160,16 +157,21 @@ def list_measured_outputs(problem: EstimationProblem) -> list[str]:
     return [name for name in names if name not in problem.constant_outputs]
 
 
+# Half width of a 95 % interval, over the value, beyond which a constant is not determined.
+MAX_RELATIVE_INTERVAL = 0.5
+# Standard deviations in half a 95 % interval.
+INTERVAL_STDS = 1.96
+# Weight of a constant in a direction of length one, from which it takes part.
+DIRECTION_WEIGHT = 0.3
+
+
 def analyse_problem(
     problem: EstimationProblem,
     structure: StructuralIdentifiability | None,
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> PracticalIdentifiability:
     """`analyse_practical_identifiability` for a problem that is laid out already; ``structure`` is None where it is not known."""
     variables, n = problem.variables, len(problem.variables.names)
-    drives = tuple(
-        analyse_excitation(e, problem.model, structure=structure, policy=policy.excitation) for e in problem.experiments
-    )
+    drives = tuple(analyse_excitation(e, problem.model, structure=structure) for e in problem.experiments)
     if not n:
         return _make_failure(drives, Finding(IdentifiabilityCode.NO_FREE_CONSTANT))
     evaluation = problem.shooting(variables).evaluate(variables.here)
@@ -184,11 +186,11 @@ def analyse_problem(
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
     stds = 1 / np.sqrt(np.maximum(values, TINY))
-    widest = policy.max_relative_interval
-    shown, reached = stds * np.sqrt(samples) < widest, policy.interval_stds * stds < widest
+    widest = MAX_RELATIVE_INTERVAL
+    shown, reached = stds * np.sqrt(samples) < widest, INTERVAL_STDS * stds < widest
     rank, averaged = int(shown.sum()), int((reached & ~shown).sum())
     total = rank + averaged
-    above, by_averaging = _choose_combinations(problem, structure, information, samples, total, policy)
+    above, by_averaging = _choose_combinations(problem, structure, information, samples, total)
     # Formulas that account for everything say it better than directions of length one, which mix them.
     rank = len(above) if len(above) + len(by_averaging) == total else max(rank, len(above))
     averaged = total - rank
@@ -196,9 +198,9 @@ def analyse_problem(
     weakest = {
         name: float(w)
         for name, w in zip(variables.names, vectors[:, min(missing, n - 1)], strict=True)
-        if abs(w) > policy.direction_weight
+        if abs(w) > DIRECTION_WEIGHT
     }
-    constants = _estimate_precision(problem, information, samples, policy)
+    constants = _estimate_precision(problem, information, samples)
     findings = _find_limits(structure, rank, averaged, drives)
     std = float(stds[min(missing, n - 1)])
     return PracticalIdentifiability(constants, rank, averaged, above, by_averaging, weakest, std, drives, findings)
@@ -209,7 +211,7 @@ def _make_failure(drives: tuple[Excitation, ...], failure: Finding) -> Practical
 
 
 def _estimate_precision(
-    problem: EstimationProblem, information: np.ndarray, samples: float, policy: IdentifiabilityPolicy
+    problem: EstimationProblem, information: np.ndarray, samples: float
 ) -> dict[str, ExpectedPrecision]:
     variables = problem.variables
     decomposition = decompose_symmetric(information)
@@ -222,10 +224,14 @@ def _estimate_precision(
             continue
         std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
-        determined = policy.interval_stds * share <= policy.max_relative_interval
-        averaged = bool(share * np.sqrt(samples) > policy.max_relative_interval)
+        determined = INTERVAL_STDS * share <= MAX_RELATIVE_INTERVAL
+        averaged = bool(share * np.sqrt(samples) > MAX_RELATIVE_INTERVAL)
         constants[name] = ExpectedPrecision(value, unit, std, determined, averaged)
     return constants
+
+
+# What is known without data, as a standard deviation of the logarithm: the order of magnitude.
+IDENTIFIABILITY_PRIOR_SPREAD: float = math.log(10.0)
 
 
 def _choose_combinations(
@@ -234,23 +240,22 @@ def _choose_combinations(
     information: np.ndarray,
     samples: float,
     most: int,
-    policy: IdentifiabilityPolicy,
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Formulas that the records determine, above the noise and by averaging, each with its relative deviation."""
     if structure is None:
         return {}, {}
     p, which = problem.variables.fixed, free_parameter_indices(problem.model)
-    covariance = np.linalg.inv(information + np.eye(len(which)) / policy.prior_spread**2)
+    covariance = np.linalg.inv(information + np.eye(len(which)) / IDENTIFIABILITY_PRIOR_SPREAD**2)
     candidates = []
-    for candidate in _list_candidates(problem.model, structure, p, policy):
+    for candidate in _list_candidates(problem.model, structure, p):
         slope = candidate.slope(p, which)
         variance = float(slope @ covariance @ slope)
         if 0 <= variance < np.inf:  # rounding can make it negative where the information is next to singular
             candidates.append((candidate.text, slope, float(np.sqrt(variance))))
     chosen: list[np.ndarray] = []
     groups: tuple[dict[str, float], dict[str, float]] = ({}, {})
-    widest = policy.max_relative_interval
-    for group, limit in zip(groups, (widest / np.sqrt(samples), widest / policy.interval_stds), strict=True):
+    widest = MAX_RELATIVE_INTERVAL
+    for group, limit in zip(groups, (widest / np.sqrt(samples), widest / INTERVAL_STDS), strict=True):
         for text, slope, std in candidates:
             if len(chosen) < most and std < limit and are_independent([*chosen, slope], INDEPENDENT_FORMULA):
                 chosen.append(slope)
@@ -258,21 +263,19 @@ def _choose_combinations(
     return groups
 
 
-def _list_candidates(
-    model: Model, structure: StructuralIdentifiability, p: np.ndarray, policy: IdentifiabilityPolicy
-) -> list[ParameterCombination]:
+def _list_candidates(model: Model, structure: StructuralIdentifiability, p: np.ndarray) -> list[ParameterCombination]:
     """The formulas that the structure determines at the parameters ``p``, plain ones first."""
     names, which = list(structure.constants), free_parameter_indices(model)
     scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
     null = np.array(scalings).reshape(-1, len(names)).T
     basis = orthonormalise(null)
     rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
-    candidates = list(find_product_combinations(model, [rank], policy))
+    candidates = list(find_product_combinations(model, [rank]))
     if model.system.linear:
         generator = np.random.default_rng(0)
         slopes = np.where(p[which] != 0, p[which], 1.0)
         sensitivity = compute_transfer_function_sensitivity(
-            model.system, p, which, slopes, structure.at_rest, generator, policy.experiment
+            model.system, p, which, slopes, structure.at_rest, generator
         )
         present = rank_at(sensitivity, structure.outputs)
         candidates += find_transfer_function_combinations(model)

@@ -14,7 +14,6 @@ from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decomp
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.policy import RANDOM_EXPERIMENT_POLICY, RandomExperimentPolicy
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
@@ -29,21 +28,25 @@ from greybox.simulation.simulate import declared_initial_state, simulate
 # Where nothing special is true: random constants near the nominal ones, and records with a rich input.
 
 
-def simulate_generic_record(
-    model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
-) -> tuple[Experiment, Finding]:
+# Seed of the simulated record that stands in for data.
+RANDOM_EXPERIMENT_SEED = 1
+# Noise of each output of that record, over its movement.
+RANDOM_EXPERIMENT_NOISE_SHARE = 0.01
+
+
+def simulate_generic_record(model: Model) -> tuple[Experiment, Finding]:
     """A simulated record of ``model`` at its start values, and a finding that says what was assumed.
 
     The input takes a new random level, between -1 and 1 in its unit, every few samples (between 0 and 1 where a state
     would reach its bound otherwise). Raises DataError where the model cannot be simulated that way.
     """
-    step, rows = choose_sampling(model, policy)
+    step, rows = choose_sampling(model)
     time = step * np.arange(rows)
     for low in lowest_input_levels(model):
-        generator = np.random.default_rng(policy.seed)
+        generator = np.random.default_rng(RANDOM_EXPERIMENT_SEED)
         inputs = {i.name: draw_levels(generator, rows, low) for i in model.inputs}
         run = simulate(model, {"time": time, **inputs})
-        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values())), policy):
+        if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values()))):
             break
     if run.overflow is not None:
         raise DataError(
@@ -53,27 +56,37 @@ def simulate_generic_record(
     outputs = {name: values for name, values in run.outputs.items() if np.ptp(values) > 0}
     if not outputs:
         raise DataError(f"{model.title}: no output moves when every input does; check the equations of the outputs")
-    noise = {name: policy.noise_share * float(np.std(values)) for name, values in outputs.items()}
+    noise = {name: RANDOM_EXPERIMENT_NOISE_SHARE * float(np.std(values)) for name, values in outputs.items()}
     record = Experiment("generic", time, inputs, run.record(noise, generator).outputs)
     figures = {
         "rows": rows,
         "step": step,
         "inputs": {i.name: {"low": low, "high": 1.0, "unit": i.unit} for i in model.inputs},
-        "noise_share": policy.noise_share,
+        "noise_share": RANDOM_EXPERIMENT_NOISE_SHARE,
     }
     return record, Finding(IdentifiabilityCode.SIMULATED_RECORD, values=figures)
 
 
-def choose_sampling(model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> tuple[float, int]:
+# Fewest rows of that record.
+RANDOM_EXPERIMENT_MIN_ROWS = 1000
+# Most rows; of a stiffer model the slow end counts, and what is faster is integrated between the samples.
+MAX_ROWS = 12000
+# Length of that record in the slowest time constants of the model.
+SLOW_TIME_CONSTANTS = 10.0
+# Samples in the fastest time constant of the model.
+SAMPLES_PER_TIME_CONSTANT = 2.0
+
+
+def choose_sampling(model: Model) -> tuple[float, int]:
     """Sampling time in seconds and number of rows that show the model's fastest and slowest motion."""
     fastest, slowest = fastest_and_slowest_rate(model)
     if not fastest:
-        return 0.01, policy.min_rows
-    step = 1 / (policy.samples_per_time_constant * fastest)
-    rows = math.ceil(policy.slow_time_constants / slowest / step)
-    if rows > policy.max_rows:  # the slow end counts: what is faster is integrated between the samples
-        return policy.slow_time_constants / slowest / policy.max_rows, policy.max_rows
-    return step, max(rows, policy.min_rows)
+        return 0.01, RANDOM_EXPERIMENT_MIN_ROWS
+    step = 1 / (SAMPLES_PER_TIME_CONSTANT * fastest)
+    rows = math.ceil(SLOW_TIME_CONSTANTS / slowest / step)
+    if rows > MAX_ROWS:  # the slow end counts: what is faster is integrated between the samples
+        return SLOW_TIME_CONSTANTS / slowest / MAX_ROWS, MAX_ROWS
+    return step, max(rows, RANDOM_EXPERIMENT_MIN_ROWS)
 
 
 def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
@@ -96,10 +109,14 @@ def lowest_input_levels(model: Model) -> tuple[float, ...]:
     return (-1.0, 0.0) if any(math.isfinite(s.bounds[0]) for s in model.all_states) else (-1.0,)
 
 
-def touches_bounds(model: Model, x: np.ndarray, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> bool:
+# Distance of a state from its bound, as a share of its movement, from which it touches it.
+BOUND_MARGIN = 1e-06
+
+
+def touches_bounds(model: Model, x: np.ndarray) -> bool:
     """Whether a state, of (N, nx), comes to its bounds."""
     low, high = np.array([s.bounds for s in model.all_states]).T
-    near = policy.bound_margin * np.ptp(x, axis=0)
+    near = BOUND_MARGIN * np.ptp(x, axis=0)
     return bool((x <= low + near).any() or (x >= high - near).any())
 
 
@@ -109,11 +126,17 @@ def draw_levels(generator: np.random.Generator, rows: int, low: float) -> np.nda
     return np.repeat(generator.uniform(low, 1, rows), lengths)[:rows]
 
 
+# Free constants are drawn within a factor ``exp`` of this about their values: two.
+RANDOM_EXPERIMENT_CONSTANT_SPREAD: float = math.log(2.0)
+# Draws of constants before the values themselves are taken, where rules leave no room.
+RANDOM_EXPERIMENT_TRIES = 20
+
+
 def draw_constants(
     model: Model,
     generator: np.random.Generator,
-    spread: float = RANDOM_EXPERIMENT_POLICY.constant_spread,
-    tries: int = RANDOM_EXPERIMENT_POLICY.tries,
+    spread: float = RANDOM_EXPERIMENT_CONSTANT_SPREAD,
+    tries: int = RANDOM_EXPERIMENT_TRIES,
 ) -> np.ndarray:
     """All parameters (np,): free ones at random within ``e^spread`` times their values, fixed ones as they are.
 
@@ -214,8 +237,18 @@ def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list
 # Sensitivities of any other model: free runs over records with a rich random input, differentiated by the kernel.
 
 
+# Amplitudes of the input, in its unit, one after the other.
+RANDOM_EXPERIMENT_AMPLITUDES: tuple[float, ...] = (1.0, 0.3, 3.0)
+# Further ones for constants that show at none of the first: a dead zone, a saturation.
+LARGE_AMPLITUDES: tuple[float, ...] = (30.0, 1000.0, 100000.0, 10000000.0)
+# Other constants that are tried where a run overflows.
+TRIES_PER_POINT = 3
+# Singular values up to this may be integration error.
+INTEGRATION_DOUBT = 1e-06
+
+
 def compute_free_run_sensitivities(
-    model: Model, at_rest: bool, seed: int, count: int, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
+    model: Model, at_rest: bool, seed: int, count: int
 ) -> list[tuple[Sensitivity, np.ndarray]]:
     """Sensitivities at ``count`` random points, or a few more, and all parameters (np,) there.
 
@@ -223,21 +256,23 @@ def compute_free_run_sensitivities(
     cannot be run at any point. Points where a state touches its bound are taken only if there are no others: the
     equations are cut off there.
     """
-    model = switch_on(model, np.random.default_rng((seed, 0)), policy)
+    model = switch_on(model, np.random.default_rng((seed, 0)))
     points: list[tuple[Sensitivity, np.ndarray]] = []
     touching: list[tuple[Sensitivity, np.ndarray]] = []
-    draws = count * policy.tries_per_point
-    plan = [*(policy.amplitudes * draws)[:draws], *policy.large_amplitudes]
+    draws = count * TRIES_PER_POINT
+    plan = [*(RANDOM_EXPERIMENT_AMPLITUDES * draws)[:draws], *LARGE_AMPLITUDES]
     for k, amplitude in enumerate(plan):
         enough = len(points) >= count
-        if enough and (amplitude not in policy.large_amplitudes or _have_influence(points).all()):
+        if enough and (amplitude not in LARGE_AMPLITUDES or _have_influence(points).all()):
             continue
         generator = np.random.default_rng((seed, k))
         # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
-        p = draw_constants(model, generator, policy.constant_spread / 4 ** (k // count), policy.tries)
-        point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator, policy)
+        p = draw_constants(
+            model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD / 4 ** (k // count), RANDOM_EXPERIMENT_TRIES
+        )
+        point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator)
         if point is not None:
-            (touching if point.doubtful > policy.integration_doubt else points).append((point, p))
+            (touching if point.doubtful > INTEGRATION_DOUBT else points).append((point, p))
     points = points or touching[:count]
     if not points:
         raise DataError(
@@ -247,9 +282,13 @@ def compute_free_run_sensitivities(
     return points
 
 
-def switch_on(
-    model: Model, generator: np.random.Generator, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY
-) -> Model:
+# Share of the outputs' movement that an effect makes which is off, such as a friction of zero, once it is switched on.
+SWITCHED_ON_SHARE = 0.1
+# Rounds of switching on: some constants show only after others are on.
+SWITCHING_ROUNDS = 4
+
+
+def switch_on(model: Model, generator: np.random.Generator) -> Model:
     """``model`` with its free constants of zero at values that move the outputs by about a tenth.
 
     Some show only after others have been switched on, and too large a value may be cut off by the equations: hence
@@ -257,10 +296,10 @@ def switch_on(
     """
     off = [q for q in model.free_parameters if q.value == 0.0]
     names = [q.name for q in model.free_parameters]
-    for _ in range(policy.switching_rounds if off else 0):
-        slope = _measure_influence(model, generator, policy)
+    for _ in range(SWITCHING_ROUNDS if off else 0):
+        slope = _measure_influence(model, generator)
         values = {
-            q.name: _choose_next_value(q, model.values[q.name], slope[names.index(q.name)], policy.switched_on_share)
+            q.name: _choose_next_value(q, model.values[q.name], slope[names.index(q.name)], SWITCHED_ON_SHARE)
             for q in off
         }
         if all(values[q.name] == model.values[q.name] for q in off):
@@ -279,14 +318,18 @@ def _choose_next_value(q: Parameter, value: float, slope: float, share: float) -
     return float(up or down)
 
 
-def _measure_influence(model: Model, generator: np.random.Generator, policy: RandomExperimentPolicy) -> np.ndarray:
+# Rows of each run whose slopes are computed.
+RUN_ROWS = 600
+
+
+def _measure_influence(model: Model, generator: np.random.Generator) -> np.ndarray:
     """Movement of the outputs, as a share of their own, that a unit of each free constant makes (nf,)."""
-    records = [_make_record(model, step, 1.0, generator, policy) for step in choose_sampling_times(model, policy)]
+    records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
     start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
-    sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1, policy)
+    sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
     if sensitivity is None:
         return np.zeros(len(model.free_parameters))
-    return sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(policy.run_rows * len(records))
+    return sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(RUN_ROWS * len(records))
 
 
 def _have_influence(points: list[tuple[Sensitivity, np.ndarray]]) -> np.ndarray:
@@ -294,17 +337,23 @@ def _have_influence(points: list[tuple[Sensitivity, np.ndarray]]) -> np.ndarray:
     return np.any([s.lengths(list(s.blocks)) > 0 for s, _ in points], axis=0)
 
 
-def _compute_point(
-    model: Model, at_rest: bool, amplitude: float, generator: np.random.Generator, policy: RandomExperimentPolicy
-) -> Sensitivity | None:
+# Share of its start value by which an initial state is off.
+STATE_OFFSET = 0.05
+# Times as many substeps of a second run, which tells small singular values from integration error.
+SUBSTEP_FACTOR = 4
+# Singular values up to this are looked at again with finer steps: integration error shrinks.
+RECHECK_BELOW = 1e-05
+
+
+def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.random.Generator) -> Sensitivity | None:
     """One point, None where a run overflows. A second, finer run tells small singular values from integration error."""
-    records = [_make_record(model, step, amplitude, generator, policy) for step in choose_sampling_times(model, policy)]
+    records = [_make_record(model, step, amplitude, generator) for step in choose_sampling_times(model)]
     start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
-    nudges = 1 + policy.state_offset * generator.uniform(-1, 1, (len(records), len(start))) * (not at_rest)
-    factor = policy.substep_factor
+    nudges = 1 + STATE_OFFSET * generator.uniform(-1, 1, (len(records), len(start))) * (not at_rest)
+    factor = SUBSTEP_FACTOR
 
     def compute(finer: int) -> Sensitivity | None:
-        return _compute_sensitivity(model, records, start * nudges, at_rest, finer, policy)
+        return _compute_sensitivity(model, records, start * nudges, at_rest, finer)
 
     runs = ((finer, compute(finer)) for finer in (1, factor))
     finer, coarse = next(((finer, s) for finer, s in runs if s is not None), (1, None))
@@ -312,7 +361,7 @@ def _compute_point(
         return None
     names = list(coarse.blocks)
     before = _singular_values(coarse, names)
-    small = (before > COLUMN_CUTOFF) & (before < policy.recheck_below)
+    small = (before > COLUMN_CUTOFF) & (before < RECHECK_BELOW)
     if not small.any():
         return coarse
     fine = compute(factor * finer)
@@ -331,24 +380,36 @@ def set_parameters(model: Model, p: np.ndarray) -> Model:
     return model.start(**{name: float(v) for name, v in zip(model.values, p, strict=True)})
 
 
-def choose_sampling_times(model: Model, policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY) -> list[float]:
+# Samples in the fastest time constant of such a run.
+RUN_SAMPLES_PER_TIME_CONSTANT = 3.0
+# Slowest time constants in such a run.
+RUN_SLOW_TIME_CONSTANTS = 5.0
+# Longest step of such a run in fastest time constants: a leak that takes a year is left to its beginning.
+LONGEST_STEP = 20.0
+
+
+def choose_sampling_times(model: Model) -> list[float]:
     """Sampling times (s) that show the fastest motion, and the slowest where one record cannot show both."""
     fastest, slowest = fastest_and_slowest_rate(model)
     if not fastest:
         return [0.01]
-    short = 1 / (policy.run_samples_per_time_constant * fastest)
-    long = min(policy.run_slow_time_constants / (slowest * policy.run_rows), policy.longest_step / fastest)
+    short = 1 / (RUN_SAMPLES_PER_TIME_CONSTANT * fastest)
+    long = min(RUN_SLOW_TIME_CONSTANTS / (slowest * RUN_ROWS), LONGEST_STEP / fastest)
     return [short] if long < 2 * short else [short, long]
 
 
-def _make_record(
-    model: Model, step: float, amplitude: float, generator: np.random.Generator, policy: RandomExperimentPolicy
-) -> Experiment:
-    rows = policy.run_rows
+def _make_record(model: Model, step: float, amplitude: float, generator: np.random.Generator) -> Experiment:
+    rows = RUN_ROWS
     time = step * np.arange(rows)
     low = generator.choice(lowest_input_levels(model))
     inputs = {i.name: amplitude * draw_levels(generator, rows, low) for i in model.inputs}
     return Experiment("random", time, inputs, {o.name: np.zeros(rows) for o in model.outputs})
+
+
+# Singular values up to this are doubtful where a state touches its bound.
+BOUND_DOUBT = 0.001
+# Directions times substeps that CasADi's virtual machine runs in less time than it takes to compile them.
+INTERPRETED_OPERATIONS = 100
 
 
 def _compute_sensitivity(
@@ -357,7 +418,6 @@ def _compute_sensitivity(
     starts: np.ndarray,
     at_rest: bool,
     finer: int,
-    policy: RandomExperimentPolicy,
 ) -> Sensitivity | None:
     """Slopes of the outputs over the records with ``finer`` times the usual substeps; None where a run overflows."""
     records = tuple(to_record(model, e) for e in experiments)
@@ -372,16 +432,14 @@ def _compute_sensitivity(
         if finer > 1:
             step = discretise(model.system, p, starts[e : e + 1], record.lengths, substeps=finer * step.substeps)
         kernel = (
-            InterpretedKernel(step)
-            if variables.size * step.substeps <= policy.interpreted_operations
-            else make_kernel(step)
+            InterpretedKernel(step) if variables.size * step.substeps <= INTERPRETED_OPERATIONS else make_kernel(step)
         )
         shooting = SingleShooting(variables, step, kernel, (record,), np.ones(ny))
         ((residual, jacobian),) = shooting.residuals(variables.here)
         if not np.isfinite(jacobian).all():
             return None
         jacobians.append((np.std(residual, axis=0), jacobian))
-        touched |= touches_bounds(model, shooting.simulate(variables.here)[0][1], policy)
+        touched |= touches_bounds(model, shooting.simulate(variables.here)[0][1])
     n, states_each = len(variables.which), int(free.sum())
     blocks = {}
     for j, output in enumerate(model.outputs):
@@ -393,4 +451,4 @@ def _compute_sensitivity(
             states[row : row + len(part), states_each * e : states_each * (e + 1)] = part[:, n:]
             row += len(part)
         blocks[output.name] = states, np.vstack([part[:, :n] for part in parts])
-    return Sensitivity(blocks, policy.bound_doubt if touched else policy.integration_doubt).compress()
+    return Sensitivity(blocks, BOUND_DOUBT if touched else INTEGRATION_DOUBT).compress()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import casadi as ca
@@ -20,8 +20,9 @@ from greybox.estimation.identifiability.combinations import (
     find_recommendations,
     free_parameter_indices,
 )
-from greybox.estimation.identifiability.policy import IDENTIFIABILITY_POLICY, IdentifiabilityPolicy
 from greybox.estimation.identifiability.sensitivity import (
+    RANDOM_EXPERIMENT_CONSTANT_SPREAD,
+    RANDOM_EXPERIMENT_TRIES,
     Sensitivity,
     SensitivityRank,
     compute_free_run_sensitivities,
@@ -66,8 +67,6 @@ class StructuralIdentifiability(Printable):
         False where no clear gap was found; the rank may then be too low.
     method
         How the sensitivities were computed.
-    policy
-        The numbers that this was judged by.
     """
 
     model: str
@@ -83,7 +82,6 @@ class StructuralIdentifiability(Printable):
     gap: float
     certain: bool
     method: str
-    policy: IdentifiabilityPolicy = field(default=IDENTIFIABILITY_POLICY, repr=False)
 
     @property
     def complete(self) -> bool:
@@ -104,7 +102,6 @@ def analyse_structural_identifiability(
     seed: int = 0,
     *,
     at_rest: bool = False,
-    policy: IdentifiabilityPolicy = IDENTIFIABILITY_POLICY,
 ) -> StructuralIdentifiability:
     """Structural identifiability of the free constants of a model from its inputs and the measured outputs.
 
@@ -123,8 +120,6 @@ def analyse_structural_identifiability(
         Chooses the random points.
     at_rest
         The record begins in the declared state, otherwise in an unknown one.
-    policy
-        Random points, and how far the search for formulas and remedies goes.
 
     Returns
     -------
@@ -154,24 +149,23 @@ def analyse_structural_identifiability(
     names = tuple(q.name for q in model.free_parameters)
     common = model.title, tuple(i.name for i in model.inputs), tuple(measured), names, at_rest
     if not names:
-        return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "", policy)
+        return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "")
     sensors = find_unmeasured_states(model)
-    points, values, method = _compute_points(add_sensors(model, sensors), seed, at_rest, policy)
+    points, values, method = _compute_points(add_sensors(model, sensors), seed, at_rest)
     ranks = highest_ranks(points, measured)
     others = [name for name in known if name not in measured]
-    directions = find_open_directions(ranks, names, policy)
-    combinations = find_determined_combinations(model, ranks, [values[r.point] for r in ranks], policy)
+    directions = find_open_directions(ranks, names)
+    combinations = find_determined_combinations(model, ranks, [values[r.point] for r in ranks])
     return StructuralIdentifiability(
         *common,
         ranks[0].rank,
         len(names),
         tuple(replace(d, seen_by=_find_revealing_outputs(d, names, points, measured, others)) for d in directions),
         tuple(c.text for c in combinations) if directions else names,
-        tuple(find_recommendations(model, points, measured, others, sensors, policy)),
+        tuple(find_recommendations(model, points, measured, others, sensors)),
         min(r.gap for r in ranks),
         ranks[0].certain,
         method,
-        policy,
     )
 
 
@@ -194,21 +188,21 @@ def add_sensors(model: Model, states: Sequence[str]) -> Model:
     return replace(model, outputs=[*model.outputs, *(Output(name, units[name]) for name in states)])
 
 
-def _compute_points(
-    model: Model, seed: int, at_rest: bool, policy: IdentifiabilityPolicy
-) -> tuple[list[Sensitivity], list[np.ndarray], str]:
+# Random points at which the rank is computed: what holds at all of them holds nearly everywhere.
+IDENTIFIABILITY_POINTS = 3
+
+
+def _compute_points(model: Model, seed: int, at_rest: bool) -> tuple[list[Sensitivity], list[np.ndarray], str]:
     """Sensitivities at random points, the constants there, and how they were computed."""
     if not model.system.linear:
-        pairs = compute_free_run_sensitivities(model, at_rest, seed, policy.points, policy.experiment)
+        pairs = compute_free_run_sensitivities(model, at_rest, seed, IDENTIFIABILITY_POINTS)
         return [s for s, _ in pairs], [p for _, p in pairs], "free runs with a random input"
-    which, random = free_parameter_indices(model), policy.experiment
+    which = free_parameter_indices(model)
     points, values = [], []
-    for k in range(policy.points):
+    for k in range(IDENTIFIABILITY_POINTS):
         generator = np.random.default_rng((seed, k))
-        p = draw_constants(model, generator, random.constant_spread, random.tries)
-        points.append(
-            compute_transfer_function_sensitivity(model.system, p, which, p[which], at_rest, generator, random)
-        )
+        p = draw_constants(model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD, RANDOM_EXPERIMENT_TRIES)
+        points.append(compute_transfer_function_sensitivity(model.system, p, which, p[which], at_rest, generator))
         values.append(p)
     return points, values, "transfer functions and free responses"
 

@@ -16,11 +16,6 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from greybox.base.numerics import CANCELLED_RESPONSE, INTEGRATING_POLE, TINY
-from greybox.estimation.identifiability.policy import (
-    IDENTIFIABILITY_POLICY,
-    RANDOM_EXPERIMENT_POLICY,
-    RandomExperimentPolicy,
-)
 from greybox.estimation.identifiability.sensitivity import Sensitivity
 from greybox.model.system import System
 
@@ -39,6 +34,12 @@ class _Matrices:
     start: np.ndarray
 
 
+# Random frequencies of a linear model reach this many decades beyond its fastest and slowest pole.
+POLE_DECADES = 1.0
+# Free responses of a linear model, each with initial states of its own.
+FREE_RESPONSES = 2
+
+
 def compute_transfer_function_sensitivity(
     system: System,
     p: np.ndarray,
@@ -46,15 +47,14 @@ def compute_transfer_function_sensitivity(
     slopes: np.ndarray,
     at_rest: bool,
     generator: np.random.Generator,
-    policy: RandomExperimentPolicy = RANDOM_EXPERIMENT_POLICY,
 ) -> Sensitivity:
     """Slopes at the parameters ``p`` (np,), along those numbered ``which`` in steps of ``slopes``; ``at_rest``: known x0."""
     nominal, along = _matrices(system, p, which, slopes)
-    s = _draw_frequencies(nominal.a, len(which), generator, policy.pole_decades)
+    s = _draw_frequencies(nominal.a, len(which), generator, POLE_DECADES)
     forced = _responses(s, nominal, along, nominal.b, along.b, nominal.d, along.d)
     blocks: dict[str, Rows] = {name: ([], []) for name in system.output_names}
     nx, nu = len(nominal.a), system.u.numel()
-    responses = policy.free_responses
+    responses = FREE_RESPONSES
     states = 0 if at_rest else responses * nx
     for j, rows in enumerate(blocks.values()):
         for m in range(nu):
@@ -322,7 +322,11 @@ def _scaled(poly: Polynomial, factor: Fraction) -> Polynomial:
     return {e: f * factor for e, f in poly.items()}
 
 
-def _drop_zeros(poly: Polynomial, max_terms: int = IDENTIFIABILITY_POLICY.max_terms) -> Polynomial:
+# Most terms of a coefficient of a transfer function; longer ones are unwieldy as formulas.
+MAX_TERMS = 60
+
+
+def _drop_zeros(poly: Polynomial, max_terms: int = MAX_TERMS) -> Polynomial:
     if len(poly) > max_terms:
         raise _NoFormulaError
     return {e: f for e, f in poly.items() if f}

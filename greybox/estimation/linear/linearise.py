@@ -15,12 +15,6 @@ from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
 from greybox.estimation.linear.plant import Plant, to_plant
-from greybox.estimation.linear.policy import (
-    DEFAULT_OPERATING_POINT,
-    DEFAULT_SAMPLING,
-    OperatingPointPolicy,
-    SamplingPolicy,
-)
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -135,6 +129,10 @@ def _describe_kink(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, colu
     return Finding(ExportFinding.KINK, Severity.WARNING, name, values)
 
 
+# A point further outside the records than this share of their range is reported.
+OPERATING_POINT_EXTRAPOLATION = 0.5
+
+
 def linearise(
     plant: Fit | Model,
     at: Mapping[str, float] | None = None,
@@ -142,8 +140,6 @@ def linearise(
     dt: float | None = None,
     method: str = "zoh",
     delay: float = 0.0,
-    operating_point: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
-    sampling: SamplingPolicy = DEFAULT_SAMPLING,
 ) -> Linearisation:
     """Linearise a fit, or a model at its present values, about an operating point.
 
@@ -163,8 +159,6 @@ def linearise(
         ``zoh`` (exact for a held input) or ``tustin``.
     delay
         Seconds by which every input arrives late besides what the model says itself, fractions of a sample included.
-    operating_point, sampling
-        How an equilibrium is sought, and when a sampling time is too long.
 
     Returns
     -------
@@ -183,12 +177,12 @@ def linearise(
     """
     source = to_plant(plant)
     functions = ModelFunctions(source.model)
-    linear = linearise_at(source, functions, source.p, at, dt, method, delay, operating_point, sampling)
+    linear = linearise_at(source, functions, source.p, at, dt, method, delay)
     inputs, outputs = (
         {n: float(v) for n, v in zip(names, values, strict=True)}
         for names, values in ((linear.input_names, linear.u0), (linear.output_names, linear.y0))
     )
-    outside = source.find_extrapolation(inputs, outputs, operating_point.extrapolation)
+    outside = source.find_extrapolation(inputs, outputs, OPERATING_POINT_EXTRAPOLATION)
     return replace(linear, findings=(*linear.findings, *outside))
 
 
@@ -200,13 +194,11 @@ def linearise_at(
     dt: float | None = None,
     method: str = "zoh",
     delay: float = 0.0,
-    operating_point: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
-    sampling: SamplingPolicy = DEFAULT_SAMPLING,
 ) -> Linearisation:
     """`linearise` with the ``functions`` of the model made already, at the parameters ``p`` (np,): what a family of models repeats."""
-    point = solve_operating_point(functions, p, at, operating_point)
+    point = solve_operating_point(functions, p, at)
     continuous = _linearise_continuous(plant, functions, p, point).with_delay(delay)
-    return continuous if dt is None else sample(continuous, dt, method, policy=sampling)
+    return continuous if dt is None else sample(continuous, dt, method)
 
 
 def _linearise_continuous(

@@ -18,10 +18,13 @@ from greybox.estimation.linear.linearisation import Linearisation, minimal_reali
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
 from greybox.estimation.linear.plant import Plant, to_plant
-from greybox.estimation.linear.policy import DEFAULT_FAMILY, FamilyPolicy
 from greybox.estimation.result import Fit
 
 # Samples of the fitted parameters from their covariance, within their bounds.
+
+
+# How often a draw outside the bounds is repeated; what is left then is put on the bound.
+FAMILY_REDRAWS = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +80,21 @@ class ParameterDistribution:
         p[self.indices] = np.clip(values, self.low, self.high)
         return p
 
-    def draw(self, generator: np.random.Generator, policy: FamilyPolicy = DEFAULT_FAMILY) -> np.ndarray:
+    def draw(self, generator: np.random.Generator) -> np.ndarray:
         """All parameters (np,) of one draw."""
-        for _ in range(policy.redraws):
+        for _ in range(FAMILY_REDRAWS):
             values = self.move(generator.standard_normal(self.dimensions))
             if self.is_within_bounds(values):
                 break
         return self.complete(values)
 
 
-def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAMILY) -> ParameterDistribution:
+# A positive parameter with a larger relative standard deviation is drawn by its logarithm: it would often come out negative. The others
+# are not: where only a sum of parameters is well determined, logarithms would lose that.
+LOGARITHMIC_STD = 0.25
+
+
+def make_parameter_distribution(plant: Plant) -> ParameterDistribution:
     """The fitted parameters of ``plant`` with their covariance.
 
     A parameter at its bound or one that the records do not determine has none: it stays where it is, which is a finding. Raises
@@ -115,7 +123,7 @@ def make_parameter_distribution(plant: Plant, policy: FamilyPolicy = DEFAULT_FAM
         plant.p,
         np.array([order.index(n) for n in names]),
         names,
-        np.array([q.positive and s > policy.logarithmic_std * q.value for q, s in zip(parameters, scale, strict=True)]),
+        np.array([q.positive and s > LOGARITHMIC_STD * q.value for q, s in zip(parameters, scale, strict=True)]),
         decompose_symmetric(block).root[:, ::-1],  # least first: a seed draws what it always drew
         np.array([q.bounds[0] for q in parameters]),
         np.array([q.bounds[1] for q in parameters]),
@@ -145,6 +153,10 @@ class WorstCase:
     nominal: float
     model: Linearisation
     parameters: Mapping[str, float]
+
+
+# Searches for the worst case, from the worst of the draws.
+WORST_CASE_STARTS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +193,6 @@ class ModelFamily(Printable):
     findings: tuple[Finding, ...]
     distribution: ParameterDistribution
     settings: LinearisationSettings
-    policy: FamilyPolicy
     _plant: Plant
     _functions: ModelFunctions
 
@@ -230,7 +241,7 @@ class ModelFamily(Printable):
         """
         from scipy.optimize import minimize  # slow to import, and a model alone does not need it
 
-        distribution, starts = self.distribution, self.policy.worst_case_starts
+        distribution, starts = self.distribution, WORST_CASE_STARTS
         radius = float(np.sqrt(chdtri(distribution.dimensions, 1 - level)))
         generator = np.random.default_rng(self.seed)
 
@@ -267,7 +278,6 @@ def sample_family(
     method: str = "zoh",
     delay: float = 0.0,
     minimal: bool = False,
-    policy: FamilyPolicy = DEFAULT_FAMILY,
 ) -> ModelFamily:
     """Draw linear models from the covariance of a fit's parameters, beside the nominal one.
 
@@ -288,8 +298,6 @@ def sample_family(
         Sampling, as in `linearise`.
     minimal
         Whether states that no input reaches or no output shows are removed, the same from each member.
-    policy
-        How members are drawn.
 
     Returns
     -------
@@ -309,9 +317,9 @@ def sample_family(
     if number < 2:
         raise ModelError(f"a family of {number}: give at least 2 models")
     plant = to_plant(fit)
-    distribution, functions = make_parameter_distribution(plant, policy), ModelFunctions(plant.model)
+    distribution, functions = make_parameter_distribution(plant), ModelFunctions(plant.model)
     generator = np.random.default_rng(seed)
-    parameters = np.array([distribution.draw(generator, policy) for _ in range(number)])
+    parameters = np.array([distribution.draw(generator) for _ in range(number)])
     settings = LinearisationSettings(at, dt, method, delay, minimal)
     nominal = _linearise_member(plant, functions, plant.p, settings)
     members = tuple(_linearise_member(plant, functions, p, settings) for p in parameters)
@@ -330,7 +338,6 @@ def sample_family(
         distribution.findings,
         distribution,
         settings,
-        policy,
         plant,
         functions,
     )

@@ -24,7 +24,6 @@ from greybox.base.numerics import (
 from greybox.base.units import format_unit
 from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.plant import format_signals
-from greybox.estimation.linear.policy import DEFAULT_OPERATING_POINT, OperatingPointPolicy
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
 from greybox.model.model import Model
@@ -209,9 +208,7 @@ class OperatingPoint:
         return np.array([*self.states.values(), *self.inputs.values()])
 
 
-def find_operating_point(
-    model: Model, at: Mapping[str, float] | None = None, policy: OperatingPointPolicy = DEFAULT_OPERATING_POINT
-) -> OperatingPoint:
+def find_operating_point(model: Model, at: Mapping[str, float] | None = None) -> OperatingPoint:
     """Find the equilibrium of a model that has given states and inputs.
 
     What ``at`` does not name is solved for: the other states; and, where states are given, the other inputs, which are zero
@@ -225,8 +222,6 @@ def find_operating_point(
         A model at its present values.
     at
         States and inputs by name, in the model's units.
-    policy
-        How hard to search.
 
     Returns
     -------
@@ -243,14 +238,13 @@ def find_operating_point(
     >>> point = gb.export.find_operating_point(model, {"x": 1e-5})  # doctest: +SKIP
     >>> point.inputs["u"]  # doctest: +SKIP
     """
-    return solve_operating_point(ModelFunctions(model), np.array(list(model.values.values())), at, policy)
+    return solve_operating_point(ModelFunctions(model), np.array(list(model.values.values())), at)
 
 
 def solve_operating_point(
     functions: ModelFunctions,
     p: np.ndarray,
     at: Mapping[str, float] | None = None,
-    policy: OperatingPointPolicy = DEFAULT_OPERATING_POINT,
 ) -> OperatingPoint:
     """`find_operating_point` of a model whose ``functions`` are made already, at the parameters ``p`` (np,)."""
     given = _check_point(functions, at or {})
@@ -274,7 +268,7 @@ def solve_operating_point(
         (without_positions, without_positions, known),
     )
     for rows, to_meet, fixed in attempts:
-        solution = _solve(functions, z, p, ~fixed, rows, to_meet, policy)
+        solution = _solve(functions, z, p, ~fixed, rows, to_meet)
         solution = _apply_updates(functions, solution, p, given)
         if all(residual.met for residual in _residuals_of_rows(functions, solution, p, to_meet)):
             rates = functions.rates(solution, p, functions.direction(solution))
@@ -284,7 +278,7 @@ def solve_operating_point(
                 for k in moving
             ):
                 return _describe_point(functions, solution, p, moving)
-    raise ModelError(_no_equilibrium_message(functions, z, p, known, given, rated, policy))
+    raise ModelError(_no_equilibrium_message(functions, z, p, known, given, rated))
 
 
 def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
@@ -313,6 +307,14 @@ def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str
     return {name: float(value) for name, value in at.items()}
 
 
+# Searches from random points, where the first one finds nothing.
+OPERATING_POINT_RESTARTS = 25
+# Standard deviation of a restart, relative to the typical size of a variable that is not zero at the start.
+RESTART_REACH = 0.1
+# A variable that is zero at the start is moved by 1 to ``10 ** (restart_decades - 1)`` times its typical size.
+RESTART_DECADES = 5
+
+
 def _solve(
     functions: ModelFunctions,
     z: np.ndarray,
@@ -320,30 +322,35 @@ def _solve(
     free: np.ndarray,
     rows: Sequence[int],
     to_meet: Sequence[int],
-    policy: OperatingPointPolicy,
 ) -> np.ndarray:
     """The nearest point to ``z`` that solves ``rows`` and meets the balances in ``to_meet``, or the best point on the way."""
     if not functions.rates(z, p, functions.direction(z))[rows].any():
         return z
     generator = np.random.default_rng(0)
     sizes, best, least = functions.sizes(z, p), z, np.inf
-    for attempt in range(policy.restarts):
+    for attempt in range(OPERATING_POINT_RESTARTS):
         start = z.copy()
         if attempt:  # a derivative may vanish where the search starts: a valve that is just shut
-            reach = np.where(z == 0, 10.0 ** (attempt % policy.restart_decades), policy.restart_reach) * sizes
+            reach = np.where(z == 0, 10.0 ** (attempt % RESTART_DECADES), RESTART_REACH) * sizes
             start[free] += (reach * generator.standard_normal(len(z)))[free]
-        solution = _run_newton(functions, start, p, free, rows, policy)
+        solution = _run_newton(functions, start, p, free, rows)
         # Again, with friction against the motion of this solution.
-        solution = _run_newton(functions, solution, p, free, rows, policy)
+        solution = _run_newton(functions, solution, p, free, rows)
         unmet = [r for r in _residuals_of_rows(functions, solution, p, to_meet) if not r.met]
         if not unmet:
             if not attempt:
                 return _snap(solution, z, sizes)
-            return _move_nearer(functions, z, p, free, rows, to_meet, solution, policy)
+            return _move_nearer(functions, z, p, free, rows, to_meet, solution)
         excess = sum(abs(r.value) / max(r.tolerance, TINY) for r in unmet)
         if excess < least:
             best, least = solution, excess
     return best
+
+
+# Newton steps of one search.
+OPERATING_POINT_ITERATIONS = 60
+# How often a step is halved until it helps.
+OPERATING_POINT_HALVINGS = 30
 
 
 def _run_newton(
@@ -352,7 +359,6 @@ def _run_newton(
     p: np.ndarray,
     free: np.ndarray,
     rows: Sequence[int],
-    policy: OperatingPointPolicy,
 ) -> np.ndarray:
     """Gauss-Newton steps of least length, halved until they help, within the bounds of the states."""
     start, direction = z, functions.direction(z)
@@ -360,7 +366,7 @@ def _run_newton(
     low, high = np.full(len(z), -np.inf), np.full(len(z), np.inf)
     for k, state in enumerate(functions.model.all_states):
         low[k], high[k] = state.bounds
-    for _ in range(policy.iterations):
+    for _ in range(OPERATING_POINT_ITERATIONS):
         residual = functions.rates(z, p, direction)[rows]
         jacobian = functions.slopes(z, p, direction)[np.ix_(np.asarray(rows), np.flatnonzero(free))] * sizes
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
@@ -371,7 +377,7 @@ def _run_newton(
         linear = decompose_columns(scale[:, None] * jacobian, scale=np.ones(jacobian.shape[1]))
         step = -linear.solve(scale * residual) * sizes
         before, share = np.linalg.norm(scale * residual), 1.0
-        for _ in range(policy.halvings):
+        for _ in range(OPERATING_POINT_HALVINGS):
             trial = z.copy()
             trial[free] = np.clip((z[free] + share * step), low[free], high[free])
             after = np.linalg.norm(scale * functions.rates(trial, p, direction)[rows])
@@ -397,11 +403,10 @@ def _move_nearer(
     rows: Sequence[int],
     to_meet: Sequence[int],
     solution: np.ndarray,
-    policy: OperatingPointPolicy,
 ) -> np.ndarray:
     """The solution next to the states of ``z`` with the inputs of ``solution``, if there is one; else ``solution``."""
     start = np.concatenate([z[: functions.nx], solution[functions.nx :]])
-    nearer = _run_newton(functions, start, p, free, rows, policy)
+    nearer = _run_newton(functions, start, p, free, rows)
     met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
     return _snap(nearer if met else solution, z, functions.sizes(z, p))
 
@@ -459,16 +464,15 @@ def _no_equilibrium_message(
     known: np.ndarray,
     given: Mapping[str, float],
     rows: Sequence[int],
-    policy: OperatingPointPolicy,
 ) -> str:
     """Why there is no equilibrium: what is given, the residuals of the balances, and what to do."""
     for k in sorted(rows, key=functions.kinematic.__contains__):  # a single balance may be what cannot be met
         others = [row for row in rows if row != k]
-        best = _solve(functions, z, p, ~known, others, others, policy)
+        best = _solve(functions, z, p, ~known, others, others)
         if all(r.met for r in _residuals_of_rows(functions, best, p, others)):
             break
     else:
-        best = _solve(functions, z, p, ~known, rows, rows, policy)
+        best = _solve(functions, z, p, ~known, rows, rows)
     unmet = [r for r in _residuals_of_rows(functions, best, p, rows) if not r.met]
     units = dict(zip(functions.names, functions.units, strict=True))
     point = format_signals(list(given), list(given.values()), [units[n] for n in given]) or "every input at zero"

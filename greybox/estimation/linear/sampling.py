@@ -13,9 +13,12 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import TIME_ROUNDING
 from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
-from greybox.estimation.linear.policy import DEFAULT_SAMPLING, SamplingPolicy
 
 METHODS = ("zoh", "tustin")
+
+
+# Longest delay in samples: each sample is a state.
+MOST_DELAY_STATES = 1000
 
 
 def sample(
@@ -24,7 +27,6 @@ def sample(
     method: str = "zoh",
     *,
     delay: float = 0.0,
-    policy: SamplingPolicy = DEFAULT_SAMPLING,
 ) -> Linearisation:
     """Sample a continuous linear model.
 
@@ -43,8 +45,6 @@ def sample(
     delay
         Seconds by which every input arrives late, besides the delays that it has already. Past inputs become states
         ``u_1, u_2, ...`` (1, 2, ... samples ago).
-    policy
-        When a sampling time is reported as too long, and the longest delay.
 
     Returns
     -------
@@ -70,9 +70,9 @@ def sample(
     if method not in METHODS:
         raise ModelError(f"unknown method {method!r} of sampling; {nearest(method, METHODS)}")
     late = model.with_delay(delay).delay
-    if late.max(initial=0.0) > policy.most_delay_states * dt:
+    if late.max(initial=0.0) > MOST_DELAY_STATES * dt:
         raise ModelError(
-            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {policy.most_delay_states};"
+            f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {MOST_DELAY_STATES};"
             " use a longer sampling time"
         )
     parts = [_split_delay(seconds, dt) for seconds in late]
@@ -111,7 +111,7 @@ def sample(
         x0=np.concatenate([model.x0, held]),
         rates=np.concatenate([model.rates, np.zeros(extra)]),
         delay=np.zeros(len(parts)),
-        findings=(*model.findings, *_check_sampling_time(model, dt, method, policy)),
+        findings=(*model.findings, *_check_sampling_time(model, dt, method)),
     )
 
 
@@ -170,26 +170,34 @@ def _apply_tustin(model: Linearisation, dt: float, parts: list[tuple[int, float]
     return (t[:, None] * phi / t, seen / t, level * (1 - share), level * share, (direct * (1 - share), direct * share))
 
 
-def _check_sampling_time(model: Linearisation, dt: float, method: str, policy: SamplingPolicy) -> list[Finding]:
+# Samples in a period of an oscillating mode that a controller needs.
+SAMPLES_PER_PERIOD = 10
+# A mode of a lower damping ratio oscillates.
+RINGING_DAMPING = 0.7
+# Samples within the slowest time constant that are proposed where every mode decays within one.
+SAMPLES_PER_DECAY = 5.0
+
+
+def _check_sampling_time(model: Linearisation, dt: float, method: str) -> list[Finding]:
     """What is lost at this sampling time, with one that would do."""
     poles = model.poles
     poles = poles[np.abs(poles) > 0]
     findings = []
-    oscillating = poles[(np.abs(poles.imag) > 0) & (-poles.real < policy.ringing_damping * np.abs(poles))]
+    oscillating = poles[(np.abs(poles.imag) > 0) & (-poles.real < RINGING_DAMPING * np.abs(poles))]
     if len(oscillating):
         fastest = float(np.abs(oscillating.imag).max())
         samples = 2 * np.pi / (fastest * dt)
-        if samples < policy.samples_per_period:
+        if samples < SAMPLES_PER_PERIOD:
             values = {
                 "dt": dt,
                 "frequency": fastest,
                 "samples": samples,
-                "proposed": 2 * np.pi / (fastest * policy.samples_per_period),
+                "proposed": 2 * np.pi / (fastest * SAMPLES_PER_PERIOD),
             }
             findings.append(Finding(ExportFinding.MODE_UNDERSAMPLED, Severity.WARNING, values=values))
     slowest = float(np.abs(poles).min()) if len(poles) else 0.0
     if slowest * dt > 1 and not findings:
-        values = {"dt": dt, "time_constant": 1 / slowest, "proposed": 1 / (policy.samples_per_decay * slowest)}
+        values = {"dt": dt, "time_constant": 1 / slowest, "proposed": 1 / (SAMPLES_PER_DECAY * slowest)}
         findings.append(Finding(ExportFinding.DECAY_UNDERSAMPLED, Severity.WARNING, values=values))
     fastest_decay = float(np.abs(poles.real).max(initial=0.0))
     if method == "tustin" and fastest_decay * dt > 2:

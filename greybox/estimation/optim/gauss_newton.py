@@ -11,6 +11,13 @@ from greybox.estimation.optim.minimisation import Minimisation, TerminationStatu
 from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
+# Least factor on the damping after a step that gains what its quadratic model predicts (Nielsen 1999).
+LARGEST_DECREASE: float = 1 / 3
+# Share of the predicted decrease below which a step counts as badly predicted (Fletcher's lower ratio).
+POOR_SHARE = 0.25
+# Along a kink even a short step gains less than this share of what is predicted, because the gradient is that of one side.
+KINK_SHARE = 0.1
+
 
 def run_gauss_newton(
     search: Minimisation,
@@ -62,9 +69,9 @@ def run_gauss_newton(
         share = (before - search.best_cost) / predicted
         if share > 0:
             search.steps += 1
-            damping *= max(policy.largest_decrease, 1 - (2 * min(share, 1.0) - 1) ** 3)
+            damping *= max(LARGEST_DECREASE, 1 - (2 * min(share, 1.0) - 1) ** 3)
             rejections, growth = 0, policy.damping_growth
-            kink_steps = 0 if share > policy.kink_share else kink_steps + 1
+            kink_steps = 0 if share > KINK_SHARE else kink_steps + 1
             if search.finish_iteration():
                 return search.status is not None or search.stop
         else:
@@ -72,13 +79,19 @@ def run_gauss_newton(
             rejections += 1
         if rejections == policy.max_rejections or kink_steps == policy.max_kink_steps:
             return False
-        if while_predicted and share < policy.poor_share:
+        if while_predicted and share < POOR_SHARE:
             return False
     search.status = TerminationStatus.ITERATION_LIMIT
     return True
 
 
 # Gradient sampling: a descent direction at a point where the gradient misleads, because the cost has a kink there.
+
+
+# Share of the cost that a round has to gain; otherwise the next radius follows.
+LEAST_GAIN = 0.0001
+# Rounds at each radius; every round evaluates twice as many points as there are unknowns.
+MAX_ROUNDS = 6
 
 
 def run_gradient_sampling(
@@ -91,14 +104,14 @@ def run_gradient_sampling(
     """
     gained = True
     for radius in policy.radii:
-        for _ in range(policy.max_rounds):
+        for _ in range(MAX_ROUNDS):
             before = search.best_cost
             axes = _sampling_axes(search.best_value, radius)  # type: ignore[arg-type]
             direction = _find_descent_direction(search, axes, low, high)
-            _search_line(search, direction @ axes, low, high, policy)
+            _search_line(search, direction @ axes, low, high)
             if search.stop:
                 return TerminationStatus.INTERRUPTED
-            gained = search.best_cost < before * (1 - policy.least_gain)
+            gained = search.best_cost < before * (1 - LEAST_GAIN)
             if not gained:
                 break
     return TerminationStatus.ACCEPTABLE if gained else TerminationStatus.KINK
@@ -126,17 +139,21 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
     return -shortest / max(float(np.linalg.norm(shortest)), TINY)
 
 
-def _search_line(
-    search: Minimisation, step: np.ndarray, low: np.ndarray, high: np.ndarray, policy: GradientSamplingPolicy
-) -> None:
+# Factors by which a step that gains is lengthened while that helps.
+GRADIENT_SAMPLING_LONGER: tuple[float, ...] = (2.0, 4.0, 8.0)
+# Factors by which a step that gains nothing is shortened until it gains.
+GRADIENT_SAMPLING_SHORTER: tuple[float, ...] = (0.5, 0.25, 0.1)
+
+
+def _search_line(search: Minimisation, step: np.ndarray, low: np.ndarray, high: np.ndarray) -> None:
     """Lengthen a step while that helps, or shorten it until it does."""
     start, before = search.best, search.best_cost
-    for factor in (1.0, *policy.longer):
+    for factor in (1.0, *GRADIENT_SAMPLING_LONGER):
         if not _evaluate(search, start + factor * step, low, high).cost <= search.best_cost:
             break
     if search.best_cost < before:
         return
-    for factor in policy.shorter:
+    for factor in GRADIENT_SAMPLING_SHORTER:
         if _evaluate(search, start + factor * step, low, high).cost < before:
             return
 

@@ -157,6 +157,12 @@ def measure_room(z: np.ndarray, low: np.ndarray | float, high: np.ndarray | floa
     return np.where(below >= -AT_BOUND, 0.0, below), np.where(above <= AT_BOUND, 0.0, above)
 
 
+# Share of the predicted decrease from which a step counts as well predicted (Fletcher's upper ratio).
+GOOD_SHARE = 0.75
+# Predicted decrease, as a share of the cost, up to which damped Gauss-Newton steps are tried before IPOPT: the start is near.
+NEAR_SHARE = 0.5
+
+
 class Minimisation:
     """The function being minimised, with its last value kept (IPOPT asks for cost, gradient and Hessian one by one).
 
@@ -242,7 +248,7 @@ class Minimisation:
 
     def is_near(self, low: np.ndarray, high: np.ndarray) -> bool:
         """Whether the quadratic model sees the minimum close by."""
-        return self.predict_decrease(low, high) <= self.policy.near_share * abs(self.best_cost)
+        return self.predict_decrease(low, high) <= NEAR_SHARE * abs(self.best_cost)
 
     def forget_prediction(self) -> None:
         """Begin to compare anew: a solver starts at the best point."""
@@ -252,7 +258,7 @@ class Minimisation:
         """Whether the last iteration gained what the quadratic model predicted before it (``predicts_well`` keeps the answer)."""
         before, predicted = self._predicted
         self._predicted = self.best_cost, self.predict_decrease(low, high)
-        self.predicts_well = before - self.best_cost >= self.policy.damped.good_share * predicted
+        self.predicts_well = before - self.best_cost >= GOOD_SHARE * predicted
         return self.predicts_well
 
     def finish_iteration(self) -> bool:

@@ -39,26 +39,14 @@ class GaussNewtonPolicy:
     initial_damping: float = 1e-6
     """Damping of the first step, as a share of the curvature: nearly a full Gauss-Newton step, which is right near a smooth optimum."""
 
-    largest_decrease: float = 1 / 3
-    """Least factor on the damping after a step that gains what its quadratic model predicts (Nielsen 1999)."""
-
     damping_growth: float = 2.0
     """Factor on the damping after a step that gained nothing; it doubles with each further one in a row (Nielsen 1999)."""
-
-    good_share: float = 0.75
-    """Share of the predicted decrease from which a step counts as well predicted (Fletcher's upper ratio)."""
-
-    poor_share: float = 0.25
-    """Share of the predicted decrease below which a step counts as badly predicted (Fletcher's lower ratio)."""
 
     max_steps: int = 50
     """Steps in all; a smooth cost needs ten to twenty from a lost start."""
 
     max_rejections: int = 8
     """Steps in a row that gain nothing: by then the damping has grown by ten decades, and no direction is left to try."""
-
-    kink_share: float = 0.1
-    """Along a kink even a short step gains less than this share of what is predicted, because the gradient is that of one side."""
 
     max_kink_steps: int = 6
     """Steps in a row below ``kink_share`` after which the cost counts as kinked."""
@@ -70,18 +58,6 @@ class GradientSamplingPolicy:
 
     radii: tuple[float, ...] = (1e-2, 1e-3, 1e-4)
     """Distances of the sampled points, in turn: where a smooth cost would rise by these shares of itself."""
-
-    least_gain: float = 1e-4
-    """Share of the cost that a round has to gain; otherwise the next radius follows."""
-
-    max_rounds: int = 6
-    """Rounds at each radius; every round evaluates twice as many points as there are unknowns."""
-
-    longer: tuple[float, ...] = (2.0, 4.0, 8.0)
-    """Factors by which a step that gains is lengthened while that helps."""
-
-    shorter: tuple[float, ...] = (0.5, 0.25, 0.1)
-    """Factors by which a step that gains nothing is shortened until it gains."""
 
 
 @dataclass(frozen=True)
@@ -95,9 +71,6 @@ class MinimisationPolicy:
     hand_overs: int = 3
     """Times that IPOPT hands over to damped Gauss-Newton steps because the quadratic model predicted its last iteration well; each
     time it goes on where a step gains little of what was predicted. 0: IPOPT goes on to the end."""
-
-    near_share: float = 0.5
-    """Predicted decrease, as a share of the cost, up to which damped Gauss-Newton steps are tried before IPOPT: the start is near."""
 
     damped: GaussNewtonPolicy = field(default_factory=GaussNewtonPolicy)
     """The damped Gauss-Newton steps that follow IPOPT once it has come close, or has stalled."""

@@ -121,10 +121,8 @@ class _CollocationSearch:
 
     def refine(self, solution: Solution) -> Refinement:
         """The same problem, if shorter elements are needed."""
-        policy, substeps = self.options.policy.step_refinement, _POINTS * self.elements
-        is_coarse = not self.is_over and is_too_coarse(
-            self.error, solution.problem, solution.evaluation, policy, substeps
-        )
+        substeps = _POINTS * self.elements
+        is_coarse = not self.is_over and is_too_coarse(self.error, solution.problem, solution.evaluation, substeps)
         return solution.problem if is_coarse else None, self.error
 
     def join(self) -> SegmentedRun:

@@ -34,6 +34,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.options import SolverOptions, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.projected_initial_states import (
+    MAX_LOG_CHANGE,
     ProjectedShooting,
     estimate_segment_states,
     fit_without_continuity,
@@ -79,10 +80,14 @@ def solve_multiple_shooting(
     return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
 
 
+# Arcs longer than the longest record by at most this share are the whole record, and no mistake.
+LENGTH_TOLERANCE = 0.01
+
+
 def _cut_into_arcs(problem: EstimationProblem, options: SolverOptions) -> Cuts:
     """Arcs of the length that ``options`` ask for."""
     length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
-    if length > longest * (1 + options.policy.joining.length_tolerance):
+    if length > longest * (1 + LENGTH_TOLERANCE):
         raise DataError(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
@@ -172,6 +177,19 @@ class MultipleShootingResult:
     def states(self) -> np.ndarray:
         """First states (segments, nx) of the segments of all records."""
         return self.segmented.pieces.variables.initial.guess
+
+
+# Largest gap between segments of a converged solution, as a share of each state's range.
+MULTIPLE_SHOOTING_CONTINUITY = 1e-07
+# Shares of a step that are tried in turn, until the cost or the gaps come down.
+STEP_LENGTHS: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.03)
+# Dampings, as shares of the curvature, that are tried in turn with all step lengths.
+MULTIPLE_SHOOTING_DAMPINGS: tuple[float, ...] = (0.0, 0.01, 1.0, 100.0)
+# Share of the gaps by which a step has to be better than every point before it, in the gaps or in the cost.
+FILTER_MARGIN = 0.001
+# Where no step helps any more, a point that meets the convergence test this many times less strictly is an optimum to within rounding
+# errors.
+ROUNDING_SLACK = 10000.0
 
 
 class MultipleShooting:
@@ -285,7 +303,7 @@ class MultipleShooting:
                     visited.append((linearised.violation, linearised.cost))
                     following = self._search_step(linearised, visited)
                     if following is None:  # at rounding errors, or truly stuck
-                        slack = self.policy.multiple_shooting.rounding_slack
+                        slack = ROUNDING_SLACK
                         is_optimum = self._is_converged(linearised, termination, slack)
                         ended = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
                         break
@@ -325,33 +343,32 @@ class MultipleShooting:
             return TerminationStatus.INTERRUPTED
         if self._is_converged(linearised, termination):
             return TerminationStatus.CONVERGED
-        if termination.is_flat(linearised.cost) and linearised.gap < self.policy.multiple_shooting.continuity:
+        if termination.is_flat(linearised.cost) and linearised.gap < MULTIPLE_SHOOTING_CONTINUITY:
             return TerminationStatus.ACCEPTABLE
         return TerminationStatus.ITERATION_LIMIT if iteration == options.iterations else None
 
     def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
         change = abs(linearised.cost - linearised.cost_after(self._compute_step(linearised)))
-        is_joined = linearised.gap <= self.policy.multiple_shooting.continuity
+        is_joined = linearised.gap <= MULTIPLE_SHOOTING_CONTINUITY
         return is_joined and termination.is_negligible(change, linearised.cost, slack)
 
     def _search_step(
         self, linearised: _LinearisedPoint, visited: Sequence[tuple[float, float]]
     ) -> _LinearisedPoint | None:
         """The next point: the longest step, ever more damped, that lowers the cost or the gaps (filter of Fletcher and Leyffer)."""
-        policy = self.policy.multiple_shooting
-        for damping in policy.dampings:
+        for damping in MULTIPLE_SHOOTING_DAMPINGS:
             step = self._compute_step(linearised, damping)
-            for length in policy.step_lengths:
+            for length in STEP_LENGTHS:
                 trial = self._linearise(linearised.z + length * step)
-                if trial is not None and trial.improves_on(visited, policy.filter_margin):
+                if trial is not None and trial.improves_on(visited, FILTER_MARGIN):
                     return trial
         return None
 
     def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
         """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
-        z, policy = linearised.z[: self.n], self.policy.relaxation
-        reach = np.where(self.variables.logarithmic, policy.max_log_change, np.inf)
+        z = linearised.z[: self.n]
+        reach = np.where(self.variables.logarithmic, MAX_LOG_CHANGE, np.inf)
         low, high = (edge[: self.n] - z for edge in self.variables.bounds())
         step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
         return linearised.condensed.step(step)
@@ -481,8 +498,12 @@ def _make_apart(
     return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
 
 
+# Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense.
+MOST_UNKNOWNS = 1000
+
+
 def _check_number(segmented: SegmentedProblem, options: SolverOptions) -> None:
-    most, size = options.policy.joining.most_unknowns, segmented.pieces.variables.size
+    most, size = MOST_UNKNOWNS, segmented.pieces.variables.size
     if size > most:
         raise ModelError(
             f"arcs of {options.arc_length:g} s: {len(segmented.starts_record)} of them have {size} unknowns together; with coloured"

@@ -139,8 +139,7 @@ def prepare_problem(
     )
     constant = _find_constant_outputs(model, group, deviation)
     is_constant_output = [o.name in constant for o in model.outputs]
-    band_limited = policy.transcription.band_limited
-    records = tuple(_drop_outputs(to_record(model, e, band_limited), is_constant_output) for e in group)
+    records = tuple(_drop_outputs(to_record(model, e), is_constant_output) for e in group)
     beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)

@@ -19,6 +19,9 @@ from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, fi
 from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
 from greybox.simulation.kernel.interface import GaussNewtonSums
 
+# Gauss-Newton steps at most; from the state of the last point one or two are enough.
+PROJECTION_MAX_STEPS = 12
+
 
 class ProjectedShooting:
     """`SingleShooting` with each record's initial state at its best for the constants of the moment.
@@ -113,7 +116,7 @@ class ProjectedShooting:
             if not np.isfinite(search(self.states[e]).cost):
                 return None
         if not search.test_termination():
-            run_gauss_newton(search, self._low[e], self._high[e], MINIMISATION.damped, steps=self.policy.max_steps)
+            run_gauss_newton(search, self._low[e], self._high[e], MINIMISATION.damped, steps=PROJECTION_MAX_STEPS)
         self.states[e] = search.best
         assert isinstance(search.best_value, _StateModel)  # what `_model_states` returned
         return search.best_value
@@ -167,6 +170,14 @@ def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
     return projected
 
 
+# A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer.
+MAX_LOG_CHANGE = 4.6
+# Steps at most.
+RELAXATION_MAX_STEPS = 15
+# Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation.
+PRIOR_WEIGHT = 0.25
+
+
 def fit_without_continuity(
     projected: ProjectedShooting, policy: RelaxationPolicy = DEFAULT_POLICY.relaxation
 ) -> np.ndarray:
@@ -176,8 +187,8 @@ def fit_without_continuity(
     the noise over one segment.
     """
     v, start = projected.variables, np.zeros(projected.size)
-    precision = np.where(v.logarithmic, policy.prior_weight, 0.0)
-    reach = np.where(v.logarithmic, policy.max_log_change, np.inf)
+    precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
+    reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
     low, high = projected.bounds()
 
     def evaluate(z: np.ndarray) -> Evaluation:
@@ -188,7 +199,7 @@ def fit_without_continuity(
     low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)
     search = Minimisation(evaluate, 1.0, Termination(policy.termination, low, high, 1).test, None, MINIMISATION)
     if np.isfinite(search(start).cost) and not search.test_termination():
-        run_gauss_newton(search, low, high, policy.damped, steps=policy.max_steps)
+        run_gauss_newton(search, low, high, policy.damped, steps=RELAXATION_MAX_STEPS)
     return projected.full(search.best)
 
 

@@ -71,26 +71,30 @@ def cut_by_growth(problem: EstimationProblem) -> Cuts:
     return cut_in_rows(problem, [choose_segment_rows(growth, r, policy.segments) for growth, r in pairs])
 
 
+# Factor by which an error may grow over one segment of an unstable plant.
+MAX_GROWTH = 5.0
+# Fewest samples of a segment in any case: its first states are estimated from them.
+SEGMENT_LEAST_ROWS = 8
+
+
 def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
     if growth > 0:
-        longest = min(longest, int(np.log(policy.max_growth) / (growth * period)))
-    return max(policy.least_rows, longest)
+        longest = min(longest, int(np.log(MAX_GROWTH) / (growth * period)))
+    return max(SEGMENT_LEAST_ROWS, longest)
 
 
 def cut_in_rows(problem: EstimationProblem, rows: int | Sequence[int]) -> Cuts:
     """Segments of so many samples: one number, or one for each record."""
     numbers = [rows] * len(problem.records) if isinstance(rows, int) else rows
-    policy = problem.policy.transcription.segments
     return tuple(
         place_cuts(
             f"record {e + 1}",
             np.arange(len(r.u), dtype=float),
             rows=n,
             rows_per_sample=r.rows_per_sample,
-            policy=policy,
         )
         for e, (r, n) in enumerate(zip(problem.records, numbers, strict=True))
     )
@@ -104,10 +108,13 @@ def cut_in_seconds(problem: EstimationProblem, seconds: float) -> Cuts:
             np.concatenate([[0.0], np.cumsum(r.h)]),
             seconds=seconds,
             rows_per_sample=r.rows_per_sample,
-            policy=problem.policy.transcription.segments,
         )
         for e, r in enumerate(problem.records)
     )
+
+
+# Fewest samples of an arc whose length was asked for.
+LEAST_ARC_ROWS = 3
 
 
 def place_cuts(
@@ -117,7 +124,6 @@ def place_cuts(
     seconds: float | None = None,
     rows: int | None = None,
     rows_per_sample: int = 1,
-    policy: SegmentPolicy = DEFAULT_POLICY.segments,
 ) -> tuple[int, ...]:
     """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
 
@@ -126,7 +132,7 @@ def place_cuts(
     if (seconds is None) == (rows is None):
         raise DataError("arcs: give their length either in seconds or in rows")
     count = len(since)
-    least = policy.least_arc_rows
+    least = LEAST_ARC_ROWS
     if rows is not None:
         if rows < least:
             raise DataError(f"arcs of {name!r}: {rows} rows; an arc needs at least {least}")

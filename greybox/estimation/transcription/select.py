@@ -18,8 +18,7 @@ from greybox.estimation.transcription.policy import DEFAULT_POLICY, Transcriptio
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solution import TranscriptionReason, make_strategy
 from greybox.model.system import System
-from greybox.simulation.integrators.policy import DEFAULT_POLICY as DISCRETISATION
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.kernel.record import Record
 
@@ -53,7 +52,6 @@ def select_transcription(problem: EstimationProblem, options: SolverOptions) -> 
         p,
         longest,
         policy=policy.transcription.choice,
-        discretisation=policy.discretisation,
         free_run=options.transcription == Transcription.SINGLE,
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
@@ -73,13 +71,20 @@ class TranscriptionProposal(NamedTuple):
     implicit: bool = False
 
 
+# Points along the record in which the equations are linearised.
+LINEARISATION_POINTS = 9
+# A mode that forgets less than this share of its state over the record counts as an integrator.
+FORGOTTEN_SHARE = 0.03
+# Time constants of the slowest other mode after which an integrator's drift leaves the data.
+LONG_RUN = 50.0
+
+
 def propose_transcription(
     system: System,
     p: np.ndarray,
     record: Record,
     *,
     policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
-    discretisation: DiscretisationPolicy = DISCRETISATION,
     free_run: bool = False,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
@@ -103,25 +108,25 @@ def propose_transcription(
     free_run
         Whether a free run was asked for, however errors grow; only its steps are to be chosen.
     """
-    jacobians = _linearise_along(system, p, record, policy.linearisation_points)
+    jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     duration = record.duration
     growth = 0.0 if free_run else _compute_growth(system, p, record, jacobians, policy)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
-    stiff = _propose_for_stiff(system, jacobians, record, policy, discretisation)
+    stiff = _propose_for_stiff(system, jacobians, record)
     if stiff:
         return stiff
     eigenvalues = np.linalg.eigvals(jacobians).ravel()
-    decays = -eigenvalues.real[-eigenvalues.real * duration > policy.forgotten_share]
+    decays = -eigenvalues.real[-eigenvalues.real * duration > FORGOTTEN_SHARE]
     slowest = 1 / decays.min() if len(decays) else 0.0
-    if not (np.abs(eigenvalues) * duration <= policy.forgotten_share).any():
+    if not (np.abs(eigenvalues) * duration <= FORGOTTEN_SHARE).any():
         return _propose(Transcription.SINGLE, TranscriptionReason.STABLE)
     constants: dict[str, float | None] = {
         "duration": duration,
         "time_constants": float(duration / slowest) if slowest else None,
     }
-    if duration <= policy.long_run * slowest:
+    if duration <= LONG_RUN * slowest:
         return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_SHORT, constants)
     return _propose(Transcription.SINGLE, TranscriptionReason.INTEGRATING_GROWING, constants)
 
@@ -130,7 +135,7 @@ def estimate_error_growth(
     system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
 ) -> float:
     """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
-    jacobians = _linearise_along(system, p, record, policy.linearisation_points)
+    jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     return _compute_growth(system, p, record, jacobians, policy)
 
 
@@ -143,6 +148,10 @@ def _propose(
     return TranscriptionProposal(transcription, Finding(reason, Severity.NOTE, "", dict(values)), implicit)
 
 
+# Points along the record from which the growth of errors is computed, where one of the first points is unstable.
+GROWTH_POINTS = 1000
+
+
 def _compute_growth(
     system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionChoicePolicy
 ) -> float:
@@ -153,7 +162,7 @@ def _compute_growth(
     duration = record.duration
     if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
         return float(rates.mean())
-    return _compute_lyapunov_exponent(_linearise_along(system, p, record, policy.growth_points), duration)
+    return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
 
 
 def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
@@ -173,25 +182,31 @@ def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     return logarithm / (duration * (len(jacobians) - len(jacobians) // 2) / len(jacobians))
 
 
+# Explicit substeps a sample beyond which a model counts as stiff.
+MAX_EXPLICIT_SUBSTEPS: float = 32
+# ``|h lambda|`` of an explicit substep in that count, as in `DiscretisationPolicy.eigenvalue_step`.
+EXPLICIT_STEP = 0.5
+# Samples up to which collocation is chosen: its program grows with the record, by some tens of kilobytes a sample.
+MAX_COLLOCATION_SAMPLES = 10000
+
+
 def _propose_for_stiff(
     system: System,
     jacobians: np.ndarray,
     record: Record,
-    policy: TranscriptionChoicePolicy,
-    discretisation: DiscretisationPolicy,
 ) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
-    substeps = fastest * record.period / policy.explicit_step
-    if system.linear or substeps <= policy.max_explicit_substeps:
+    substeps = fastest * record.period / EXPLICIT_STEP
+    if system.linear or substeps <= MAX_EXPLICIT_SUBSTEPS:
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
-    if system.x.numel() <= discretisation.max_implicit_states:
+    if system.x.numel() <= MAX_IMPLICIT_STATES:
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
     if system.dry or system.updates or system.delays:
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)
     samples = len(record.samples(record.u))
-    if samples > policy.max_collocation_samples:
+    if samples > MAX_COLLOCATION_SAMPLES:
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_LONG, values | {"samples": samples})
     return _propose(Transcription.COLLOCATION_RADAU, TranscriptionReason.STIFF_COLLOCATION, values)
 

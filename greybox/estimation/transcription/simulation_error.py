@@ -42,6 +42,12 @@ class LossKind(StrEnum):
     STUDENT = "student"
 
 
+# A residual that counts less than this share of its least-squares weight is an outlier.
+OUTLIER_WEIGHT = 0.35
+# The mean curvature of a loss does not fall below this, however many residuals are outliers.
+LEAST_CURVATURE = 0.05
+
+
 @dataclass(frozen=True)
 class RobustLoss:
     """``cost = sum s^2 rho(r / s)`` of the residuals ``r`` in units of their noise, ``s`` (ny,) being their ``scale`` in that unit.
@@ -79,7 +85,7 @@ class RobustLoss:
         """The mean of ``rho'' / 2`` over the residuals (N, ny) of each output: what the loss leaves of the information."""
         is_measured = np.isfinite(r)
         total = np.where(is_measured, self.terms(np.where(is_measured, r, 0.0))[3], 0.0).sum(axis=0)
-        return np.maximum(total / np.maximum(is_measured.sum(axis=0), 1), self.policy.least_curvature)
+        return np.maximum(total / np.maximum(is_measured.sum(axis=0), 1), LEAST_CURVATURE)
 
     def least(self) -> np.ndarray:
         """Mean of ``psi^2`` over that of the curvature (ny,) for normal noise of variance one: 1 for least squares, less otherwise."""
@@ -92,7 +98,11 @@ class RobustLoss:
         """Which residuals (N, ny) count for much less than they would in least squares."""
         is_measured = np.isfinite(r)
         weight = self.terms(np.where(is_measured, r, 0.0))[2]
-        return is_measured & (weight < self.policy.outlier_weight * self.terms(np.zeros_like(r))[2])
+        return is_measured & (weight < OUTLIER_WEIGHT * self.terms(np.zeros_like(r))[2])
+
+
+# Degrees of freedom: tails heavier than those of any sensor that is in order.
+STUDENT_FREEDOM = 4.0
 
 
 def parse_loss(text: str, policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss) -> RobustLoss | None:
@@ -107,7 +117,7 @@ def parse_loss(text: str, policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss)
     if kind == LossKind.SQUARES and not colon:
         return None
     try:
-        usual = policy.student_freedom if kind == LossKind.STUDENT else policy.huber_threshold
+        usual = STUDENT_FREEDOM if kind == LossKind.STUDENT else policy.huber_threshold
         threshold = float(value) if colon else usual
     except ValueError:
         threshold = math.nan

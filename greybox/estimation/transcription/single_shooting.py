@@ -12,7 +12,7 @@ from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import IterationCallback, MinimisationResult, Termination, TerminationStatus
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.policy import ProgressiveHorizonPolicy, StepRefinementPolicy
+from greybox.estimation.transcription.policy import StepRefinementPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback, Runs, Solution, make_strategy
@@ -26,17 +26,37 @@ from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 # cheap: most iterations see a tenth of the record.
 
 
-def choose_first_share(problem: EstimationProblem, policy: ProgressiveHorizonPolicy) -> float:
+# The first part holds so many of the slowest time constants: over them a start that is far off cannot run out of step.
+TIME_CONSTANTS = 2.0
+# Rows of the first part at least.
+PROGRESSIVE_HORIZON_LEAST_ROWS = 60
+# Rows of the first part for each unknown at least.
+ROWS_PER_UNKNOWN = 5
+# Rows of a record at which movement and sampling time are looked at.
+INSPECTED_ROWS = 2000
+# From this share of the record on the next part is the whole.
+PROGRESSIVE_HORIZON_ALMOST_WHOLE = 0.5
+
+
+def choose_first_share(problem: EstimationProblem) -> float:
     """Share of the record for the first stage: a few time constants with some movement in them."""
     v = problem.variables
     rows = max(len(r.u) for r in problem.records)
-    period = max(float(np.median(r.h[: policy.inspected_rows])) for r in problem.records)
+    period = max(float(np.median(r.h[:INSPECTED_ROWS])) for r in problem.records)
     jacobian = problem.model.system.jacobian(v.initial.guess[0], problem.records[0].u[0], v.fixed).full()
     decays = -np.linalg.eigvals(jacobian).real if np.isfinite(jacobian).all() else np.empty(0)
     slowest = 1 / decays[decays > 0].min() if np.any(decays > 0) else 0.0
-    first = max(policy.least_rows, policy.rows_per_unknown * v.size, policy.time_constants * slowest / period) / rows
-    first = max(first, min(_find_movement_share(r.y, policy) for r in problem.records))
-    return float(first) if first < policy.almost_whole else 1.0
+    first = max(PROGRESSIVE_HORIZON_LEAST_ROWS, ROWS_PER_UNKNOWN * v.size, TIME_CONSTANTS * slowest / period) / rows
+    first = max(first, min(_find_movement_share(r.y) for r in problem.records))
+    return float(first) if first < PROGRESSIVE_HORIZON_ALMOST_WHOLE else 1.0
+
+
+# The record grows by the first of these factors with which the model foretells the longer part.
+PROGRESSIVE_HORIZON_GROWTH: tuple[float, ...] = (10.0, 4.0, 2.0, 1.4)
+# A longer part is foretold if the misfit grows at most so many times (of the noise at least).
+PROGRESSIVE_HORIZON_SURPRISE = 3.0
+# It is foretold as well where the model still follows this share of the outputs' movement.
+FORETOLD_SHARE = 0.8
 
 
 def choose_next_share(
@@ -44,17 +64,13 @@ def choose_next_share(
     share: float,
     reached: Evaluation,
     measure: Callable[[float], Evaluation],
-    policy: ProgressiveHorizonPolicy,
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
-    expected = policy.surprise * max(_compute_noise_ratio(reached), 1.0)
-    for factor in policy.growth:
-        wider = factor * share if factor * share < policy.almost_whole else 1.0
+    expected = PROGRESSIVE_HORIZON_SURPRISE * max(_compute_noise_ratio(reached), 1.0)
+    for factor in PROGRESSIVE_HORIZON_GROWTH:
+        wider = factor * share if factor * share < PROGRESSIVE_HORIZON_ALMOST_WHOLE else 1.0
         ahead = measure(wider)
-        if (
-            _compute_noise_ratio(ahead) <= expected
-            or compute_explained_share(problem, ahead, wider) >= policy.foretold_share
-        ):
+        if _compute_noise_ratio(ahead) <= expected or compute_explained_share(problem, ahead, wider) >= FORETOLD_SHARE:
             break
     return wider, ahead
 
@@ -70,11 +86,17 @@ def compute_explained_share(problem: EstimationProblem, e: Evaluation, share: fl
     return 1.0 - float(e.squares.sum()) / total if total > 0 else 1.0
 
 
-def shorten_share(problem: EstimationProblem, share: float, policy: ProgressiveHorizonPolicy) -> float:
+# It is shortened by this factor.
+PROGRESSIVE_HORIZON_SHRINK = 3.0
+# A part less than so many times the shortest one is not shortened.
+LEAST_SHRINK = 1.2
+
+
+def shorten_share(problem: EstimationProblem, share: float) -> float:
     """The next shorter beginning, or the same where it cannot be shorter."""
     rows = max(len(r.u) for r in problem.records)
-    least = max(policy.least_rows, policy.rows_per_unknown * problem.variables.size) / rows
-    return max(share / policy.shrink, least) if share > policy.least_shrink * least else share
+    least = max(PROGRESSIVE_HORIZON_LEAST_ROWS, ROWS_PER_UNKNOWN * problem.variables.size) / rows
+    return max(share / PROGRESSIVE_HORIZON_SHRINK, least) if share > LEAST_SHRINK * least else share
 
 
 def _compute_noise_ratio(e: Evaluation) -> float:
@@ -82,17 +104,21 @@ def _compute_noise_ratio(e: Evaluation) -> float:
     return float(np.sqrt(e.cost / max(e.count, 1)))
 
 
-def _find_movement_share(y: np.ndarray, policy: ProgressiveHorizonPolicy) -> float:
+# It holds this share of an output's range as well, so that there is something to fit.
+PROGRESSIVE_HORIZON_MOVEMENT = 0.1
+
+
+def _find_movement_share(y: np.ndarray) -> float:
     """Share of the record after which an output has shown the policy's share of its range."""
     shares = []
-    for column in y[:: max(1, len(y) // policy.inspected_rows)].T:
+    for column in y[:: max(1, len(y) // INSPECTED_ROWS)].T:
         finite = np.flatnonzero(np.isfinite(column))
         if len(finite) == 0:
             continue
         values = column[finite]
         seen = np.maximum.accumulate(values) - np.minimum.accumulate(values)
         if seen[-1] > 0:
-            shares.append(finite[np.argmax(seen >= policy.movement * seen[-1])] / len(column))
+            shares.append(finite[np.argmax(seen >= PROGRESSIVE_HORIZON_MOVEMENT * seen[-1])] / len(column))
     return min(shares, default=1.0)
 
 
@@ -125,6 +151,10 @@ def solve_with_refined_steps(
     return solution
 
 
+# The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
+CHECKED_ROWS = 2000
+
+
 def refine_step(
     solution: Solution, options: SolverOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
 ) -> Refinement:
@@ -136,7 +166,7 @@ def refine_step(
     if problem.step.per_interval:
         return None, np.zeros(len(problem.noise.std))
     if simulate is None:
-        parts = tuple(r.first(max(policy.checked_rows, len(r.u) // 4)) for r in problem.records)
+        parts = tuple(r.first(max(CHECKED_ROWS, len(r.u) // 4)) for r in problem.records)
 
         def simulate(problem: EstimationProblem) -> Runs:
             return replace(problem, records=parts).shooting().simulate(problem.variables.here)
@@ -148,7 +178,7 @@ def refine_step(
         return None, error
     needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
     needed = min(needed, policy.max_substeps)
-    if is_too_coarse(error, problem, solution.evaluation, policy):
+    if is_too_coarse(error, problem, solution.evaluation):
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error
 
@@ -160,11 +190,23 @@ def compute_change_over_noise(problem: EstimationProblem, runs: Runs, finer: Run
         return np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
 
 
+# Change of an output with half the step that is allowed, over its noise (or its misfit where that is even less).
+STEP_REFINEMENT_NOISE_SHARE = 0.1
+# The same over a misfit far above the noise.
+MISFIT_SHARE = 0.01
+# The same over the output's standard deviation: a record without any noise leaves nothing but the integrator's own error.
+MOVEMENT_SHARE = 1e-07
+# Records of so few steps altogether cost nothing, and get the share below.
+FEW_STEPS = 2000
+# Allowed change over noise and misfit of records of few steps. An error of a share s of the residual changes the cost by 2 s at most, so
+# the cost has its first six digits.
+NOISE_SHARE_OF_FEW = 1e-06
+
+
 def is_too_coarse(
     error: np.ndarray,
     problem: EstimationProblem,
     evaluation: Evaluation,
-    policy: StepRefinementPolicy,
     substeps: int = 0,
 ) -> bool:
     """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit.
@@ -173,11 +215,11 @@ def is_too_coarse(
     """
     ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
     steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
-    few = steps <= policy.few_steps
-    noise_share = policy.noise_share_of_few if few else policy.noise_share
-    misfit_share = policy.noise_share_of_few if few else policy.misfit_share
+    few = steps <= FEW_STEPS
+    noise_share = NOISE_SHARE_OF_FEW if few else STEP_REFINEMENT_NOISE_SHARE
+    misfit_share = NOISE_SHARE_OF_FEW if few else MISFIT_SHARE
     allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
-    allowed = np.maximum(allowed, policy.movement_share * _compute_output_movement(problem) / problem.noise.std)
+    allowed = np.maximum(allowed, MOVEMENT_SHARE * _compute_output_movement(problem) / problem.noise.std)
     measured = evaluation.counts > 0
     return not np.isfinite(error).all() or bool(np.any((error > allowed)[measured]))
 
@@ -209,6 +251,16 @@ def solve_single_shooting(
     return solve_with_refined_steps(problem, search.solve, search.refine, options.policy.step_refinement)
 
 
+# Precision of the prior on the logarithm of positive parameters while only part of the record is used: a factor e^2 is one standard
+# deviation.
+WEAK_PRIOR = 0.25
+# Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take all the
+# time.
+STIFF_GROWTH = 16
+# A first part of whose movement less than this can be followed is too long for that start.
+FOLLOWED_SHARE = 0.5
+
+
 class _Search:
     """A search in progress: where it is, and the work since the last solution.
 
@@ -217,7 +269,7 @@ class _Search:
 
     def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
         self.options, self.report = options, report
-        self.horizon, self.convergence = options.policy.progressive_horizon, options.policy.convergence
+        self.convergence = options.policy.convergence
         self.first_substeps = problem.step.substeps
         self.progressive = options.progressive and problem.variables.size > 0
         self.known: Evaluation | None = None
@@ -251,7 +303,7 @@ class _Search:
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
         finer, error = refine_step(solution, self.options)
-        too_stiff = self.convergence.stiff_growth * self.first_substeps
+        too_stiff = STIFF_GROWTH * self.first_substeps
         is_costly = finer is not None and not self.options.thorough and finer.step.substeps > too_stiff
         return None if is_costly else finer, error
 
@@ -269,13 +321,13 @@ class _Search:
         """Fit a growing part of the record, until a part foretells the whole."""
         share, outcome = self.begin()
         while outcome is not None and not self.over and share < 1:
-            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure, self.horizon)
+            share, self.known = choose_next_share(self.problem, share, outcome.value, self.measure)
             if share < 1:
                 outcome = self.fit(share)
 
     def begin(self) -> tuple[float, MinimisationResult | None]:
         """Fit the first part: one so short that it can be followed from these start values, if there is one."""
-        share, start = choose_first_share(self.problem, self.horizon), self.variables
+        share, start = choose_first_share(self.problem), self.variables
         tried: list[tuple[float, float, DecisionVector, MinimisationResult]] = []
         while share < 1:
             self.variables, self.status = start, TerminationStatus.CONVERGED
@@ -284,11 +336,11 @@ class _Search:
                 tried.append(
                     (compute_explained_share(self.problem, outcome.value, share), share, self.variables, outcome)
                 )
-            less = shorten_share(self.problem, share, self.horizon)
+            less = shorten_share(self.problem, share)
             if (
                 self.status is TerminationStatus.INTERRUPTED
                 or less == share
-                or (outcome is not None and tried[-1][0] >= self.horizon.followed_share)
+                or (outcome is not None and tried[-1][0] >= FOLLOWED_SHARE)
             ):
                 break
             share = less
@@ -312,7 +364,7 @@ class _Search:
         variables, start = _rescale(self.variables, start)
         evaluate = self.problem.shooting(variables, share).evaluate
         is_whole, low_high = share == 1, variables.bounds()
-        prior = None if is_whole else _make_weak_prior(variables, start, self.convergence.weak_prior)
+        prior = None if is_whole else _make_weak_prior(variables, start, WEAK_PRIOR)
         policy = self.convergence if is_whole else self.convergence.in_part
         outcome = minimise(
             evaluate if prior is None else lambda z: prior(z, evaluate(z)),

@@ -12,7 +12,6 @@ import numpy as np
 from greybox.base.findings import Finding, Severity
 from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.policy import JoiningPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.simulation.kernel.record import Record
@@ -129,6 +128,10 @@ class SegmentedRun:
     shift: np.ndarray
 
 
+# A free run from the initial states is that of the segments if it differs by at most this share of the noise anywhere.
+FREE_RUN_NOISE_SHARE = 0.1
+
+
 @dataclass(frozen=True)
 class Solution:
     """The optimum: ``variables`` with ``z = 0`` there, the evaluation, how it ended, and the work it took.
@@ -178,14 +181,14 @@ class Solution:
         """The same with more to say of how it was searched."""
         return replace(self, strategy=replace(self.strategy, values={**self.strategy.values, **values}))
 
-    def is_free_run(self, policy: JoiningPolicy) -> bool:
+    def is_free_run(self) -> bool:
         """Whether one simulation from each initial state gives the run, to a share of the noise."""
         if not self.joined:
             return True
         free = self.problem.shooting(self.variables).simulate(self.variables.here)
         pairs = zip(free, self.joined.runs, strict=True)
         away = np.concatenate([(a - b) / self.problem.noise.std for (a, _), (b, _) in pairs])
-        return bool(np.all(np.abs(away) < policy.free_run_noise_share))
+        return bool(np.all(np.abs(away) < FREE_RUN_NOISE_SHARE))
 
     def simulate(self) -> Runs:
         """For each record outputs (N, ny) and states (N, nx) of the model at the optimum."""

@@ -32,6 +32,12 @@ def solve(problem: EstimationProblem, options: SolverOptions, report: FitProgres
     return finish_by_simulation_error(solution, options, report)
 
 
+# A free run follows the joined one if its cost is at most so many times as large ...
+COST_RATIO = 1.1
+# ... or larger by this misfit over noise squared for each sample.
+PERFECT_NOISE_RATIO = 0.001
+
+
 def finish_by_simulation_error(
     solution: Solution, options: SolverOptions, report: FitProgressCallback | None
 ) -> Solution:
@@ -43,9 +49,8 @@ def finish_by_simulation_error(
     problem = solution.at_optimum
     if problem.is_plain_squares or not solution.status.success:
         return solution
-    policy = options.policy.joining
     cost = problem.with_plain_squares().shooting().evaluate(problem.variables.here).cost
-    if cost <= policy.cost_ratio * solution.evaluation.cost + policy.perfect_noise_ratio**2 * solution.evaluation.count:
+    if cost <= COST_RATIO * solution.evaluation.cost + PERFECT_NOISE_RATIO**2 * solution.evaluation.count:
         finished = solve_single_shooting(problem, replace(options, progressive=False), report).with_work_of(solution)
         return replace(finished, strategy=solution.strategy).with_strategy(completion=str(Completion.FREE_RUN))
     if problem.with_white_noise().is_plain_squares:

@@ -161,9 +161,7 @@ def bootstrap(
     shortest = min(len(r) for r, _ in residuals.rows)
     if block is None:
         estimation = FitOptions.from_data(fit.provenance.options).policy
-        colour = estimate_residual_colour(
-            residuals.rows, size, True, policy=estimation.intervals, noise_policy=estimation.noise
-        )
+        colour = estimate_residual_colour(residuals.rows, size, True, noise_policy=estimation.noise)
         time = max((t for t, _ in colour.times), default=1.0)
         block = max(
             1,

@@ -139,10 +139,8 @@ def _scale_simulation_error(
     """Standard deviation of the free constant number ``k``, the cost that is one of them squared, and the threshold in that unit."""
     problem, v = objective.problem, objective.variables
     residuals = objective.linearise()
-    colour = estimate_residual_colour(
-        residuals.rows, v.size, problem.noise.known, problem.variance_floor, policy.intervals, policy.noise
-    )
-    covariance = estimate_covariance(v, evaluation, residuals, colour, problem, policy.intervals)
+    colour = estimate_residual_colour(residuals.rows, v.size, problem.noise.known, problem.variance_floor)
+    covariance = estimate_covariance(v, evaluation, residuals, colour, problem)
     threshold, variance = compute_quantile(covariance.degrees) ** 2, covariance.covariance[k, k]
     if not np.isfinite(variance) or covariance.information is None:
         scale = evaluation.cost / max(evaluation.count - v.size, 1)
@@ -161,6 +159,10 @@ def _scale_likelihood(fit: Fit, v: DecisionVector, k: int) -> tuple[float | None
     stated = fit.constraints.per_experiment[name][owner] if owner else fit.parameters[name]
     widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
     return stated.std, widened**2 if np.isfinite(widened) else 1.0, compute_quantile(np.inf) ** 2
+
+
+# The cost of each point is minimised to this share of the residual's variance (of one, for a likelihood); the threshold is near 4.
+COST_DECREASE = 0.0001
 
 
 @dataclass(frozen=True)
@@ -190,9 +192,7 @@ class _HeldObjective:
             others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
             held = self.objective.at(replace(others, conditions=tuple(given)))
         termination = self.options.policy.likelihood_search.termination
-        optimum = refine_minimum(
-            held, self.options, replace(termination, negligible_decrease=self.policy.cost_decrease)
-        )
+        optimum = refine_minimum(held, self.options, replace(termination, negligible_decrease=COST_DECREASE))
         if not optimum.status.success:
             optimum = search_minimum(optimum.objective, self.options)
         cost = optimum.evaluation.cost + ((value - mean) / std) ** 2
@@ -211,6 +211,18 @@ def _follow(held: _HeldObjective, name: str, std: float | None, threshold: float
     return Profile(name, quantity.unit, best, values, increase, threshold, (low, high), policy)
 
 
+# First step, in standard deviations: well inside the 95 % point, so that two points bracket it.
+FIRST_STEP = 1.0
+# Growth of the steps after it.
+PROFILE_GROWTH = 1.6
+# Steps to a side at most: 1.6^8 is 43 standard deviations, beyond which the side counts as open.
+PROFILE_STEPS = 9
+# Refits for the crossing at most.
+PROFILE_REFITS = 8
+# First step over the value of a parameter without a standard deviation: a factor of e^0.1.
+BLIND_STEP = 0.1
+
+
 @dataclass(frozen=True)
 class _Side:
     """What both sides of a profile share: refits, the best value, its standard deviation, and the threshold of the rise."""
@@ -224,7 +236,7 @@ class _Side:
 
     def follow(self, bound: float, sign: int) -> tuple[float, list[tuple[float, float]]]:
         """Where the rise crosses the threshold on one side, and the points visited."""
-        best, policy = self.best, self.policy
+        best = self.best
 
         def place(step: float) -> float:
             value = best + sign * step
@@ -235,10 +247,10 @@ class _Side:
         points: list[tuple[float, float]] = []
         if best == bound:
             return bound, points
-        std = self.std if self.std is not None and self.std > 0 else policy.blind_step * (abs(best) or 1.0)
-        step = policy.first_step * std
+        std = self.std if self.std is not None and self.std > 0 else BLIND_STEP * (abs(best) or 1.0)
+        step = FIRST_STEP * std
         inner, near = (0.0, 0.0), None
-        for _ in range(policy.steps):
+        for _ in range(PROFILE_STEPS):
             value = place(step)
             rise, near = self.held.rise(value, near)
             points.append((value, rise))
@@ -246,7 +258,7 @@ class _Side:
                 return self._cross(place, inner, (step, rise), near, points), points
             if value == bound:
                 return bound, points
-            inner, step = (step, rise), policy.growth * step
+            inner, step = (step, rise), PROFILE_GROWTH * step
         return (bound if np.isfinite(bound) else sign * np.inf), points
 
     def _cross(
@@ -258,7 +270,7 @@ class _Side:
         points: list[tuple[float, float]],
     ) -> float:
         """The value between two steps where the rise meets the threshold: regula falsi on its square root, which is nearly straight."""
-        threshold, refits = self.threshold, self.policy.refits
+        threshold, refits = self.threshold, PROFILE_REFITS
         for k in range(refits):
             (a, fa), (b, fb) = inner, outer
             ra, rb = np.sqrt(fa), np.sqrt(fb) if np.isfinite(fb) else np.inf

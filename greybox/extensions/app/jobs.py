@@ -22,7 +22,7 @@ from typing import Any
 from greybox.base.errors import GreyboxError
 from greybox.base.parallel.local_pool import pack, quiet_children, unpack
 from greybox.estimation.options import FitOptions
-from greybox.extensions.app.session import APP_POLICY, AppPolicy, Session
+from greybox.extensions.app.session import Session
 from greybox.shell.own_effects import find_own_effects
 
 
@@ -59,6 +59,10 @@ class JobEvent:
 JobListener = Callable[[JobEvent], None]
 
 
+# Seconds in which a fit or a discovery that is told to end at once may do so by itself, before its process is killed.
+APP_GRACE_SECONDS = 3.0
+
+
 class Job:
     """A running fit or discovery.
 
@@ -84,9 +88,8 @@ class Job:
         journal: Path,
         workers: int = 0,
         listener: JobListener,
-        policy: AppPolicy = APP_POLICY,
     ) -> None:
-        self.kind, self.session, self.policy = kind, session, policy
+        self.kind, self.session = kind, session
         self._listener = listener
         self._stops = 0
         context = multiprocessing.get_context("spawn")
@@ -114,7 +117,7 @@ class Job:
         """End the process now."""
         if self._process.is_alive():
             self._process.terminate()
-            self._process.join(self.policy.grace_seconds)
+            self._process.join(APP_GRACE_SECONDS)
         if self._process.is_alive():
             self._process.kill()
         self._process.join()
@@ -136,7 +139,7 @@ class Job:
                 last = event
             else:
                 self._listener(event)
-        self._process.join(self.policy.grace_seconds)
+        self._process.join(APP_GRACE_SECONDS)
         self._listener(last)
 
 

@@ -35,7 +35,6 @@ from greybox.base.files import write_file
 from greybox.data.formats import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
-from greybox.extensions.app.session import APP_POLICY
 from greybox.extensions.app.workbench import UnmatchedRecordError, Workbench
 from greybox.show.pages.html import pack_plotly, page_style, read_plotly, security_policy
 
@@ -68,6 +67,12 @@ FORBIDDEN, UNPROCESSABLE, FAILED = 403, 422, 500
 """Answers of HTTP."""
 
 
+# Bytes of a request that is no record: values of all constants take a few thousand.
+LARGEST_REQUEST = 1000000
+# Random bytes of the token in the address: nobody guesses 192 bits.
+TOKEN_BYTES = 24
+
+
 class AppServer:
     """Serves a `Workbench` until it is closed.
 
@@ -81,7 +86,7 @@ class AppServer:
 
     def __init__(self, workbench: Workbench, port: int = 0) -> None:
         self.workbench = workbench
-        self.token = secrets.token_urlsafe(APP_POLICY.token_bytes)
+        self.token = secrets.token_urlsafe(TOKEN_BYTES)
         # One at a time: the session is one, and so is the person.
         self.executor = ThreadPoolExecutor(1)
         self.streams: set[asyncio.Queue] = set()
@@ -106,7 +111,7 @@ class AppServer:
             default_handler_args={"server": self},
             log_function=lambda _: None,
         )
-        self._http = HTTPServer(application, max_body_size=APP_POLICY.largest_request)
+        self._http = HTTPServer(application, max_body_size=LARGEST_REQUEST)
         self._http.add_sockets(sockets)
         workbench.listener = self.tell
 
@@ -230,6 +235,10 @@ class StateHandler(GuardedHandler):
         await self.answer_with(self.server.workbench.show)
 
 
+# Seconds between signs of life on the stream of progress, so that a page that is gone is noticed.
+HEARTBEAT_SECONDS = 15.0
+
+
 class EventHandler(GuardedHandler):
     """News of what runs, as they come (server-sent events)."""
 
@@ -246,7 +255,7 @@ class EventHandler(GuardedHandler):
             await self.flush()
             while True:
                 try:
-                    news = await asyncio.wait_for(self.news.get(), APP_POLICY.heartbeat_seconds)
+                    news = await asyncio.wait_for(self.news.get(), HEARTBEAT_SECONDS)
                 except TimeoutError:
                     self.write(": still here\n\n")
                 else:

@@ -18,7 +18,6 @@ from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
-from greybox.discovery.policy import LocalisationPolicy, SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.result import Discovery
 from greybox.estimation.options import FitOptions
@@ -33,29 +32,10 @@ from greybox.model.signals import Parameter
 # Limits and sizes of the app in the browser.
 
 
-@dataclass(frozen=True)
-class AppPolicy:
-    """What the page may ask for, and how finely it draws."""
-
-    stretches: int = 700
-    """Stretches by which a long curve is drawn, each by its smallest and largest value: a redraw while a slider moves must be quick."""
-    largest_request: int = 1_000_000
-    """Bytes of a request that is no record: values of all constants take a few thousand."""
-    token_bytes: int = 24
-    """Random bytes of the token in the address: nobody guesses 192 bits."""
-    heartbeat_seconds: float = 15.0
-    """Seconds between signs of life on the stream of progress, so that a page that is gone is noticed."""
-    grace_seconds: float = 3.0
-    """Seconds in which a fit or a discovery that is told to end at once may do so by itself, before its process is killed."""
-    most_undone: int = 100
-    """Steps that can be taken back; each is a few values, but a fit among them holds its runs."""
-    slider_ratio: float = 10.0
-    """A slider of a positive constant reaches from its value over this to its value times this."""
-    slider_reach: float = 3.0
-    """A slider of any other constant reaches so many times its size to both sides."""
-
-
-APP_POLICY = AppPolicy()
+# A slider of a positive constant reaches from its value over this to its value times this.
+SLIDER_RATIO = 10.0
+# A slider of any other constant reaches so many times its size to both sides.
+SLIDER_REACH = 3.0
 
 
 @dataclass(frozen=True)
@@ -67,14 +47,14 @@ class ValueRange:
     logarithmic: bool
 
     @classmethod
-    def around(cls, parameter: Parameter, policy: AppPolicy = APP_POLICY) -> ValueRange:
+    def around(cls, parameter: Parameter) -> ValueRange:
         """A range about the present value of a parameter, within its bounds."""
         value, (low, high) = parameter.value, parameter.bounds
         if parameter.positive:
-            return cls(max(low, value / policy.slider_ratio), min(high, value * policy.slider_ratio), True)
+            return cls(max(low, value / SLIDER_RATIO), min(high, value * SLIDER_RATIO), True)
         if value == 0 and math.isfinite(low) and math.isfinite(high):
             return cls(low, high, False)
-        reach = policy.slider_reach * abs(value) or 1.0
+        reach = SLIDER_REACH * abs(value) or 1.0
         return cls(max(low, value - reach), min(high, value + reach), False)
 
     def holds(self, value: float) -> bool:
@@ -230,7 +210,7 @@ class Session:
         """Where, when and as a function of what the model falls short on one of the records, at its present constants."""
         candidate = self._to_candidate(self.record(index).experiment)
         if not _runs_through(candidate):
-            return ResidualLocalisation.without_sites(candidate, LocalisationPolicy(), SelectionPolicy())
+            return ResidualLocalisation.without_sites(candidate)
         return localise_residual(candidate)
 
     def _run(self, record: Experiment) -> Validation:

@@ -10,7 +10,7 @@ from greybox.base.units import format_unit
 from greybox.data.columns import ColumnChoice
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.estimation.result_parts import Misfit
-from greybox.extensions.app.session import APP_POLICY, Session, ValueRange
+from greybox.extensions.app.session import Session, ValueRange
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
@@ -143,8 +143,12 @@ def show_location(location: ResidualLocalisation, index: int) -> dict[str, Any]:
     }
 
 
+# Stretches by which a long curve is drawn, each by its smallest and largest value: a redraw while a slider moves must be quick.
+APP_STRETCHES = 700
+
+
 def show_figure(figure: Figure) -> dict[str, Any]:
     """A figure as the page's script draws it, and in words."""
-    content = figure_content(FigureBlock(figure, stretches=APP_POLICY.stretches))
+    content = figure_content(FigureBlock(figure, stretches=APP_STRETCHES))
     words = say(figure.description) or say(figure.caption)
     return {**content, "height": height_on_page(figure), "words": words, "caption": say(figure.caption)}

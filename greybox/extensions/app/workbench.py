@@ -19,7 +19,7 @@ from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.base.files import write_file
 from greybox.data.experiment import Experiment
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
-from greybox.extensions.app.session import APP_POLICY, AppPolicy, LoadedRecord, Session, StudyBook
+from greybox.extensions.app.session import LoadedRecord, Session, StudyBook
 from greybox.extensions.app.view import EffectPlace, list_effects, show_choice, show_location, show_run, show_session
 from greybox.extensions.export.python_model import to_python
 from greybox.model.effect import Effect
@@ -38,6 +38,10 @@ class UnmatchedRecordError(DataError):
     def __init__(self, text: str, choice: Mapping[str, Any]) -> None:
         super().__init__(text)
         self.choice = choice
+
+
+# Steps that can be taken back; each is a few values, but a fit among them holds its runs.
+MOST_UNDONE = 100
 
 
 class Workbench:
@@ -71,10 +75,9 @@ class Workbench:
         uploads: Path | None = None,
         workers: int = 0,
         listener: Callable[[Mapping[str, Any]], None] | None = None,
-        policy: AppPolicy = APP_POLICY,
     ) -> None:
         self.session, self.study, self.folder = session, study, folder
-        self.beside, self.uploads, self.workers, self.policy = tuple(beside), uploads, workers, policy
+        self.beside, self.uploads, self.workers = tuple(beside), uploads, workers
         self.listener = listener or (lambda _: None)
         self.undone: list[Session] = []
         self.job: Job | None = None
@@ -197,7 +200,6 @@ class Workbench:
                 journal=self.folder / JOURNAL,
                 workers=self.workers,
                 listener=self._hear,
-                policy=self.policy,
             )
 
     def stop(self) -> None:
@@ -272,7 +274,7 @@ class Workbench:
 
     def _take(self, session: Session) -> None:
         with self._lock:
-            self.undone = [*self.undone, self.session][-self.policy.most_undone :]
+            self.undone = [*self.undone, self.session][-MOST_UNDONE:]
             self.session = session
 
     def _hear(self, event: JobEvent) -> None:

@@ -7,13 +7,6 @@ from greybox.base.faces import lazy_face
 if TYPE_CHECKING:
     from greybox.extensions.changes.chart import chart_changes
     from greybox.extensions.changes.detect import detect_changes
-    from greybox.extensions.changes.policy import (
-        ChangePolicy,
-        ChangeTestPolicy,
-        ChartPolicy,
-        PopulationPolicy,
-        SensitivityPolicy,
-    )
     from greybox.extensions.changes.population import survey_population
     from greybox.extensions.changes.result import (
         ChangeDetection,
@@ -31,13 +24,6 @@ __getattr__, __all__ = lazy_face(
     {
         "greybox.extensions.changes.chart": ("chart_changes",),
         "greybox.extensions.changes.detect": ("detect_changes",),
-        "greybox.extensions.changes.policy": (
-            "ChangePolicy",
-            "ChangeTestPolicy",
-            "ChartPolicy",
-            "PopulationPolicy",
-            "SensitivityPolicy",
-        ),
         "greybox.extensions.changes.population": ("survey_population",),
         "greybox.extensions.changes.result": (
             "ChangeDetection",

@@ -22,15 +22,21 @@ from greybox.base.numerics import MEDIAN_OF_RANGE
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.extensions.changes.constants import FittedConstants, read_constants, read_residual
-from greybox.extensions.changes.detect import check_reference, refit
+from greybox.extensions.changes.detect import (
+    ADEQUATE_RATIO,
+    CHANGE_TEST_FALSE_ALARM_RATE,
+    LARGEST_HIDDEN_CHANGE,
+    check_reference,
+    refit,
+)
 from greybox.extensions.changes.findings import ChangeCode
-from greybox.extensions.changes.policy import ChangePolicy, ChartPolicy
 from greybox.extensions.changes.result import ChangeDetection, ChangePoint, ChangeVerdict, ChartedRecord
 
+# Fewer show no course.
+LEAST_RECORDS = 4
 
-def chart_changes(
-    reference: Fit, records: Sequence[Experiment], *, policy: ChangePolicy | None = None
-) -> ChangeDetection:
+
+def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetection:
     """Follow the constants of a machine over records in the order of time, and find where they jump.
 
     Parameters
@@ -39,8 +45,6 @@ def chart_changes(
         The fit of the machine as it was: the first point of the course.
     records
         One record for each point, in the order of time.
-    policy
-        The decision numbers.
 
     Returns
     -------
@@ -57,25 +61,25 @@ def chart_changes(
     >>> gb.change_detection.chart_changes(fit, days).change_points[0].record  # doctest: +SKIP
     'day 12'
     """
-    began, policy = time.perf_counter(), policy or ChangePolicy()
+    began = time.perf_counter()
     check_reference(reference)
     noun = "record" if len(records) == 1 else "records"
-    if len(records) < policy.chart.least_records:
+    if len(records) < LEAST_RECORDS:
         raise DataError(
-            f"{len(records)} {noun}: a chart needs {policy.chart.least_records} at least; give more, or leave out --chart"
+            f"{len(records)} {noun}: a chart needs {LEAST_RECORDS} at least; give more, or leave out --chart"
         )
     labels = ["the fit", *(record.name for record in records)]
     fits = [reference, *(refit(reference, [record]) for record in records)]
-    points = [read_constants(f, read_residual(f, policy.test.adequate_ratio)) if f.success else None for f in fits]
+    points = [read_constants(f, read_residual(f, ADEQUATE_RATIO)) if f.success else None for f in fits]
     assert points[0] is not None
     names = points[0].names
     changes, unseen = [], []
     for name in names:
         places = [t for t, c in enumerate(points) if c is not None and _is_known(c, name)]
-        if len(places) < policy.chart.least_records:
+        if len(places) < LEAST_RECORDS:
             unseen.append(name)
             continue
-        changes += _find_jumps(name, places, points, labels, policy, len(names))
+        changes += _find_jumps(name, places, points, labels, len(names))
     changes.sort(key=lambda c: (c.number, c.constant))
     verdict = ChangeVerdict.CHANGED if changes else ChangeVerdict.CANNOT_TELL if unseen else ChangeVerdict.UNCHANGED
     conclusion = [
@@ -87,7 +91,7 @@ def chart_changes(
         )
         for c in changes
     ] or [Finding(ChangeCode.NO_CHANGE_POINT, values={"records": len(records)})]
-    values = {"share": None, "limit": policy.sensitivity.largest_hidden_change}
+    values = {"share": None, "limit": LARGEST_HIDDEN_CHANGE}
     findings = [Finding(ChangeCode.CONSTANT_NOT_SEEN, Severity.WARNING, name, values) for name in unseen]
     findings += [
         Finding(ChangeCode.RECORD_NOT_FITTED, Severity.WARNING, label, {"status": f.solver.status_message})
@@ -102,7 +106,6 @@ def chart_changes(
         findings=tuple(findings),
         records=charted,
         change_points=changes,
-        policy=policy,
         seconds=time.perf_counter() - began,
     )
 
@@ -128,34 +131,42 @@ def compute_jump_ratios(values: np.ndarray, variances: np.ndarray, least: int) -
     return np.square(after / weight_after - before / weight_before) / (1 / weight_before + 1 / weight_after)
 
 
-def find_change_points(
-    values: np.ndarray, variances: np.ndarray, level: float, policy: ChartPolicy
-) -> list[tuple[int, float]]:
+# Records in a stretch between change points at least: today's record alone may be the first after a change.
+LEAST_STRETCH = 1
+
+
+def find_change_points(values: np.ndarray, variances: np.ndarray, level: float) -> list[tuple[int, float]]:
     """Places at which a course (n,) jumps, each with its p-value: the number of the first value after it."""
     jumps: list[tuple[int, float]] = []
     wandering = float(estimate_wandering(values, variances))
     pending = [(0, len(values))]
     while pending:
         first, end = pending.pop()
-        if end - first < 2 * policy.least_stretch + 1:
+        if end - first < 2 * LEAST_STRETCH + 1:
             continue
         part, known = values[first:end], variances[first:end]
-        ratios = compute_jump_ratios(part, known + wandering, policy.least_stretch)
-        place = int(np.argmax(ratios)) + policy.least_stretch
-        p = _chance_of_jump(float(ratios.max()), known, wandering, len(values), policy)
+        ratios = compute_jump_ratios(part, known + wandering, LEAST_STRETCH)
+        place = int(np.argmax(ratios)) + LEAST_STRETCH
+        p = _chance_of_jump(float(ratios.max()), known, wandering, len(values))
         if p < level:
             jumps.append((first + place, p))
             pending += [(first, first + place), (first + place, end)]
     return sorted(jumps)
 
 
-def _chance_of_jump(largest: float, variances: np.ndarray, wandering: float, length: int, policy: ChartPolicy) -> float:
+# Courses without a change that are drawn for the distribution of the largest jump.
+CHART_DRAWS = 4000
+# Of these draws.
+CHART_SEED = 0
+
+
+def _chance_of_jump(largest: float, variances: np.ndarray, wandering: float, length: int) -> float:
     """How often a course without a jump shows a ratio as large somewhere, its wandering estimated as in the course at hand."""
-    generator = np.random.default_rng(policy.seed)
-    drawn = generator.standard_normal((policy.draws, len(variances))) * np.sqrt(variances + wandering)
-    again = estimate_wandering(drawn, variances) if len(variances) == length else np.full(policy.draws, wandering)
-    ratios = compute_jump_ratios(drawn, variances + again[:, None], policy.least_stretch).max(axis=-1)
-    return (1 + int((ratios >= largest).sum())) / (1 + policy.draws)
+    generator = np.random.default_rng(CHART_SEED)
+    drawn = generator.standard_normal((CHART_DRAWS, len(variances))) * np.sqrt(variances + wandering)
+    again = estimate_wandering(drawn, variances) if len(variances) == length else np.full(CHART_DRAWS, wandering)
+    ratios = compute_jump_ratios(drawn, variances + again[:, None], LEAST_STRETCH).max(axis=-1)
+    return (1 + int((ratios >= largest).sum())) / (1 + CHART_DRAWS)
 
 
 def _find_jumps(
@@ -163,7 +174,6 @@ def _find_jumps(
     places: Sequence[int],
     points: Sequence[FittedConstants | None],
     labels: Sequence[str],
-    policy: ChangePolicy,
     comparisons: int,
 ) -> list[ChangePoint]:
     known = [c for t in places if (c := points[t]) is not None]
@@ -174,7 +184,7 @@ def _find_jumps(
     if not positive:
         std = std * np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known, positions, raw, strict=True)])
     values, variances = (np.log(raw) if positive else raw), std**2
-    jumps = find_change_points(values, variances, policy.test.false_alarm_rate / comparisons, policy.chart)
+    jumps = find_change_points(values, variances, CHANGE_TEST_FALSE_ALARM_RATE / comparisons)
     edges = [0, *(place for place, _ in jumps), len(values)]
     back = math.exp if positive else float
     means = [back(float(np.average(values[a:b], weights=1 / variances[a:b]))) for a, b in pairwise(edges)]

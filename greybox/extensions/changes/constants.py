@@ -19,7 +19,6 @@ from greybox.estimation.restore import restore_noise
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import IntervalKind, Trace
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
-from greybox.extensions.changes.policy import ChangeTestPolicy, ScatterPolicy
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +113,7 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
 
 def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     """The residual of ``fit``; of a fit with process noise there is none to compare, as its runs follow the measurement."""
-    noise, policy = restore_noise(fit), FitOptions.from_data(fit.provenance.options).policy
+    noise = restore_noise(fit)
     names = [o.name for o in fit.model.outputs]
     measured = tuple(name for name in names if name in fit.misfit and name in fit.noise.std)
     series = tuple(
@@ -126,7 +125,7 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     )
     rows = [(np.column_stack(each), np.empty((len(each[0]), 0, 0))) for each in zip(*series, strict=True)]
     unknowns = len(fit.uncertainty.free) + len(fit.traces) * len(fit.model.system.state_names)
-    colour = estimate_residual_colour(rows, unknowns, False, None, policy.intervals, policy.noise)
+    colour = estimate_residual_colour(rows, unknowns, False, None)
     total = max(sum(colour.counts), 1)
     degrees, kurtosis = [], []
     for j, (count, (_, squares)) in enumerate(zip(colour.counts, colour.times, strict=True)):
@@ -183,13 +182,17 @@ class EstimateScatter:
         return replace(constants, covariance=covariance, degrees=min(constants.degrees, float(self.degrees)))
 
 
-def measure_scatter(fits: Sequence[Fit], constants: FittedConstants, policy: ScatterPolicy) -> EstimateScatter | None:
+# Fewer pieces that determine the constants say nothing of their scatter.
+LEAST_PIECES = 4
+
+
+def measure_scatter(fits: Sequence[Fit], constants: FittedConstants) -> EstimateScatter | None:
     """The scatter of the ``constants`` over pieces of the records of each fit, about its own mean; None where too few determine them."""
     deviations, covariances, means = list[np.ndarray](), list[np.ndarray](), 0
     for whole in fits:
         options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
         values = []
-        for piece in cut_records([trace.experiment for trace in whole.traces], policy):
+        for piece in cut_records([trace.experiment for trace in whole.traces]):
             result = fit(whole.model, piece, noise=restore_noise(whole), options=options)
             if not result.success:
                 continue
@@ -201,12 +204,12 @@ def measure_scatter(fits: Sequence[Fit], constants: FittedConstants, policy: Sca
             deviations += list(np.array(values) - np.mean(values, axis=0))
             means += 1
     degrees = len(deviations) - means
-    if degrees < policy.least_pieces - 1:
+    if degrees < LEAST_PIECES - 1:
         return None
-    return EstimateScatter(_compare_spreads(np.array(deviations), np.array(covariances), means, policy), degrees)
+    return EstimateScatter(_compare_spreads(np.array(deviations), np.array(covariances), means), degrees)
 
 
-def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int, policy: ScatterPolicy) -> np.ndarray:
+def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int) -> np.ndarray:
     """Spread over what was promised, of each constant and of all together; of deviations (m, k) from so many ``means``,
     with covariances (m, k, k).
 
@@ -214,7 +217,7 @@ def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int
     """
     variances = np.diagonal(covariances, axis1=1, axis2=2)
     known, factors = np.isfinite(variances), np.ones(deviations.shape[1])
-    for k in np.flatnonzero(known.sum(axis=0) >= policy.least_pieces + means - 1):
+    for k in np.flatnonzero(known.sum(axis=0) >= LEAST_PIECES + means - 1):
         rows = known[:, k]
         promised = float(variances[rows, k].mean())
         spread = float((deviations[rows, k] ** 2).sum() / (rows.sum() - means))
@@ -227,13 +230,19 @@ def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int
     return np.maximum(factors, np.sqrt(sum(forms) / ((len(forms) - means) * len(whole))))
 
 
-def cut_records(records: Sequence[Experiment], policy: ScatterPolicy) -> list[Experiment]:
+# Pieces of the fit's records at least: their variance is known to half of itself.
+SCATTER_PIECES = 8
+# Rows of a piece at least; a shorter record stays whole.
+SCATTER_LEAST_ROWS = 50
+
+
+def cut_records(records: Sequence[Experiment]) -> list[Experiment]:
     """The records, each cut into equal pieces so that there are as many as the policy asks for."""
-    each = -(-policy.pieces // len(records))
+    each = -(-SCATTER_PIECES // len(records))
     pieces = []
     for record in records:
         rows = record.rows // each
-        if rows >= policy.least_rows:
+        if rows >= SCATTER_LEAST_ROWS:
             pieces += [record.window(k * rows, (k + 1) * rows) for k in range(each)]
         else:
             pieces.append(record)
@@ -289,13 +298,16 @@ def list_comparable(before: FittedConstants, after: FittedConstants) -> list[str
     return [name for name in before.names if name in known[0] & known[1] and name in after.names]
 
 
+# Probability that all intervals of a comparison hold together.
+INTERVAL_LEVEL = 0.95
+
+
 def compare_constants(
     before: FittedConstants,
     after: FittedConstants,
     names: Sequence[str],
     level: float,
     power: float,
-    policy: ChangeTestPolicy,
 ) -> DifferenceTest:
     """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms."""
     i, j = before.index(names), after.index(names)
@@ -307,9 +319,9 @@ def compare_constants(
     degrees = combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees)
     correlation = covariance / np.outer(std, std)
     z = difference / std
-    null = _NullDistribution.draw(correlation, degrees, policy)
+    null = _NullDistribution.draw(correlation, degrees)
     p, critical = null.step_down(np.abs(z)), null.quantile(1 - level)
-    wide = null.quantile(policy.interval_level)
+    wide = null.quantile(INTERVAL_LEVEL)
     direction = null.inverse @ z
     largest = np.abs(direction).max(initial=0.0)
     return DifferenceTest(
@@ -339,6 +351,14 @@ def _rescale(constants: FittedConstants, places: list[int], common: np.ndarray) 
     return scaled, constants.covariance[np.ix_(places, places)] * np.outer(back, back)
 
 
+# Draws of the null distribution of the constants' tests: the limit at 1 % is then known to 5 % of itself.
+CHANGE_TEST_DRAWS = 40000
+# Draws beyond what was seen from which their share counts as the p-value; with fewer it is bounded from the distributions' tails.
+COUNTED_DRAWS = 20
+# Of these draws: the same records give the same p-values.
+CHANGE_TEST_SEED = 0
+
+
 @dataclass(frozen=True, eq=False)
 class _NullDistribution:
     """Standardised differences (draws, k) of constants that have not changed, with the inverse of their correlation."""
@@ -347,20 +367,19 @@ class _NullDistribution:
     inverse: np.ndarray
     rank: int
     degrees: float
-    policy: ChangeTestPolicy
 
     @classmethod
-    def draw(cls, correlation: np.ndarray, degrees: float, policy: ChangeTestPolicy) -> _NullDistribution:
+    def draw(cls, correlation: np.ndarray, degrees: float) -> _NullDistribution:
         decomposition = decompose_symmetric(correlation)
         inverse = decomposition.pseudo_inverse
         values, vectors = np.linalg.eigh(correlation)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        generator = np.random.default_rng(policy.seed)
-        z = generator.standard_normal((policy.draws, len(correlation))) @ root.T
+        generator = np.random.default_rng(CHANGE_TEST_SEED)
+        z = generator.standard_normal((CHANGE_TEST_DRAWS, len(correlation))) @ root.T
         if np.isfinite(degrees):
-            z /= np.sqrt(generator.chisquare(degrees, (policy.draws, 1)) / degrees)
+            z /= np.sqrt(generator.chisquare(degrees, (CHANGE_TEST_DRAWS, 1)) / degrees)
         rank = max(round(float(np.trace(inverse @ correlation))), 1)
-        return cls(z, inverse, rank, degrees, policy)
+        return cls(z, inverse, rank, degrees)
 
     @cached_property
     def largest(self) -> np.ndarray:
@@ -411,6 +430,6 @@ class _NullDistribution:
 
     def _share(self, exceeding: int, bound: float) -> float:
         """A share of the draws, or where hardly any exceeds, a bound on the probability."""
-        if exceeding >= self.policy.counted_draws:
-            return exceeding / self.policy.draws
-        return min(bound, max(exceeding, self.policy.counted_draws) / self.policy.draws)
+        if exceeding >= COUNTED_DRAWS:
+            return exceeding / CHANGE_TEST_DRAWS
+        return min(bound, max(exceeding, COUNTED_DRAWS) / CHANGE_TEST_DRAWS)

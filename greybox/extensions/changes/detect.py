@@ -38,16 +38,19 @@ from greybox.extensions.changes.constants import (
     read_residual,
 )
 from greybox.extensions.changes.findings import ChangeCode, ChangeRule
-from greybox.extensions.changes.policy import ChangePolicy, ChangeTestPolicy, ScatterPolicy
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, list_appeared_effects
 from greybox.model.effect import Effect
 
 # Is today's residual like that of the fit: as large, and as white? Where it is not, more than constants have changed.
 
 
-def check_residual(
-    before: FittedResidual, after: FittedResidual, level: float, policy: ChangeTestPolicy
-) -> tuple[Check, ...]:
+# Lags at most over which the residual's autocorrelation is summed (Ljung and Box) ...
+CHANGE_TEST_LAGS = 20
+# ... with so many rows at least for each lag.
+ROWS_PER_LAG = 10
+
+
+def check_residual(before: FittedResidual, after: FittedResidual, level: float) -> tuple[Check, ...]:
     """p-values of each output's residual against their limit, which shares ``level`` out; none without a yardstick.
 
     The size by the ratio of variances, with fewer degrees of freedom where the residual is coloured (Bartlett 1935) or has heavier tails
@@ -62,7 +65,7 @@ def check_residual(
         tests.append((ChangeRule.RESIDUAL_AS_LARGE, name, _compare_variances(before, i, after, j)))
         if not before.colour.models[i].order:
             series = join_series(after.series[j])
-            lags = min(policy.lags, int(np.isfinite(series).sum()) // policy.rows_per_lag)
+            lags = min(CHANGE_TEST_LAGS, int(np.isfinite(series).sum()) // ROWS_PER_LAG)
             if lags:
                 tests.append((ChangeRule.RESIDUAL_AS_WHITE, name, ljung_box_test(series, lags)[1]))
     limit = level / max(len(tests), 1)
@@ -86,14 +89,12 @@ def _compare_variances(before: FittedResidual, i: int, after: FittedResidual, j:
 # covariance is the sandwich with that in the middle, far narrower than the sum of two covariances that each take the common part for noise.
 
 
-def match_repeats(reference: Fit, records: Sequence[Experiment], policy: ScatterPolicy) -> tuple[int, ...]:
+def match_repeats(reference: Fit, records: Sequence[Experiment]) -> tuple[int, ...]:
     """For each record the record of the fit whose input it repeats, each once; none where one repeats none."""
     places: list[int] = []
     for record in records:
         alike = (
-            k
-            for k, trace in enumerate(reference.traces)
-            if k not in places and _is_alike(trace.experiment, record, policy)
+            k for k, trace in enumerate(reference.traces) if k not in places and _is_alike(trace.experiment, record)
         )
         place = next(alike, None)
         if place is None:
@@ -102,13 +103,17 @@ def match_repeats(reference: Fit, records: Sequence[Experiment], policy: Scatter
     return tuple(places) if len(places) == len(reference.traces) else ()
 
 
-def _is_alike(one: Experiment, other: Experiment, policy: ScatterPolicy) -> bool:
+# Rms difference of two inputs over their size up to which one repeats the other: what the model lacks then acts alike in both.
+REPEATED_INPUT = 0.1
+
+
+def _is_alike(one: Experiment, other: Experiment) -> bool:
     """Whether an input repeats another one row by row."""
     if one.rows != other.rows or not np.allclose(np.median(one.intervals), np.median(other.intervals)):
         return False
     for name, values in one.inputs.items():
         difference = np.sqrt(np.nanmean((values - other.inputs[name]) ** 2)) if name in other.inputs else np.inf
-        if not difference <= policy.repeated_input * np.sqrt(np.nanmean(values**2)):
+        if not difference <= REPEATED_INPUT * np.sqrt(np.nanmean(values**2)):
             return False
     return True
 
@@ -132,10 +137,10 @@ def rest_on_difference(
         if difference.shape != r.shape:
             return before, after
         rows.append((difference, jacobian))
-    policy, variables = FitOptions.from_data(today.provenance.options).policy, objective.variables
-    colour = estimate_residual_colour(rows, variables.size, False, None, policy.intervals, policy.noise)
+    variables = objective.variables
+    colour = estimate_residual_colour(rows, variables.size, False, None)
     evaluation, problem = objective.evaluate(variables.here), objective.problem
-    whole = estimate_covariance(variables, evaluation, ResidualRows(tuple(rows)), colour, problem, policy.intervals)
+    whole = estimate_covariance(variables, evaluation, ResidualRows(tuple(rows)), colour, problem)
     names = list(variables.names)
     if not set(after.names) <= set(names):
         return before, after
@@ -163,6 +168,14 @@ def _weigh(trace: Trace, fit: Fit) -> np.ndarray:
 Records = Experiment | Sequence[Experiment]
 
 
+# Share of healthy comparisons that are called changed, over everything that is looked at.
+CHANGE_TEST_FALSE_ALARM_RATE = 0.01
+# Share of this rate that goes to the tests of the residual (has it grown, is it no longer white); the rest goes to the constants.
+CHANGE_TEST_RESIDUAL_SHARE = 0.2
+# Misfit over noise up to which a fit leaves only noise, whatever the colour of that: its residual is a yardstick for today's.
+ADEQUATE_RATIO = 1.1
+
+
 def detect_changes(
     reference: Fit,
     records: Records,
@@ -172,7 +185,6 @@ def detect_changes(
     search_effects: bool = True,
     effects: Sequence[Effect] | None = None,
     without: Collection[str] = (),
-    policy: ChangePolicy | None = None,
     on_message: Callable[[str], None] | None = None,
     on_refit: Callable[[int], None] | None = None,
     executor: Executor | None = None,
@@ -201,8 +213,6 @@ def detect_changes(
         Whether to look for an effect where the residual asks for one.
     effects, without
         The only candidates, instead of the catalogue, and names of effects that are not tried.
-    policy
-        The decision numbers.
     on_message, on_refit
         Called with a line about each step, and with the number of finished refits of the search.
     executor, workers, time_limit, journal
@@ -224,7 +234,7 @@ def detect_changes(
     >>> changes.verdict, changes.moved  # doctest: +SKIP
     ('changed', ('K',))
     """
-    began, policy = time.perf_counter(), policy or ChangePolicy()
+    began = time.perf_counter()
     listed, judges = as_records(records), as_records(validation)
     check_reference(reference)
     if not listed:
@@ -235,15 +245,13 @@ def detect_changes(
         values = {"status": today.solver.status_message}
         failed = (Finding(ChangeCode.FIT_FAILED, Severity.WARNING, values=values),)
         seconds = time.perf_counter() - began
-        return ChangeDetection(
-            ChangeVerdict.CANNOT_TELL, reference, today, {}, failed, findings, policy=policy, seconds=seconds
-        )
-    residuals = read_residual(reference, policy.test.adequate_ratio), read_residual(today, policy.test.adequate_ratio)
+        return ChangeDetection(ChangeVerdict.CANNOT_TELL, reference, today, {}, failed, findings, seconds=seconds)
+    residuals = read_residual(reference, ADEQUATE_RATIO), read_residual(today, ADEQUATE_RATIO)
     if not residuals[0].adequate:
         findings = (*findings, Finding(ChangeCode.MODEL_LACKS_SOMETHING, Severity.WARNING))
-    level = policy.test.false_alarm_rate
-    of_residual = check_residual(*residuals, policy.test.residual_share * level, policy.test)
-    level_of_constants = (1 - policy.test.residual_share) * level if of_residual else level
+    level = CHANGE_TEST_FALSE_ALARM_RATE
+    of_residual = check_residual(*residuals, CHANGE_TEST_RESIDUAL_SHARE * level)
+    level_of_constants = (1 - CHANGE_TEST_RESIDUAL_SHARE) * level if of_residual else level
     discovery = None
     if search_effects and not all(of_residual):
         learnt, judged_by = _choose_validation(listed, judges)
@@ -271,25 +279,25 @@ def detect_changes(
             today = discovery.best
     before, after = (
         read_constants(reference, residuals[0]),
-        read_constants(today, read_residual(today, policy.test.adequate_ratio)),
+        read_constants(today, read_residual(today, ADEQUATE_RATIO)),
     )
     comparable = True
-    if not residuals[0].adequate and (repeats := match_repeats(reference, listed, policy.scatter)):
+    if not residuals[0].adequate and (repeats := match_repeats(reference, listed)):
         before, after = rest_on_difference(reference, today, repeats, before, after)
     elif not residuals[0].adequate:
         comparable = False
-        scatter = measure_scatter((reference, today), before, policy.scatter)
+        scatter = measure_scatter((reference, today), before)
         if scatter is not None and after.names == before.names:
             before, after = scatter.widen(before), scatter.widen(after)
             largest = int(np.argmax(scatter.factors))
             allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
             findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
-    constants, test = compare_fits(before, after, level_of_constants, policy)
+    constants, test = compare_fits(before, after, level_of_constants)
     checks = of_residual
     if test:
         checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
-    verdict = decide_change(constants, checks, policy)
-    conclusion = _conclude(verdict, constants, test, checks, discovery, residuals, policy)
+    verdict = decide_change(constants, checks)
+    conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
     if verdict is ChangeVerdict.CHANGED and not comparable:
         moved = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
         conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=moved),)
@@ -301,11 +309,10 @@ def detect_changes(
         today,
         constants,
         conclusion,
-        (*findings, *_find_unseen(constants, after, verdict, policy)),
+        (*findings, *_find_unseen(constants, after, verdict)),
         checks,
         discovery,
         p_value=test.p_value if test else None,
-        policy=policy,
         seconds=time.perf_counter() - began,
     )
 
@@ -330,12 +337,16 @@ def refit(reference: Fit, records: Sequence[Experiment]) -> Fit:
     return fit(reference.model, records, noise=_noise_for(reference, records), options=options)
 
 
+# Probability with which a change of the size that counts as seen is seen.
+SENSITIVITY_POWER = 0.95
+
+
 def compare_fits(
-    before: FittedConstants, after: FittedConstants, level: float, policy: ChangePolicy
+    before: FittedConstants, after: FittedConstants, level: float
 ) -> tuple[dict[str, ConstantChange], DifferenceTest | None]:
     """The change of every constant of ``before``, and the test behind it; None where no constant can be compared."""
     names = list_comparable(before, after)
-    test = compare_constants(before, after, names, level, policy.sensitivity.power, policy.test) if names else None
+    test = compare_constants(before, after, names, level, SENSITIVITY_POWER) if names else None
     changes = {}
     for name in before.names:
         i = before.names.index(name)
@@ -357,19 +368,22 @@ def compare_fits(
     return changes, test
 
 
-def decide_change(
-    constants: Mapping[str, ConstantChange], checks: Sequence[Check], policy: ChangePolicy
-) -> ChangeVerdict:
+def decide_change(constants: Mapping[str, ConstantChange], checks: Sequence[Check]) -> ChangeVerdict:
     """The verdict: changed where a test says so, unchanged where a change of any constant would have been seen."""
     if not all(checks):
         return ChangeVerdict.CHANGED
-    hidden = [name for name, change in constants.items() if not is_seen(change, policy)]
+    hidden = [name for name, change in constants.items() if not is_seen(change)]
     return ChangeVerdict.CANNOT_TELL if hidden or not constants else ChangeVerdict.UNCHANGED
 
 
-def is_seen(change: ConstantChange, policy: ChangePolicy) -> bool:
+# Share of its value by which a constant may have changed unnoticed; beyond it the records cannot tell, as an interval that wide
+# determines nothing.
+LARGEST_HIDDEN_CHANGE = 0.5
+
+
+def is_seen(change: ConstantChange) -> bool:
     """Whether a change of this constant by the share of the policy would have been seen."""
-    largest = policy.sensitivity.largest_hidden_change * abs(change.before)
+    largest = LARGEST_HIDDEN_CHANGE * abs(change.before)
     return change.smallest is not None and (change.smallest <= largest or change.before == 0)
 
 
@@ -412,7 +426,7 @@ def _expected_noise(reference: Fit, residual: FittedResidual) -> dict[str, float
 
 
 def _find_unseen(
-    constants: Mapping[str, ConstantChange], after: FittedConstants, verdict: ChangeVerdict, policy: ChangePolicy
+    constants: Mapping[str, ConstantChange], after: FittedConstants, verdict: ChangeVerdict
 ) -> list[Finding]:
     """Constants of which today's records say too little."""
     findings = []
@@ -420,11 +434,15 @@ def _find_unseen(
     for name, change in constants.items():
         if name in after.at_bound:
             findings.append(Finding(ChangeCode.CONSTANT_AT_BOUND, Severity.WARNING, name, {"value": change.after}))
-        elif not change.moved and not is_seen(change, policy):
+        elif not change.moved and not is_seen(change):
             share = None if change.smallest is None or not change.before else change.smallest / abs(change.before)
-            values = {"share": share, "limit": policy.sensitivity.largest_hidden_change}
+            values = {"share": share, "limit": LARGEST_HIDDEN_CHANGE}
             findings.append(Finding(ChangeCode.CONSTANT_NOT_SEEN, severity, name, values))
     return findings
+
+
+# Share of the largest entry of a combination from which a constant is named in it.
+NAMED_WEIGHT = 0.1
 
 
 def _conclude(
@@ -434,7 +452,6 @@ def _conclude(
     checks: Sequence[Check],
     discovery: Discovery | None,
     residuals: tuple[FittedResidual, FittedResidual],
-    policy: ChangePolicy,
 ) -> tuple[Finding, ...]:
     """The answer in findings, the plain fact first."""
     failed = {check.rule for check in checks if not check}
@@ -455,9 +472,7 @@ def _conclude(
             conclusion.append(Finding(ChangeCode.CONSTANT_MOVED, Severity.WARNING, name, values))
     if ChangeRule.CONSTANTS_AS_BEFORE in failed and test and not any(c.moved for c in constants.values()):
         combination = {
-            name: float(w)
-            for name, w in zip(test.names, test.direction, strict=True)
-            if abs(w) > policy.test.named_weight
+            name: float(w) for name, w in zip(test.names, test.direction, strict=True) if abs(w) > NAMED_WEIGHT
         }
         values = {"combination": combination, "p": test.p_value}
         conclusion.append(Finding(ChangeCode.COMBINATION_MOVED, Severity.WARNING, values=values))
@@ -465,11 +480,11 @@ def _conclude(
         conclusion += _describe_residual(checks, residuals)
     if conclusion:
         return tuple(conclusion)
-    hidden = [name for name, change in constants.items() if not is_seen(change, policy)]
+    hidden = [name for name, change in constants.items() if not is_seen(change)]
     if verdict is ChangeVerdict.CANNOT_TELL:
         return (Finding(ChangeCode.CANNOT_TELL, Severity.WARNING, values={"constants": hidden}),)
     widest = max(constants, key=lambda name: (constants[name].smallest or 0.0) / abs(constants[name].before or 1.0))
-    values = {"constants": list(constants), "widest": widest, "rate": policy.test.false_alarm_rate}
+    values = {"constants": list(constants), "widest": widest, "rate": CHANGE_TEST_FALSE_ALARM_RATE}
     change = constants[widest]
     values |= {"smallest": change.smallest, "before": change.before, "unit": change.unit}
     return (Finding(ChangeCode.NOTHING_CHANGED, values=values),)

@@ -24,15 +24,21 @@ from greybox.base.numerics import BISECTIONS, NEARLY_NORMAL, TINY
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.extensions.changes.constants import FittedConstants, read_constants, read_residual
-from greybox.extensions.changes.detect import check_reference, refit
+from greybox.extensions.changes.detect import (
+    ADEQUATE_RATIO,
+    CHANGE_TEST_FALSE_ALARM_RATE,
+    LARGEST_HIDDEN_CHANGE,
+    check_reference,
+    refit,
+)
 from greybox.extensions.changes.findings import ChangeCode
-from greybox.extensions.changes.policy import ChangePolicy
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, MachineReport, PopulationConstant
 
+# Fewer say nothing of a spread.
+LEAST_MACHINES = 4
 
-def survey_population(
-    reference: Fit, machines: Mapping[str, Sequence[Experiment]], *, policy: ChangePolicy | None = None
-) -> ChangeDetection:
+
+def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment]]) -> ChangeDetection:
     """Compare machines of one kind with one another.
 
     Parameters
@@ -41,8 +47,6 @@ def survey_population(
         A fit of one of them: it says which model, options and noise, and where the search begins. It is not judged itself.
     machines
         Name of each machine -> its records.
-    policy
-        The decision numbers.
 
     Returns
     -------
@@ -58,9 +62,9 @@ def survey_population(
     --------
     >>> gb.change_detection.survey_population(fit, {"A": [a], "B": [b], "C": [c], "D": [d]}).machines  # doctest: +SKIP
     """
-    began, policy = time.perf_counter(), policy or ChangePolicy()
+    began = time.perf_counter()
     check_reference(reference)
-    least = policy.population.least_machines
+    least = LEAST_MACHINES
     noun = "machine" if len(machines) == 1 else "machines"
     if len(machines) < least:
         raise DataError(
@@ -68,27 +72,25 @@ def survey_population(
         )
     fits = {name: refit(reference, records) for name, records in machines.items()}
     estimates = {
-        name: read_constants(fit, read_residual(fit, policy.test.adequate_ratio))
-        for name, fit in fits.items()
-        if fit.success
+        name: read_constants(fit, read_residual(fit, ADEQUATE_RATIO)) for name, fit in fits.items() if fit.success
     }
     findings = [
         Finding(ChangeCode.MACHINE_NOT_FITTED, Severity.WARNING, name, {"status": fit.solver.status_message})
         for name, fit in fits.items()
         if not fit.success
     ]
-    names = read_constants(reference, read_residual(reference, policy.test.adequate_ratio)).names
+    names = read_constants(reference, read_residual(reference, ADEQUATE_RATIO)).names
     surveys = {
         name: survey
         for name in names
-        if (survey := _survey_constant(name, estimates, policy, comparisons=len(names))) is not None
+        if (survey := _survey_constant(name, estimates, comparisons=len(names))) is not None
     }
     findings += [
         Finding(
             ChangeCode.CONSTANT_NOT_SEEN,
             Severity.NOTE,
             n,
-            {"share": None, "limit": policy.sensitivity.largest_hidden_change},
+            {"share": None, "limit": LARGEST_HIDDEN_CHANGE},
         )
         for n in names
         if n not in surveys
@@ -104,7 +106,6 @@ def survey_population(
         findings=tuple(findings),
         machines=reports,
         population=population,
-        policy=policy,
         seconds=time.perf_counter() - began,
     )
 
@@ -146,15 +147,17 @@ class _ConstantSurvey:
     outlying: tuple[str, ...]
 
 
-def _survey_constant(
-    name: str, estimates: Mapping[str, FittedConstants], policy: ChangePolicy, comparisons: int
-) -> _ConstantSurvey | None:
+# Share of the machines that may fall out; where more would, there is no kind to fall out of.
+LARGEST_OUTLYING_SHARE = 0.34
+
+
+def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], comparisons: int) -> _ConstantSurvey | None:
     known = {
         machine: c
         for machine, c in estimates.items()
         if name in c.names and math.isfinite(c.variances[c.names.index(name)])
     }
-    if len(known) < policy.population.least_machines:
+    if len(known) < LEAST_MACHINES:
         return None
     machines = list(known)
     places = [c.names.index(name) for c in known.values()]
@@ -167,8 +170,8 @@ def _survey_constant(
         else stds * np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known.values(), places, raw, strict=True)])
     )
     values, variances = (np.log(raw) if positive else raw), stds**2
-    level = policy.test.false_alarm_rate / comparisons
-    outside = find_outliers(values, variances, level, policy.population.largest_outlying_share)
+    level = CHANGE_TEST_FALSE_ALARM_RATE / comparisons
+    outside = find_outliers(values, variances, level, LARGEST_OUTLYING_SHARE)
     inside = np.setdiff1d(np.arange(len(values)), outside)
     common = RandomEffects.of(values[inside], variances[inside])
     p = {}

@@ -16,7 +16,6 @@ from greybox.discovery.certainty import Grade
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import format_json, to_json_data
-from greybox.extensions.changes.policy import ChangePolicy
 
 FORMAT = 1
 """Version of ``changed.json``."""
@@ -157,8 +156,6 @@ class ChangeDetection(Printable):
         A course over records in the order of time.
     p_value
         How often a machine without a change gives constants as far apart; None where they were not compared.
-    policy
-        The decision numbers.
     seconds
         Time that it took.
     """
@@ -176,7 +173,6 @@ class ChangeDetection(Printable):
     records: Sequence[ChartedRecord] = ()
     change_points: Sequence[ChangePoint] = ()
     p_value: float | None = None
-    policy: ChangePolicy = field(default_factory=ChangePolicy)
     seconds: float = 0.0
 
     @property
@@ -237,7 +233,6 @@ def change_data(change: ChangeDetection) -> dict[str, Any]:
         "notes": list(map(str, change.findings)),
         "findings": (*change.conclusion, *change.findings),
         "checks": change.checks,
-        "policy": change.policy,
         "seconds": change.seconds,
     }
 

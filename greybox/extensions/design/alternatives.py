@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base.numerics import TINY
+from greybox.discovery.proposals import PROPOSAL_NEW_SENSOR_NOISE
 from greybox.extensions.design.goals import Goal, GoalMaker
 from greybox.extensions.design.inputs import play
 from greybox.extensions.design.limits import LimitKeeper
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DESIGN_MOST_ROWS, DesignProblem
 from greybox.extensions.design.result import Alternative, AlternativeKind
 from greybox.extensions.design.search import TriedInput, evaluate, kinds_of
 
@@ -45,7 +46,7 @@ def _more_time(
     best = tried[0]
     twice = evaluate(goal, best.inputs, 2.0)
     yield Alternative(AlternativeKind.REPEAT, "2", float(np.exp(twice - best.value)))
-    if 2 * question.rows > question.policy.most_rows:
+    if 2 * question.rows > DESIGN_MOST_ROWS:
         return
     # A shape that fills any duration: a refined input has its levels for this one only.
     general = next((t for t in tried if t.kind != "piecewise constant"), best)
@@ -61,13 +62,17 @@ def _more_time(
     yield Alternative(AlternativeKind.SAMPLE_FASTER, f"{step:g}", float(np.exp(gain)))
 
 
+# Noise of a sensor that is not installed and not described, as a share of the largest value that it would show.
+GOAL_NEW_SENSOR_NOISE: float = PROPOSAL_NEW_SENSOR_NOISE
+
+
 def _more_sensors(question: DesignProblem, goal: Goal, best: TriedInput) -> Iterator[Alternative]:
     sensors: dict[str, float] = dict(question.sensors)
     outputs, _ = goal.plants[0].simulate(best.inputs)
     for j, output in enumerate(question.model.outputs):
         if output.name not in question.noise and output.name not in sensors:
             largest = float(np.abs(outputs[:, j]).max())
-            sensors[output.name] = question.policy.goal.new_sensor_noise * max(largest, TINY)
+            sensors[output.name] = GOAL_NEW_SENSOR_NOISE * max(largest, TINY)
     for name, std in sensors.items():
         with_sensor = _with_plants(goal, {name: std})
         yield Alternative(AlternativeKind.SENSOR, name, float(np.exp(evaluate(with_sensor, best.inputs) - best.value)))

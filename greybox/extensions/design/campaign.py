@@ -175,6 +175,10 @@ class Campaign(Printable):
     findings: tuple[Finding, ...]
 
 
+# Standard deviations in half a 95 % interval.
+INTERVAL_DEVIATIONS = 1.96
+
+
 @dataclass(frozen=True)
 class Knowledge:
     """What the records so far say: the fit of the plain model, that of the best explanation, and the others that are left."""
@@ -190,7 +194,7 @@ class Knowledge:
         """Half width of each interval over the value, infinite where a constant is open."""
         if self.best is None:
             return {}
-        deviations = CAMPAIGN_POLICY.interval_deviations
+        deviations = INTERVAL_DEVIATIONS
         return {
             name: deviations * e.std / abs(e.value) if e.std and e.value else np.inf
             for name, e in self.best.parameters.items()
@@ -299,8 +303,8 @@ def _carry_on(
             fresh = True
         else:
             fresh = False
-        record = read_record(target, asked, plan.model, plan.policy.rig)
-        broken = find_broken_limits(record, plan.limits, plan.noise, plan.policy.rig)
+        record = read_record(target, asked, plan.model)
+        broken = find_broken_limits(record, plan.limits, plan.noise)
         records.append(record)
         if broken and fresh:
             steps[-1] = replace(steps[-1], broken=broken)
@@ -406,16 +410,19 @@ def _prepare(
     return str(result.goal), result.kind
 
 
+# Explanations, beside the best one, between which a record is to decide.
+CAMPAIGN_RIVALS = 3
+
+
 def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> Design:
     """The next record of a campaign.
 
     It is to tell explanations apart while several are left; to show what may hide while no effect is established, though something is
     missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
     """
-    policy = plan.policy
     models: list[Model] = [plan.model if knowledge.best is None else _away_from_bounds(plan, knowledge.best)]
     if knowledge.plain is not None:
-        for names in knowledge.alternatives[: policy.rivals]:
+        for names in knowledge.alternatives[:CAMPAIGN_RIVALS]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
     hidden = _hidden_effects(plan) if knowledge.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN) else ()
     goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.DETECTION if hidden else GoalName.PRECISION
@@ -451,6 +458,19 @@ def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:
     return tuple(name for name in possible if not plan.effects or name in plan.effects)
 
 
+# Share of the way to each limit that the first record may use: nothing is known yet.
+CAMPAIGN_FIRST_SHARE = 0.5
+# Share that later records may use as long as no discovery has named what is missing, or found nothing: an effect that a small motion
+# hides grows with the amplitude.
+UNPROVEN_SHARE = 0.85
+# How far the next record may then go, over how far the rig has been, input by input and signal by signal; the share that is left
+# unexplained comes off. What is missing shows already, and a contradicted model does not foresee a jump.
+CAMPAIGN_GROWTH = 1.0
+# By how many times the share of the movement that a model leaves unexplained its predictions are widened: an effect that is missing grows
+# with the amplitude.
+MODEL_ERROR = 3.0
+
+
 def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Experiment]) -> dict[str, float]:
     """Share of the way to each limit that the next record may use.
 
@@ -459,8 +479,8 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
     """
     policy = plan.policy
     settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED)
-    share = policy.first_share if not records else 1.0 if settled else policy.unproven_share
-    caution = 1 + policy.model_error * knowledge.unexplained
+    share = CAMPAIGN_FIRST_SHARE if not records else 1.0 if settled else UNPROVEN_SHARE
+    caution = 1 + MODEL_ERROR * knowledge.unexplained
     share /= caution
     shares = dict.fromkeys(plan.limits, share)
     if not knowledge.misfit > policy.contradiction:
@@ -471,7 +491,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
             _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
         ]
         if reached:
-            shares[name] = min(share, policy.growth * max(reached) / caution)
+            shares[name] = min(share, CAMPAIGN_GROWTH * max(reached) / caution)
     return shares
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.numerics import TINY
-from greybox.extensions.design.plant import PlantScenario, draw_plants, make_plant
+from greybox.discovery.proposals import PROPOSAL_DETECTION_RATIO
+from greybox.extensions.design.plant import GOAL_PRIOR_SPREAD, PlantScenario, draw_plants, make_plant
 from greybox.extensions.design.problem import CriterionName, DesignProblem
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import applicable_effects, effect
@@ -146,7 +147,7 @@ def make_precision(question: DesignProblem, draws: int, step: float | None = Non
     names = list(plant.variables.names)
     chosen = np.array([names.index(n) for n in (question.constants or names)], int)
     plants = [plant, *draw_plants(plant, question, draws)]
-    return Precision(plants, chosen, question.criterion, question.policy.goal.prior_spread)
+    return Precision(plants, chosen, question.criterion, GOAL_PRIOR_SPREAD)
 
 
 # Discrimination: rivals stay far apart after each has been refitted (T-optimality), for two explanations or more.
@@ -233,7 +234,7 @@ def make_discrimination(question: DesignProblem, draws: int, step: float | None 
         for drawn in draw_plants(plants[a], question, draws):
             everything.append(drawn)
             pairs += [RivalPair(len(everything) - 1, b) for b in range(count) if b != a]
-    return Discrimination(everything, pairs, question.policy.goal.prior_spread)
+    return Discrimination(everything, pairs, GOAL_PRIOR_SPREAD)
 
 
 def closest_pairs(goal: Discrimination, costs: Sequence[float]) -> Mapping[tuple[int, int], float]:
@@ -349,6 +350,10 @@ def list_hidden_effects(
     return hidden
 
 
+# Multiple of an effect's usual amplitude at which its smallest visible amount is asked for: nearly absent.
+DETECTION_PROBE = 0.02
+
+
 def _nearly_absent(model: Model, entry: Effect, scales: Scales, question: DesignProblem) -> HiddenEffect | None:
     """``model`` with a little of an effect; None where it is present already or its amount is no number of its own."""
     if entry.name in {e.name for e in model.effects}:
@@ -358,7 +363,7 @@ def _nearly_absent(model: Model, entry: Effect, scales: Scales, question: Design
     probe = entry.probe(scales) if entry.probe else {}
     grid = entry.grid(scales) if entry.grid else {}
     values = {bound.model_names[n]: v[len(v) // 2] for n, v in grid.items()}
-    values |= {bound.model_names[n]: question.policy.goal.detection_probe * v for n, v in probe.items()}
+    values |= {bound.model_names[n]: DETECTION_PROBE * v for n, v in probe.items()}
     for name, value in values.items():
         low, high = extended.parameter(name).bounds
         extended = extended.start(**{name: min(max(value, low), high)})
@@ -370,11 +375,19 @@ def _nearly_absent(model: Model, entry: Effect, scales: Scales, question: Design
     return HiddenEffect(entry.name, extended, shown[0], extended.parameter(shown[0]).unit)
 
 
+# Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent.
+GOAL_DETECTION_RATIO: float = PROPOSAL_DETECTION_RATIO
+# Share of that information that is assumed of the amplitude of an effect which may hide: an effect that no record shows has a large
+# amount, not an infinite one.
+LEAST_PRIOR = 1e-08
+# Information that keeps such an amplitude where it is while the other constants are drawn.
+HELD_AMPLITUDE = 10000.0
+
+
 def make_detection(
     question: DesignProblem, hidden: Sequence[HiddenEffect], draws: int, step: float | None = None
 ) -> Detection:
     """The goal of ``question`` with so many ``draws`` of the constants of each model."""
-    goal = question.policy.goal
     plants: list[PlantScenario] = []
     positions: list[int] = []
     for k, each in enumerate(hidden):
@@ -382,8 +395,8 @@ def make_detection(
         position = plant.variables.names.index(each.amplitude)
         # Of the amount nothing is known; it stays small in every draw.
         held = plant.earlier.copy()
-        held[position, position] += goal.held_amplitude
+        held[position, position] += HELD_AMPLITUDE
         drawn = draw_plants(replace(plant, earlier=held), question, draws)
         plants += [plant, *(replace(p, earlier=plant.earlier) for p in drawn)]
         positions += [position] * (1 + len(drawn))
-    return Detection(plants, positions, goal.prior_spread, goal.least_prior, goal.detection_ratio)
+    return Detection(plants, positions, GOAL_PRIOR_SPREAD, LEAST_PRIOR, GOAL_DETECTION_RATIO)

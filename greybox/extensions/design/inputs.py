@@ -236,6 +236,11 @@ def compress_multisine(
 # From a shape to what a generator plays: within the range, no faster than allowed, from rest to rest.
 
 
+# Samples over which a generator that is not held (``hold`` first or band-limited) averages a designed input: what it cannot play above
+# half the sampling frequency is gone.
+PLAY_SMOOTHING = 5
+
+
 def play(
     question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float, time: np.ndarray | None = None
 ) -> dict[str, np.ndarray]:
@@ -262,7 +267,7 @@ def play(
         middle, half = (limit.low + limit.high) / 2, (limit.high - limit.low) / 2
         deviation = middle + half * shapes[i.name].sample(t) - rest
         if question.hold != "zero":
-            deviation = smooth(deviation, question.policy.play.smoothing)
+            deviation = smooth(deviation, PLAY_SMOOTHING)
         u = rest + amplitude * envelope(len(t), question.policy.play) * deviation
         inputs[i.name] = limit_rate(u, rest, limit, float(t[1] - t[0]))
     return inputs

@@ -11,7 +11,6 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.extensions.design.inputs import InputShape, play
 from greybox.extensions.design.plant import PlantScenario
-from greybox.extensions.design.policy import MarginPolicy
 from greybox.extensions.design.problem import DesignProblem
 
 
@@ -39,6 +38,12 @@ class LimitPrediction:
     rate: float
     predicted_rate: float
     usage: float
+
+
+# Standard deviations, over these draws, that the predicted range is widened by at every time.
+MARGIN_DEVIATIONS = 3.0
+# Share of the distance from rest to a limit that stays free in any case: rounding of the generator, noise.
+MARGIN_RESERVE = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +80,7 @@ class LimitKeeper:
             if name in predictions:
                 continue
             low, high, rest = ranges.get(name, (-math.inf, math.inf, 0.0))
-            reserve = self.question.policy.margin.reserve
+            reserve = MARGIN_RESERVE
             usage = _usage(low, high, limit.low, limit.high, rest, reserve)
             predictions[name] = LimitPrediction(
                 limit.low, limit.high, units.get(name, ""), low, high, math.inf, 0.0, usage
@@ -85,7 +90,7 @@ class LimitKeeper:
     def _ranges(self, inputs: Mapping[str, np.ndarray]) -> dict[str, tuple[float, float, float]]:
         """Predicted low, high and value at rest of each limited state and output."""
         ranges: dict[str, tuple[float, float, float]] = {}
-        deviations = self.question.policy.margin.deviations
+        deviations = MARGIN_DEVIATIONS
         for plant, drawn in zip(self.plants, self.draws, strict=True):
             runs = [p.simulate(inputs) for p in (plant, *drawn)]
             if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in runs):
@@ -118,6 +123,12 @@ def largest_usage(predictions: Mapping[str, LimitPrediction]) -> tuple[float, st
     return predictions[name].usage, name
 
 
+# Times that an input is made smaller until every limit holds; each comes close, so that more would mean that none does.
+MARGIN_TRIES = 14
+# Share of the input's range below which an input counts as none.
+LEAST_AMPLITUDE = 0.0001
+
+
 def fit_into_limits(
     keeper: LimitKeeper, shapes: Mapping[str, InputShape]
 ) -> tuple[float, dict[str, np.ndarray], dict[str, LimitPrediction]]:
@@ -128,26 +139,25 @@ def fit_into_limits(
     DataError
         Where no amplitude keeps the limits.
     """
-    policy: MarginPolicy = keeper.question.policy.margin
     amplitude, kept = 1.0, None
     low, high = 0.0, 1.0
-    for _ in range(policy.tries):
+    for _ in range(MARGIN_TRIES):
         inputs = play(keeper.question, shapes, amplitude)
         predictions = keeper.predict(inputs)
         load, ruling = keeper.load(predictions)
         if load <= 1 + 1e-9:
             low, kept = amplitude, (amplitude, inputs, predictions)
-            if amplitude == 1.0 or load >= 1 - policy.reserve:
+            if amplitude == 1.0 or load >= 1 - MARGIN_RESERVE:
                 break
             grown = min(amplitude / max(load, 0.1), high)
             amplitude = grown if grown < high else (low + high) / 2
-            if high - low < policy.reserve * high:
+            if high - low < MARGIN_RESERVE * high:
                 break
         else:
             high = amplitude
             shrunk = amplitude * 0.3 if not math.isfinite(load) else 0.99 * amplitude / load
             amplitude = max(shrunk, (low + high) / 2) if kept else shrunk
-        if amplitude < policy.least_amplitude:
+        if amplitude < LEAST_AMPLITUDE:
             break
     if kept is None:
         limit = keeper.question.limits[ruling]

@@ -30,8 +30,8 @@ from greybox.extensions.design.goals import (
     make_discrimination,
     make_precision,
 )
-from greybox.extensions.design.limits import LimitKeeper, fit_into_limits, largest_usage
-from greybox.extensions.design.plant import PlantScenario, list_plants
+from greybox.extensions.design.limits import MARGIN_RESERVE, LimitKeeper, fit_into_limits, largest_usage
+from greybox.extensions.design.plant import ASSUMED_SPREAD, GOAL_PRIOR_SPREAD, PlantScenario, list_plants
 from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
 from greybox.extensions.design.problem import CriterionName, DesignProblem, GoalName, range_of_inputs
 from greybox.extensions.design.result import Design, PredictedConstant, PredictedDetection
@@ -211,9 +211,13 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     )
 
 
+# Share of that spread from which a predicted standard deviation says that the records do not determine a constant.
+UNDETERMINED_SHARE = 0.3
+
+
 def predict_constants(question: DesignProblem, plant: PlantScenario, best: TriedInput) -> dict[str, PredictedConstant]:
     """Standard deviation of every free constant before and after the record, at the best constants."""
-    spread, n = question.policy.goal.prior_spread, plant.count
+    spread, n = GOAL_PRIOR_SPREAD, plant.count
     goal = Precision([plant], np.arange(n), question.criterion, spread)
     before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
     after = goal.covariance(0, plant.run(best.inputs))
@@ -225,7 +229,7 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
         for covariance in (before, after):
             std = np.inf if covariance is None else float(np.sqrt(covariance[k, k]))
             # As wide as what is known without data: the records say nothing.
-            stds.append(size * std if std < question.policy.goal.undetermined_share * spread else None)
+            stds.append(size * std if std < UNDETERMINED_SHARE * spread else None)
         constants[name] = PredictedConstant(float(variables.base[k]), stds[0], stds[1], variables.quantities[k].unit)
     return constants
 
@@ -253,6 +257,10 @@ def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInpu
     return result
 
 
+# Cost by which the wrong one of two explanations must lose, beyond chance, for the record to decide.
+DECIDING_COST = 20.0
+
+
 def _findings(
     question: DesignProblem,
     best: TriedInput,
@@ -260,11 +268,11 @@ def _findings(
     separation: Mapping[str, float],
 ) -> Iterator[Finding]:
     if not question.earlier:
-        spread = question.policy.margin.assumed_spread
+        spread = ASSUMED_SPREAD
         yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": spread})
     usage, ruling = largest_usage(best.limits)
     inputs = {i.name for i in question.model.inputs}
-    if ruling not in inputs and usage > 1 - 5 * question.policy.margin.reserve:
+    if ruling not in inputs and usage > 1 - 5 * MARGIN_RESERVE:
         yield Finding(DesignCode.LIMIT_RULES, subject=ruling)
     open_constants = [n for n, c in predicted.items() if c.std_after is None]
     if open_constants:
@@ -276,8 +284,8 @@ def _findings(
             {"constants": open_constants, "remedies": remedies},
         )
     for pair, cost in separation.items():
-        if cost < question.policy.goal.deciding_cost:
-            limit = question.policy.goal.deciding_cost
+        if cost < DECIDING_COST:
+            limit = DECIDING_COST
             yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, {"cost": cost, "limit": limit})
 
 

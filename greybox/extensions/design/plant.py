@@ -88,7 +88,7 @@ class PlantScenario:
         if self._laid_out.rows_per_sample > 1:  # band-limited: filled in between samples
             outputs = {n: np.zeros(rows) for n in self.template.outputs}
             experiment = Experiment("designed", step * np.arange(rows), inputs, outputs, self.template.hold)
-            record = to_record(self.model, experiment, self.problem.policy.transcription.band_limited)
+            record = to_record(self.model, experiment)
         else:
             u = np.column_stack([inputs[i.name] for i in self.model.inputs])
             y = np.tile(np.where(self.measured, 0.0, np.nan), (rows, 1))
@@ -98,7 +98,7 @@ class PlantScenario:
 
     @cached_property
     def _laid_out(self) -> Record:
-        return to_record(self.model, self.template, self.problem.policy.transcription.band_limited)
+        return to_record(self.model, self.template)
 
     @cached_property
     def point(self) -> KernelPoint:
@@ -230,23 +230,35 @@ def _noise_of_others(question: DesignProblem) -> dict[str, float]:
     }
 
 
+# Standard deviation of the logarithm of each free constant where no record has been taken: a data sheet's 20 %.
+ASSUMED_SPREAD = 0.2
+# Largest change of a drawn constant, in its logarithm or as a share of its value: what is not determined at all is not drawn at a
+# thousand times its value.
+LARGEST_DEVIATION = 0.7
+# Seed of random phases, levels and constants: the same question has the same answer.
+INPUT_SEARCH_SEED = 1
+# What is known without data, as a standard deviation of the logarithm of a constant: its order of magnitude (a factor of ten). Keeps
+# criteria finite where a constant is not determined.
+GOAL_PRIOR_SPREAD = 2.302585092994046
+
+
 def draw_plants(plant: PlantScenario, question: DesignProblem, count: int) -> list[PlantScenario]:
     """``plant`` at constants drawn from what is known of them; none where nothing is uncertain.
 
     What is known is the information of earlier records with the assumed spread of a data sheet where there are none.
     """
-    margin, n = question.policy.margin, plant.count
+    n = plant.count
     if not n or not count:
         return []
-    spread = question.policy.goal.prior_spread if question.earlier else margin.assumed_spread
+    spread = GOAL_PRIOR_SPREAD if question.earlier else ASSUMED_SPREAD
     information = plant.earlier + np.eye(n) / spread**2
     values, vectors = np.linalg.eigh(information)
     root = vectors / np.sqrt(np.maximum(values, 1 / spread**2))
     # One antithetic pair after the other: few draws, and their mean is the best constants.
-    generator = np.random.default_rng(question.policy.search.seed)
+    generator = np.random.default_rng(INPUT_SEARCH_SEED)
     half = [root @ generator.standard_normal(n) for _ in range(-(-count // 2))]
     draws = [sign * z for z in half for sign in (1, -1)][:count]
-    limit = margin.largest_deviation
+    limit = LARGEST_DEVIATION
     return [plant.at(np.clip(z, -limit, limit)) for z in draws]
 
 

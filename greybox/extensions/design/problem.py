@@ -154,6 +154,10 @@ def range_of_inputs(model: Model, earlier: Sequence[Experiment]) -> dict[str, Si
     return ranges
 
 
+# Rows of a designed record: its runs must fit into the memory several times.
+DESIGN_MOST_ROWS = 200000
+
+
 def _check(problem: DesignProblem) -> None:
     model, policy = problem.model, problem.policy
     inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
@@ -177,10 +181,10 @@ def _check(problem: DesignProblem) -> None:
         raise DataError("no input may move: each limit has one value only; give one input a range")
     if not (problem.sampling_time > 0 and math.isfinite(problem.duration)):
         raise DataError("a design needs a duration and a sampling time, both above 0 seconds")
-    if not policy.least_rows <= problem.rows <= policy.most_rows:
+    if not policy.least_rows <= problem.rows <= DESIGN_MOST_ROWS:
         raise DataError(
             f"{problem.duration:g} s every {problem.sampling_time:g} s are {problem.rows} rows; give"
-            f" {policy.least_rows} to {policy.most_rows}"
+            f" {policy.least_rows} to {DESIGN_MOST_ROWS}"
         )
     for group, what in ((problem.noise, "noise"), (problem.sensors, "sensor")):
         for name, std in group.items():

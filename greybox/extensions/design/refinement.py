@@ -15,8 +15,8 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import Goal, GoalMaker
-from greybox.extensions.design.inputs import InputShape, PiecewiseConstant, envelope, play, smooth
-from greybox.extensions.design.limits import LimitKeeper
+from greybox.extensions.design.inputs import PLAY_SMOOTHING, InputShape, PiecewiseConstant, envelope, play, smooth
+from greybox.extensions.design.limits import MARGIN_DEVIATIONS, MARGIN_RESERVE, LimitKeeper
 from greybox.extensions.design.plant import PlantScenario, list_plants
 from greybox.extensions.design.policy import InputSearchPolicy
 from greybox.extensions.design.problem import DesignProblem
@@ -36,12 +36,18 @@ class DesignGrid:
         return self.hold * self.repeats
 
 
+# Samples that are refined one by one: a longer record repeats them or holds each for several samples.
+INPUT_SEARCH_MOST_ROWS = 1200
+# Samples that the refined input has in a period of the highest frequency of the input that it starts from.
+INPUT_SEARCH_POINTS_PER_PERIOD = 5.0
+
+
 def choose_grid(question: DesignProblem, highest: float) -> DesignGrid:
     """The grid for an input with frequencies up to ``highest`` in Hz."""
     policy = question.policy
-    hold = max(1, int(1 / (policy.search.points_per_period * highest * question.sampling_time)))
+    hold = max(1, int(1 / (INPUT_SEARCH_POINTS_PER_PERIOD * highest * question.sampling_time)))
     hold = min(hold, max(1, question.rows // policy.least_rows))
-    rows = min(policy.search.most_rows, question.rows // hold)
+    rows = min(INPUT_SEARCH_MOST_ROWS, question.rows // hold)
     return DesignGrid(rows, hold, question.rows / (rows * hold))
 
 
@@ -96,6 +102,17 @@ class SampledLimit:
     slopes: Sequence[np.ndarray]
 
 
+# Factor on the weight of violated limits from round to round.
+VIOLATION_GROWTH = 3.0
+# Fewest of them.
+LEAST_ITERATIONS = 8
+# Samples times substeps times states with their sensitivities that a round may run: some seconds.
+INPUT_SEARCH_WORK = 200000000.0
+# Weight of half the mean square of what limits are passed by, as a share of the room to them, in the first round; multipliers make the
+# limits exact afterwards.
+VIOLATION_WEIGHT = 600.0
+
+
 class InputRefinement:
     """The cost of a refinement and its gradient, as a function of the levels (inputs x rows) between -1 and 1.
 
@@ -116,7 +133,7 @@ class InputRefinement:
     ) -> None:
         self.question, self.goal, self.groups, self.scale = question, goal, groups, scale
         self.names, self.order = question.driven, [i.name for i in question.model.inputs]
-        self.tightness, self.weight = 1.0, question.policy.search.violation_weight
+        self.tightness, self.weight = 1.0, VIOLATION_WEIGHT
         self.multipliers: dict[tuple[str, ...], np.ndarray] = {}
         self.envelope = envelope(question.rows, question.policy.play)
         self.smooths = question.hold != "zero"
@@ -145,7 +162,7 @@ class InputRefinement:
             work += self.question.rows * plant.problem.step.substeps * size
         for plant in (p for group in self.groups for p in group):
             work += self.question.rows * plant.problem.step.substeps * len(plant.model.all_states)
-        return int(np.clip(policy.work / work, policy.least_iterations, policy.iterations))
+        return int(np.clip(INPUT_SEARCH_WORK / work, LEAST_ITERATIONS, policy.iterations))
 
     def read_levels(self, inputs: Mapping[str, np.ndarray], grid: DesignGrid) -> np.ndarray:
         """The levels (inputs, rows) of an input that was tried."""
@@ -193,7 +210,7 @@ class InputRefinement:
             pushed = np.maximum(self.multipliers.get(c.key, 0.0) + self.weight * c.values, 0.0)
             if np.isfinite(pushed).all():
                 self.multipliers[c.key] = pushed
-        self.weight *= self.question.policy.search.violation_growth
+        self.weight *= VIOLATION_GROWTH
         if np.isfinite(load) and np.isfinite(max(loads)) and max(loads) > 0:
             self.tightness = max(1.0, load / max(loads))
 
@@ -244,7 +261,7 @@ class InputRefinement:
         return [SensitivityRun(plant, inputs, sensitive=False) for plant in group]
 
     def _smoothed(self, values: np.ndarray) -> np.ndarray:
-        return smooth(values, self.question.policy.play.smoothing) if self.smooths else values
+        return smooth(values, PLAY_SMOOTHING) if self.smooths else values
 
     def _penalise(self, constraint: SampledLimit) -> tuple[float, np.ndarray]:
         """What a limit adds to the cost, and the slopes (n,) of that along its values."""
@@ -266,7 +283,6 @@ class InputRefinement:
         """Each limited output and state of an explanation, both ends: the middle of its runs with their spread, over the room."""
         plant, inputs = runs[0].plant, set(self.order)
         outputs, states = [o.name for o in plant.model.outputs], [s.name for s in plant.model.all_states]
-        margin = self.question.policy.margin
         for name, limit in self.question.limits.items():
             if name in inputs:
                 continue
@@ -281,9 +297,9 @@ class InputRefinement:
             std = np.sqrt(np.mean(apart**2, axis=0))
             along_std = apart / np.maximum(std, TINY) / len(runs)
             for sign, end in ((1.0, limit.high - rest), (-1.0, rest - limit.low)):
-                room = end * (1 - margin.reserve) * self.question.share(name) / self.tightness
+                room = end * (1 - MARGIN_RESERVE) * self.question.share(name) / self.tightness
                 if not (np.isfinite(room) and room > 0):
                     continue
-                values = (sign * (middle - rest) + margin.deviations * std) / room - 1
-                slopes = (sign / len(runs) + margin.deviations * along_std) / room
+                values = (sign * (middle - rest) + MARGIN_DEVIATIONS * std) / room - 1
+                slopes = (sign / len(runs) + MARGIN_DEVIATIONS * along_std) / room
                 yield SampledLimit((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))

@@ -30,6 +30,10 @@ PLACES = ("{input}", "{record}", "{number}")
 """What a command may hold: the file to read, the file to write, and the number of the experiment."""
 
 
+# Characters of a rig program's own last words that are shown.
+MESSAGE_LENGTH = 200
+
+
 def run_rig(
     command: str,
     asked: Path,
@@ -71,7 +75,7 @@ def run_rig(
         values = dict(zip(PLACES, (str(asked.absolute()), str(part), str(number)), strict=True))
         typed = [_fill(word, values) for word in words]
         code, output = _run(typed, policy.timeout + duration, number, held)
-        last = shorten(output.strip().splitlines()[-1] if output.strip() else "", policy.message_length)
+        last = shorten(output.strip().splitlines()[-1] if output.strip() else "", MESSAGE_LENGTH)
         if code != 0:
             reason = f": {last}" if last else ""
             raise DataError(
@@ -104,7 +108,11 @@ def check_command(command: str) -> None:
         raise GreyboxError(f"rig {words[0]!r}: no such program; give the path of a program that may be run")
 
 
-def read_record(path: Path, asked: Experiment, model: Model, policy: RigPolicy) -> Experiment:
+# Rms difference between the input that was asked for and the one in the record, as a share of its range: more is another record.
+INPUT_TOLERANCE = 0.05
+
+
+def read_record(path: Path, asked: Experiment, model: Model) -> Experiment:
     """The record that answers an input.
 
     Raises
@@ -114,7 +122,7 @@ def read_record(path: Path, asked: Experiment, model: Model, policy: RigPolicy) 
     """
     record = read_csv(path, model, hold=asked.hold)
     step = asked.sampling_time or 0.0
-    if record.rows != asked.rows or not math.isclose(record.duration, asked.duration, rel_tol=policy.input_tolerance):
+    if record.rows != asked.rows or not math.isclose(record.duration, asked.duration, rel_tol=INPUT_TOLERANCE):
         raise DataError(
             f"{path}: another record: {record.rows} rows over {record.duration:g} s, and {asked.rows} rows every {step:g} s were asked for;"
             " delete it, and play input.csv"
@@ -122,7 +130,7 @@ def read_record(path: Path, asked: Experiment, model: Model, policy: RigPolicy) 
     for name, u in asked.inputs.items():
         span = float(np.ptp(u)) or max(float(np.abs(u).max()), 1.0)
         off = float(np.sqrt(np.mean((record.inputs[name] - u) ** 2))) / span
-        if off > policy.input_tolerance:
+        if off > INPUT_TOLERANCE:
             raise DataError(
                 f"{path}: another record: its input {name} differs from input.csv by {100 * off:.0f} % of its range; delete it, and play"
                 " input.csv"
@@ -130,8 +138,14 @@ def read_record(path: Path, asked: Experiment, model: Model, policy: RigPolicy) 
     return record
 
 
+# Share of the range of a limit by which a measured signal may pass it, beside three standard deviations of its noise.
+RIG_LIMIT_TOLERANCE = 0.01
+# Standard deviations of the noise by which a measured signal may pass a limit.
+NOISE_DEVIATIONS = 4.0
+
+
 def find_broken_limits(
-    record: Experiment, limits: Mapping[str, SignalLimit], noise: Mapping[str, float], policy: RigPolicy
+    record: Experiment, limits: Mapping[str, SignalLimit], noise: Mapping[str, float]
 ) -> dict[str, float]:
     """Each measured signal that passed its limit by more than its noise, with the value that lies farthest outside."""
     broken = {}
@@ -142,7 +156,7 @@ def find_broken_limits(
             continue
         ends = [e for e in (limit.low, limit.high) if math.isfinite(e)]
         span = limit.high - limit.low if len(ends) == 2 else abs(ends[0]) if ends else 0.0
-        slack = policy.limit_tolerance * span + policy.noise_deviations * noise.get(name, 0.0)
+        slack = RIG_LIMIT_TOLERANCE * span + NOISE_DEVIATIONS * noise.get(name, 0.0)
         if known.max() > limit.high + slack:
             broken[name] = float(known.max())
         elif known.min() < limit.low - slack:

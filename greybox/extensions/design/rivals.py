@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from greybox.base.errors import DataError, FitError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
+from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
@@ -120,7 +121,7 @@ def fit_rival(plain: Fit, text: str) -> Model:
         extended = candidate.model + entry
         starts = [
             extended.values,
-            *generate_starting_points(extended, entry, candidate, plain.model, scales, problem.budget.amplitude_grid),
+            *generate_starting_points(extended, entry, candidate, plain.model, scales, AMPLITUDE_GRID),
         ]
         refitted = problem.refit_best(extended, starts, like=candidate)
         if refitted is None:

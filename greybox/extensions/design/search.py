@@ -13,6 +13,7 @@ from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_r
 from greybox.extensions.design.adjoint import is_differentiable
 from greybox.extensions.design.goals import Goal, GoalMaker
 from greybox.extensions.design.inputs import (
+    PLAY_SMOOTHING,
     Chirp,
     InputShape,
     Multisine,
@@ -23,7 +24,7 @@ from greybox.extensions.design.inputs import (
     staircase,
 )
 from greybox.extensions.design.limits import LimitKeeper, LimitPrediction, fit_into_limits
-from greybox.extensions.design.plant import PlantScenario
+from greybox.extensions.design.plant import INPUT_SEARCH_SEED, PlantScenario
 from greybox.extensions.design.policy import InputSearchPolicy
 from greybox.extensions.design.problem import DesignProblem
 from greybox.extensions.design.refinement import refine
@@ -46,6 +47,10 @@ class TriedInput:
         return next(iter(self.shapes.values())).kind
 
 
+# Fewest of them, where several models are run: the number above is for one.
+LEAST_STARTS = 2
+
+
 def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalMaker) -> list[TriedInput]:
     """Every kind of input at its best amplitude and band, and refined ones; the best first.
 
@@ -62,12 +67,16 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
         best_of_kind.setdefault(each.kind, each)
     # Rivals lie far apart on many inputs: the more models there are to run, the fewer starts are needed.
     models = {plant.model.title for plant in goal.plants}
-    count = max(policy.starts // len(models), policy.least_starts)
+    count = max(policy.starts // len(models), LEAST_STARTS)
     starts = list(best_of_kind.values())[:count]
     if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
         refined = [s for start in starts for s in refine(question, keeper, make_goal, start.shapes, start.inputs)]
         tried += try_shapes(question, keeper, goal, refined)
     return sorted(tried, key=lambda t: -t.value)
+
+
+# Shares of the largest allowed amplitude that are tried: a nonlinear effect may show at a small one.
+INPUT_SEARCH_AMPLITUDES: tuple[float, ...] = (1.0, 0.4)
 
 
 def try_shapes(
@@ -92,7 +101,7 @@ def try_shapes(
             refusal = error
             continue
         options = [TriedInput(each, largest, inputs, limits, -np.inf)]
-        for smaller in question.policy.search.amplitudes[1:]:
+        for smaller in INPUT_SEARCH_AMPLITUDES[1:]:
             played = play(question, each, smaller * largest)
             options.append(TriedInput(each, smaller * largest, played, limits, -np.inf))
         valued = [replace(o, value=evaluate(goal, o.inputs)) for o in options]
@@ -110,18 +119,26 @@ def evaluate(goal: Goal, inputs: Mapping[str, np.ndarray], scale: float = 1.0) -
     return goal.value([plant.run(inputs) for plant in goal.plants], scale)
 
 
+# Stages of the shift register: the sequence repeats after 4095 values.
+PRBS_ORDER = 12
+# Levels of a staircase up and down.
+STAIRCASE_LEVELS = 7
+# Random levels of a sequence of steps at the lowest band, more for higher ones.
+STEP_COUNT = 12
+
+
 def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShape]]:
     """Chirps, steps, a staircase, PRBS and multisines over several bands; a multisine whose spectrum suits the model."""
     policy = question.policy.search
     lowest, bands = find_bands(question)
-    generator = np.random.default_rng(policy.seed)
-    shapes: list[InputShape] = [staircase(policy.staircase_levels, question.duration)]
+    generator = np.random.default_rng(INPUT_SEARCH_SEED)
+    shapes: list[InputShape] = [staircase(STAIRCASE_LEVELS, question.duration)]
     for high in bands:
-        count = int(np.clip(3 * high * question.duration, policy.step_count, 0.4 * question.rows))
+        count = int(np.clip(3 * high * question.duration, STEP_COUNT, 0.4 * question.rows))
         shapes += [
             flat_multisine(high, policy),
             Chirp(lowest, high),
-            Prbs(1 / (3 * high), policy.prbs_order),
+            Prbs(1 / (3 * high), PRBS_ORDER),
             Steps(tuple(generator.uniform(-1, 1, count).tolist()), question.duration),
         ]
     shaped = shape_spectrum(question, goal.plants[0], bands[-1])
@@ -129,13 +146,17 @@ def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShap
     return [{name: shape.shifted(k) for k, name in enumerate(question.driven)} for shape in shapes]
 
 
+# Share of half the sampling frequency up to which inputs are designed.
+SHARE_OF_NYQUIST = 0.8
+
+
 def find_bands(question: DesignProblem) -> tuple[float, list[float]]:
     """The lowest frequency in Hz of a sweep, and upper ends of bands: from what is slow in the model to what is fast."""
     policy = question.policy
     lowest = 1 / question.duration
-    top = policy.play.share_of_nyquist * 0.5 / question.sampling_time
+    top = SHARE_OF_NYQUIST * 0.5 / question.sampling_time
     if question.hold != "zero":
-        top /= policy.play.smoothing / 2
+        top /= PLAY_SMOOTHING / 2
     fastest, slowest = fastest_and_slowest_rate(question.model)
     high = min(top, fastest / 2) if fastest else top
     low = min(max(4 * lowest, slowest / 20), high)
@@ -151,10 +172,14 @@ def flat_multisine(high: float, policy: InputSearchPolicy) -> Multisine:
     return Multisine(tuple(base * k for k in harmonics), tuple([1.0] * len(harmonics)), phases)
 
 
+# Lines of the spectrum whose power is optimised.
+SPECTRUM_LINES = 12
+
+
 def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -> Multisine | None:
     """A multisine whose power is D-optimal for a plant of small motion; None where single lines do not determine the constants."""
     policy = question.policy.search
-    harmonics = sorted({round(k) for k in np.geomspace(1, 100, policy.spectrum_lines)})
+    harmonics = sorted({round(k) for k in np.geomspace(1, 100, SPECTRUM_LINES)})
     base = high / harmonics[-1]
     information = []
     for k in harmonics:

@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.base.errors import ModelError
 from greybox.estimation.linear.plant import Plant
-from greybox.estimation.linear.policy import DEFAULT_STEP, DiscreteStepPolicy
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.integrators.discretisation import discretise
@@ -110,6 +109,10 @@ class DiscreteStep:
         return self.step.advance.mapaccum(self.step.substeps)
 
 
+# The step is halved until that changes a run over the estimation record by less than this share of its movement.
+DISCRETE_STEP_PRECISION = 1e-07
+
+
 def make_discrete_step(
     plant: Plant,
     dt: float | None = None,
@@ -117,7 +120,6 @@ def make_discrete_step(
     substeps: int = 0,
     method: str = "automatic",
     at: Mapping[str, float] | None = None,
-    policy: DiscreteStepPolicy = DEFAULT_STEP,
 ) -> DiscreteStep:
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 
@@ -137,9 +139,9 @@ def make_discrete_step(
     known = plant.model.fix(*plant.model.values)
     system, p, x0 = known.system, plant.p, declared_initial_state(known, at)
     lengths = np.array([float(period)])
-    inputs = _recorded_inputs(plant, period, policy)
+    inputs = _recorded_inputs(plant, period)
     if inputs is not None and not substeps:
-        step = discretise(system, p, x0[None, :], lengths, method=method, target=policy.precision, inputs=inputs)
+        step = discretise(system, p, x0[None, :], lengths, method=method, target=DISCRETE_STEP_PRECISION, inputs=inputs)
     else:
         step = discretise(system, p, x0[None, :], lengths, method=method, substeps=substeps)
     return DiscreteStep(known, step, float(period), p, x0)
@@ -151,12 +153,16 @@ def find_delay_parameters(model: Model) -> list[str]:
     return [symbol.name() for symbol in symbols]
 
 
-def _recorded_inputs(plant: Plant, dt: float, policy: DiscreteStepPolicy) -> np.ndarray | None:
+# Rows of that record.
+DISCRETE_STEP_ROWS = 2000
+
+
+def _recorded_inputs(plant: Plant, dt: float) -> np.ndarray | None:
     """Inputs (N, nu) of the first fitted record, held at every ``dt`` seconds; None without a record."""
     if plant.fit is None or not plant.fit.traces or not plant.model.inputs:
         return None
     record = plant.fit.traces[0].experiment
-    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, policy.rows)
+    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, DISCRETE_STEP_ROWS)
     rows = np.searchsorted(record.time - record.time[0], np.arange(count) * dt * (1 + 1e-12), side="right") - 1
     return np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
 

@@ -13,7 +13,6 @@ from greybox.show.pages.equations import typeset_equations
 from greybox.show.pages.fit_page import fit_verdict, parameters_table
 from greybox.show.pages.linearisation_page import linear_question, linear_sections, linear_verdict
 from greybox.show.pages.page import Block, CodeBlock, Details, Page, PageTable, Paragraphs, Section, Tone
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.provenance import provenance_section
 from greybox.show.sentences.pages import PageText
 from greybox.show.sentences.wording import phrase
@@ -57,11 +56,15 @@ def _verdict(export: Export) -> Paragraphs:
     return Paragraphs([*items, phrase(PageText.EXPORT_OF_FAILED_FIT)], Tone.BAD)
 
 
+# Letters of a file that an export's page shows.
+REPORT_LISTING = 60000
+
+
 def _files(export: Export) -> Iterator[Block]:
     rows = [[f.name, f"{f.stat().st_size:,} bytes".replace(",", " ")] for f in export.files]
     yield PageTable(phrase(PageText.EXPORT_FILES), ["file", "size"], rows)
     for file in export.files:
-        if file.suffix in READABLE and file.stat().st_size <= REPORT.listing:
+        if file.suffix in READABLE and file.stat().st_size <= REPORT_LISTING:
             yield Details(phrase(PageText.EXPORT_CONTENT, file.name), [CodeBlock(file.read_text(encoding="utf-8"))])
 
 

@@ -16,7 +16,6 @@ from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.plant import Plant, to_plant
-from greybox.estimation.linear.policy import DEFAULT_SAMPLING, SamplingPolicy
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (
@@ -110,7 +109,7 @@ def _warn(findings: tuple[Finding, ...]) -> None:
 # ---- Linear models ----
 
 
-def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Any:
+def to_state_space(model: Linearisation, pade: int = 4) -> Any:
     """Convert a linear model to a ``control.StateSpace`` with signal names.
 
     Parameters
@@ -119,8 +118,6 @@ def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy =
         A linear model, continuous or sampled.
     pade
         A delay of a continuous model is not in its matrices: it becomes a Pade approximation of this order, whose states come last.
-    policy
-        The highest order that is allowed.
 
     Returns
     -------
@@ -138,7 +135,7 @@ def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy =
     """
     import control
 
-    finite = approximate_delays(model, pade, policy) if model.delay.any() else model
+    finite = approximate_delays(model, pade) if model.delay.any() else model
     system = control.StateSpace(
         finite.A,
         finite.B,
@@ -155,7 +152,7 @@ def to_state_space(model: Linearisation, pade: int = 4, policy: SamplingPolicy =
     return system
 
 
-def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Any:
+def to_transfer_function(model: Linearisation, pade: int = 4) -> Any:
     """Convert a linear model to a ``control.TransferFunction`` with signal names, each channel cancelled by itself.
 
     Parameters
@@ -164,8 +161,6 @@ def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPo
         A linear model, continuous or sampled.
     pade
         Order of the Pade approximation of a delay, as in `to_state_space`.
-    policy
-        The highest order that is allowed.
 
     Returns
     -------
@@ -178,7 +173,7 @@ def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPo
     """
     import control
 
-    finite = approximate_delays(model, pade, policy) if model.delay.any() else model
+    finite = approximate_delays(model, pade) if model.delay.any() else model
     rows = [[extract_channel(finite, o, i) for i in finite.input_names] for o in finite.output_names]
 
     def each(of: str) -> list[list[np.ndarray]]:
@@ -196,13 +191,17 @@ def to_transfer_function(model: Linearisation, pade: int = 4, policy: SamplingPo
     return system
 
 
-def approximate_delays(model: Linearisation, order: int, policy: SamplingPolicy = DEFAULT_SAMPLING) -> Linearisation:
+# Highest order of a Pade approximation; beyond it the coefficients lose all digits.
+LARGEST_PADE_ORDER = 10
+
+
+def approximate_delays(model: Linearisation, order: int) -> Linearisation:
     """A continuous ``model`` with its delays as Pade approximations of this ``order``, and a note up to which frequency they hold.
 
     The phase of an approximation of order n is right to within a degree up to ``w delay`` of about ``1.6 n - 1``.
     """
-    if not 1 <= order <= policy.largest_pade_order:
-        raise ModelError(f"order {order} of a Pade approximation: give 1 to {policy.largest_pade_order}")
+    if not 1 <= order <= LARGEST_PADE_ORDER:
+        raise ModelError(f"order {order} of a Pade approximation: give 1 to {LARGEST_PADE_ORDER}")
     unit = _pade(order)
     A, B, C, D = model.A, model.B.copy(), model.C, model.D.copy()
     names, units, findings = list(model.state_names), list(model.state_units), list(model.findings)

@@ -15,7 +15,6 @@ from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.texts import to_identifiers
 from greybox.base.units import unit_converter
 from greybox.base.values import Printable
-from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -35,6 +34,10 @@ class FmuVariable:
     bounds: tuple[float, float] = (-math.inf, math.inf)
     is_initial: bool = False
     """Whether it is the start of a state and no constant."""
+
+
+# Most parameters that are fitted unless they are named: each costs a run an iteration.
+MOST_FREE = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +66,11 @@ class FmuPlant(Printable):
     outputs: tuple[FmuVariable, ...]
     parameters: tuple[FmuVariable, ...]
 
-    def choose(self, names: Sequence[str], policy: FmuFitPolicy = DEFAULT_FMU_FIT) -> tuple[FmuVariable, ...]:
+    def choose(self, names: Sequence[str]) -> tuple[FmuVariable, ...]:
         """The parameters of these names or labels; all constants for none. Raises ModelError for unknown names, and for too many."""
         if not names:
             constants = tuple(v for v in self.parameters if not v.is_initial)
-            if len(constants) > policy.most_free:
+            if len(constants) > MOST_FREE:
                 raise ModelError(
                     f"{self.title} has {len(constants)} parameters, and each costs a run in every step; name those to fit"
                     " (free=[...], shell: --free NAME)"
@@ -100,9 +103,11 @@ class FmuPlant(Printable):
         )
 
 
-def read_fmu(
-    path: str | os.PathLike[str], *, outputs: Sequence[str] | None = None, policy: FmuFitPolicy = DEFAULT_FMU_FIT
-) -> FmuPlant:
+# Bytes that an FMU unpacks to at most.
+LARGEST_UNPACKED = 1000000000
+
+
+def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = None) -> FmuPlant:
     """Read the description of an FMU of FMI 2 or 3, for co-simulation or model exchange.
 
     Parameters
@@ -111,8 +116,6 @@ def read_fmu(
         The file.
     outputs
         Variables that are measured; None takes the FMU's outputs. Others may be named.
-    policy
-        How large it may be.
 
     Returns
     -------
@@ -138,9 +141,9 @@ def read_fmu(
     try:
         with zipfile.ZipFile(file) as archive:
             size = sum(member.file_size for member in archive.infolist())
-        if size > policy.largest_unpacked:
+        if size > LARGEST_UNPACKED:
             raise DataError(
-                f"{file.name}: unpacks to {size / 1e6:.0f} MB, at most {policy.largest_unpacked / 1e6:.0f} MB are read"
+                f"{file.name}: unpacks to {size / 1e6:.0f} MB, at most {LARGEST_UNPACKED / 1e6:.0f} MB are read"
             )
         description = read_model_description(str(file), validate=False)
     except DataError:
@@ -164,7 +167,7 @@ def read_fmu(
     settable = [v for v in scalars if _is_settable(v)]
     groups = ([v for v in scalars if v.causality == "input"], [v for v in scalars if v.name in measured], settable)
     labels = iter(to_identifiers([v.name for group in groups for v in group]))
-    inputs, chosen, parameters = (tuple(_to_variable(v, next(labels), policy) for v in group) for group in groups)
+    inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
     return FmuPlant(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
 
@@ -178,13 +181,17 @@ def _is_settable(variable: Any) -> bool:
     )
 
 
-def _to_variable(variable: Any, label: str, policy: FmuFitPolicy) -> FmuVariable:
+# Bounds of a variable beyond it are none: tools write the largest number there.
+FMU_FIT_ENDLESS = 1e300
+
+
+def _to_variable(variable: Any, label: str) -> FmuVariable:
     def number(text: Any, otherwise: float) -> float:
         try:
             value = float(text)
         except (TypeError, ValueError):
             return otherwise
-        return value if abs(value) < policy.endless else otherwise
+        return value if abs(value) < FMU_FIT_ENDLESS else otherwise
 
     declared = getattr(variable, "declaredType", None)
     unit = variable.unit or getattr(declared, "unit", None) or "1"

@@ -30,7 +30,7 @@ from greybox.extensions.fmu.description import FmuPlant
 from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, choose_sizes, compute_misfits
 from greybox.extensions.fmu.linear_response import estimate_linear_response
 from greybox.extensions.fmu.local_model import LocalModel, build_local_model, collect_runs, extend_record, name_arriving
-from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, DEFAULT_RESPONSE, FmuFitPolicy, FmuResponsePolicy
+from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
 from greybox.extensions.fmu.search import FmuObjective
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.model.effect import Effect
@@ -177,7 +177,6 @@ def prepare_fmu(
     validation: Experiment | Sequence[Experiment] = (),
     *,
     policy: FmuFitPolicy = DEFAULT_FMU_FIT,
-    response: FmuResponsePolicy = DEFAULT_RESPONSE,
 ) -> PreparedFmu:
     """A fitted FMU as a model that can be checked, compared and searched for effects like any other.
 
@@ -206,11 +205,17 @@ def prepare_fmu(
     with FmuSimulator(result.plant, policy) as simulator:
         objective, z = _restore_objective(result, simulator, records, policy)
         longest = max(records, key=lambda record: record.rows)
-        answer = estimate_linear_response(simulator, objective.settings(z), longest, response)
+        answer = estimate_linear_response(simulator, objective.settings(z), longest)
         local = build_local_model(objective, z, answer)
         groups = [_extend(objective.over(group), z, local) if group else () for group in (records, others)]
         runs, failures = simulator.runs, simulator.failures
     return PreparedFmu(result, local, groups[0], groups[1], records, others, runs, failures)
+
+
+# Most rounds of a fit of the local model and a run of the FMU there.
+FMU_RESPONSE_ROUNDS = 6
+# Change of the misfit, over its size, below which the FMU agrees with its local model.
+FMU_RESPONSE_SETTLED = 0.01
 
 
 def fit_fmu_effects(
@@ -220,7 +225,6 @@ def fit_fmu_effects(
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     policy: FmuFitPolicy = DEFAULT_FMU_FIT,
-    response: FmuResponsePolicy = DEFAULT_RESPONSE,
 ) -> FmuEffectFit:
     """Fit effects together with the parameters of the FMU, which is run with them.
 
@@ -258,7 +262,7 @@ def fit_fmu_effects(
     with FmuSimulator(result.plant, policy) as simulator:
         objective, z = _restore_objective(result, simulator, prepared.records, policy)
         agrees, rounds = False, 0
-        while not agrees and rounds < response.rounds:
+        while not agrees and rounds < FMU_RESPONSE_ROUNDS:
             rounds += 1
             model = _add(local.model, effects).start(**values)
             fitted = fit(model, records, noise=std, options=AT_REST)
@@ -267,20 +271,20 @@ def fit_fmu_effects(
             z = np.array([fitted.parameters[name].value for name in names]) / objective.sizes
             with_inputs = _add(build_local_model(objective, z, local.response, show_inputs=True).model, effects)
             with_inputs = with_inputs.start(**values)
-            behind = _apply(prepared.records, records, with_inputs, result.plant, response)
+            behind = _apply(prepared.records, records, with_inputs, result.plant)
             # The response belongs to the parameters: that of others would leave part of what an effect with memory does to an average.
             longest = max(behind, key=lambda record: record.rows)
-            answer = estimate_linear_response(simulator, objective.settings(z), longest, response) or local.response
+            answer = estimate_linear_response(simulator, objective.settings(z), longest) or local.response
             local = build_local_model(objective, z, answer)
             records = _extend(objective.over(behind), z, local, prepared.records)
             model = _add(local.model, effects).start(**values)
             errors = _measure(model, prepared.records, records, result)
             expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
-            agrees = all(abs(errors[n].rmse - expected[n]) <= response.settled * expected[n] for n in errors)
+            agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
         checked: dict[str, Misfit] = {}
         validation: tuple[Experiment, ...] = ()
         if prepared.others:
-            behind = _apply(prepared.others, prepared.validation, with_inputs, result.plant, response)
+            behind = _apply(prepared.others, prepared.validation, with_inputs, result.plant)
             validation = _extend(objective.over(behind), z, local, prepared.others)
             checked = _measure(model, prepared.others, validation, result)
         runs, failures = simulator.runs, simulator.failures
@@ -294,7 +298,6 @@ def discover_fmu(
     noise: Mapping[str, float] | None = None,
     effects: Sequence[Effect] | None = None,
     policy: FmuFitPolicy = DEFAULT_FMU_FIT,
-    response: FmuResponsePolicy = DEFAULT_RESPONSE,
     discovery: DiscoveryPolicy | None = None,
     **options: Any,
 ) -> FmuDiscovery:
@@ -345,7 +348,7 @@ def discover_fmu(
         plain = {q.name for q in about.local.model.parameters}
         start = {name: value for name, value in answer.best.model.values.items() if name not in plain}
         try:
-            return answer, fit_fmu_effects(about, chosen, start=start, noise=noise, policy=policy, response=response)
+            return answer, fit_fmu_effects(about, chosen, start=start, noise=noise, policy=policy)
         except FmuRunError:
             return answer, None
 
@@ -445,12 +448,15 @@ def _extend(
     return tuple(extended)
 
 
+# Steps a row in which an input that an effect with memory changes is averaged.
+FMU_RESPONSE_REFINED = 8
+
+
 def _apply(
     records: Sequence[Experiment],
     extended: Sequence[Experiment],
     model: Model,
     plant: FmuPlant,
-    policy: FmuResponsePolicy,
 ) -> tuple[Experiment, ...]:
     """The records with their inputs as they arrive behind the effects: the mean over each interval where they are held."""
     labels = [i.label for i in plant.inputs]
@@ -458,7 +464,7 @@ def _apply(
         return tuple(records)
     result = []
     for record, full in zip(records, extended, strict=True):
-        fine = _refine(full, policy.refined)
+        fine = _refine(full, FMU_RESPONSE_REFINED)
         run = simulate(model, fine)
         arriving = {}
         for name in labels:
@@ -466,10 +472,10 @@ def _apply(
             if record.hold == "zero":
                 ends = np.append(values[1:], values[-1:])
                 # At a row of the record a step belongs to the interval that begins there.
-                means = np.where(_is_last(len(values), policy.refined), values, (values + ends) / 2)
+                means = np.where(_is_last(len(values), FMU_RESPONSE_REFINED), values, (values + ends) / 2)
                 arriving[name] = means.reshape(record.rows, -1).mean(axis=1)
             else:
-                arriving[name] = values[:: policy.refined]
+                arriving[name] = values[::FMU_RESPONSE_REFINED]
         result.append(replace(record, inputs={**record.inputs, **arriving}))
     return tuple(result)
 

@@ -164,13 +164,13 @@ def fit_fmu(
     others = (validation,) if isinstance(validation, Experiment) else tuple(validation)
     if not records:
         raise DataError("no experiment; give at least one record")
-    unknowns = plant.choose(free, policy)
+    unknowns = plant.choose(free)
     if not unknowns:
         raise DataError(f"{plant.title} has no parameter to fit")
     given = {plant.find(n).name: float(v) for n, v in (fixed or {}).items()}
     begin = {v.name: v.start for v in unknowns} | {plant.find(n).name: float(x) for n, x in (start or {}).items()}
     given |= {name: value for name, value in begin.items() if name not in {v.name for v in unknowns}}
-    std = {o.label: _find_noise(o, records, noise, policy) for o in plant.outputs}
+    std = {o.label: _find_noise(o, records, noise) for o in plant.outputs}
     with FmuSimulator(plant, policy) as simulator:
         values = np.array([begin[v.name] for v in unknowns])
         sizes = choose_sizes(unknowns, values)
@@ -233,9 +233,11 @@ def _estimate_covariance(
     return sizes[:, None] * (bread @ np.asarray(sums.coloured) @ bread) * sizes
 
 
-def _find_noise(
-    output: FmuVariable, records: Sequence[Experiment], noise: Mapping[str, float] | None, policy: FmuFitPolicy
-) -> float:
+# Smallest noise of an output, over its movement, by which errors are weighted: simulated records have none.
+LEAST_STD = 1e-09
+
+
+def _find_noise(output: FmuVariable, records: Sequence[Experiment], noise: Mapping[str, float] | None) -> float:
     columns = [r.outputs[output.label] for r in records if output.label in r.outputs]
     if not columns:
         return 1.0
@@ -243,7 +245,7 @@ def _find_noise(
         return float(noise[output.label])
     movement = float(np.nanstd(np.concatenate(columns)))
     estimate = estimate_noise_of_records(columns)
-    return max(estimate if np.isfinite(estimate) else 0.0, policy.least_std * movement) or 1.0
+    return max(estimate if np.isfinite(estimate) else 0.0, LEAST_STD * movement) or 1.0
 
 
 def compute_misfits(

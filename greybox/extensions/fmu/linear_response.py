@@ -12,7 +12,6 @@ from scipy.signal import lsim
 from greybox.base.errors import DataError
 from greybox.comparison.blackbox.subspace import StateSpaceModel, subspace
 from greybox.data.experiment import Experiment
-from greybox.extensions.fmu.policy import FmuResponsePolicy
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 
 
@@ -42,8 +41,16 @@ class LinearResponse:
         return np.asarray(y).reshape(len(time), -1)
 
 
+# Movement of an output, over that of its run, below which it does not answer to the inputs.
+LEAST_ANSWER = 1e-06
+# Orders that are tried beside the one that the singular values show.
+FMU_RESPONSE_ORDERS: tuple[int, ...] = (1, 2, 3, 4, 6)
+# Share of the answer that the linear system must follow in each output; effects at inputs are not looked for below.
+LEAST_EXPLAINED = 0.5
+
+
 def estimate_linear_response(
-    simulator: FmuSimulator, settings: Mapping[str, float], record: Experiment, policy: FmuResponsePolicy
+    simulator: FmuSimulator, settings: Mapping[str, float], record: Experiment
 ) -> LinearResponse | None:
     """The answer to a small random change of every input about a record, by two runs.
 
@@ -55,8 +62,6 @@ def estimate_linear_response(
         Variable of the FMU -> value before a run.
     record
         Whose inputs are changed.
-    policy
-        How large the change is, and what a response must explain.
 
     Returns
     -------
@@ -66,7 +71,7 @@ def estimate_linear_response(
     plant = simulator.plant
     if not plant.inputs:
         return None
-    change = _draw_change(record, [i.label for i in plant.inputs], policy)
+    change = _draw_change(record, [i.label for i in plant.inputs])
     names = [o.label for o in plant.outputs]
     try:
         plus, minus = (simulator.run(_moved(record, change, sign), settings) for sign in (1.0, -1.0))
@@ -74,35 +79,45 @@ def estimate_linear_response(
         return None
     answer = np.column_stack([(plus[n] - minus[n]) / 2 for n in names])
     size = answer.std(axis=0)
-    moving = size > policy.least_answer * np.array([max(float(np.std(plus[n])), np.finfo(float).tiny) for n in names])
+    moving = size > LEAST_ANSWER * np.array([max(float(np.std(plus[n])), np.finfo(float).tiny) for n in names])
     if not moving.any():
         return None
     scale = np.where(moving, size, 1.0)
     signals = {n: change[n] / np.abs(change[n]).max() for n in change}
     outputs = {n: answer[:, j] / scale[j] for j, n in enumerate(names) if moving[j]}
     data = Experiment("answer", record.time, signals, outputs)
-    candidates = [r for order in (None, *policy.orders) if (r := _identify(data, order, policy)) is not None]
+    candidates = [r for order in (None, *FMU_RESPONSE_ORDERS) if (r := _identify(data, order)) is not None]
     if not candidates:
         return None
     best = max(candidates, key=lambda r: min(r.explained.values()))
-    if min(best.explained.values()) < policy.least_explained:
+    if min(best.explained.values()) < LEAST_EXPLAINED:
         return None
     gains = np.array([1 / np.abs(change[i.label]).max() for i in plant.inputs])
     C, D = np.zeros((len(names), len(best.A))), np.zeros((len(names), len(gains)))
-    direct = np.where(np.abs(best.D) > policy.least_answer, best.D, 0.0)
+    direct = np.where(np.abs(best.D) > LEAST_ANSWER, best.D, 0.0)
     C[moving], D[moving] = best.C * scale[moving, None], direct * scale[moving, None] * gains
     explained = dict(zip(names, np.ones(len(names)), strict=True)) | dict(best.explained)
     return LinearResponse(best.A, best.B * gains, C, D, explained)
 
 
-def _draw_change(record: Experiment, inputs: list[str], policy: FmuResponsePolicy) -> dict[str, np.ndarray]:
+# Change of an input, over its movement: small beside what bends, large beside what solvers scatter.
+FMU_RESPONSE_CHANGE = 0.05
+# Longest times between two changes of sign, as the rows of a record over this.
+FMU_RESPONSE_SLOWEST = 10.0
+# Seed of the change, so that it can be repeated.
+FMU_RESPONSE_SEED = 1
+
+
+def _draw_change(record: Experiment, inputs: list[str]) -> dict[str, np.ndarray]:
     """Random telegraph signals of many speeds, small beside the movement of the inputs."""
-    rng = np.random.default_rng(policy.seed)
+    rng = np.random.default_rng(FMU_RESPONSE_SEED)
     change = {}
     for name in inputs:
         u = record.inputs[name]
-        size = policy.change * (float(np.std(u)) or float(np.abs(u).max(initial=0.0)) or 1.0)
-        lengths = np.exp(rng.uniform(0.0, np.log(max(record.rows / policy.slowest, 2.0)), record.rows)).astype(int)
+        size = FMU_RESPONSE_CHANGE * (float(np.std(u)) or float(np.abs(u).max(initial=0.0)) or 1.0)
+        lengths = np.exp(rng.uniform(0.0, np.log(max(record.rows / FMU_RESPONSE_SLOWEST, 2.0)), record.rows)).astype(
+            int
+        )
         signs = rng.choice([-1.0, 1.0], record.rows)
         change[name] = size * np.repeat(signs, lengths)[: record.rows]
     return change
@@ -113,20 +128,26 @@ def _moved(record: Experiment, change: Mapping[str, np.ndarray], sign: float) ->
     return replace(record, inputs=moved, hold="zero")
 
 
-def _identify(data: Experiment, order: int | None, policy: FmuResponsePolicy) -> LinearResponse | None:
+# Distance of a pole from the unit circle outside of which an answer counts as unstable.
+FMU_RESPONSE_UNSTABLE = 0.001
+# Largest imaginary part of a continuous system, over its size, that is rounding.
+FMU_RESPONSE_IMAGINARY = 1e-06
+
+
+def _identify(data: Experiment, order: int | None) -> LinearResponse | None:
     """The response of this order, continuous in time; None where there is none, or no continuous system samples to it."""
     try:
         model = subspace(data, order)
     except (DataError, np.linalg.LinAlgError):
         return None
     whole = np.block([[model.A, model.B], [np.zeros((model.D.shape[1], model.order)), np.eye(model.D.shape[1])]])
-    if not model.stable and np.abs(model.poles).max(initial=0.0) > 1 + policy.unstable:
+    if not model.stable and np.abs(model.poles).max(initial=0.0) > 1 + FMU_RESPONSE_UNSTABLE:
         return None
     with np.errstate(all="ignore"):
         continuous = logm(whole) / model.sampling_time
     if (
         not np.isfinite(continuous).all()
-        or np.abs(np.imag(continuous)).max() > policy.imaginary * np.abs(continuous).max()
+        or np.abs(np.imag(continuous)).max() > FMU_RESPONSE_IMAGINARY * np.abs(continuous).max()
     ):
         return None
     n = model.order

@@ -45,6 +45,18 @@ class SearchResult:
     simulated: Mapping[str, Mapping[str, np.ndarray]]
 
 
+# Step of a parameter for a slope, over its size: above what solvers with a tolerance of 1e-8 scatter, below what bends.
+FMU_FIT_DIFFERENCE = 0.0001
+# Predicted decrease of the cost, over its noise (cost over degrees of freedom), from which nothing visible is left to gain.
+FMU_FIT_CONVERGED = 0.0001
+# Share of the cost at the start that is a solver's scatter: exact data end here.
+FMU_FIT_EXACT = 1e-12
+# Cost of a run that fails, over that of the start: bounded, so that the search turns back and goes on.
+FAILED_COST = 100.0
+# Share of the promised decrease that a step must gain for slopes to follow by the secant update (Fletcher's lower ratio).
+SECANT_SHARE = 0.25
+
+
 @dataclass
 class FmuObjective:
     """Residuals of records as a function of the unknowns, each point run once.
@@ -125,7 +137,7 @@ class FmuObjective:
                 f"{name}: it does not run from its start values ({why}); give others (start={{...}}, shell: --start)"
             ) from error
         cost = self.cost(z)
-        self.penalty, self.exact = self.policy.failed_cost * cost, self.policy.exact * cost
+        self.penalty, self.exact = FAILED_COST * cost, FMU_FIT_EXACT * cost
 
     def run(self, z: np.ndarray) -> list[np.ndarray]:
         """Weighted residuals (N, ny) of each record. Raises FmuRunError."""
@@ -166,7 +178,7 @@ class FmuObjective:
         last = dict(self.simulated)
         result = [np.zeros((*r.shape, len(z))) for r in rows_at]
         for k in range(len(z)):
-            width = self.policy.difference * max(abs(float(z[k])), 1.0)
+            width = FMU_FIT_DIFFERENCE * max(abs(float(z[k])), 1.0)
             each = []
             for sign in (1.0, -1.0) if z[k] + width <= high[k] else (-1.0, 1.0):
                 moved = z.copy()
@@ -188,7 +200,7 @@ class FmuObjective:
 
     def _differentiate(self, z: np.ndarray) -> list[np.ndarray] | None:
         std = np.array([self.std[o.label] for o in self.simulator.plant.outputs])
-        widths = self.policy.difference * np.maximum(np.abs(z), 1.0) * self.sizes
+        widths = FMU_FIT_DIFFERENCE * np.maximum(np.abs(z), 1.0) * self.sizes
         widths = np.where(z * self.sizes + widths > self.bounds[1] * self.sizes, -widths, widths)
         result = []
         for record in self.records:
@@ -231,7 +243,7 @@ class FmuObjective:
         cost_before, cost_now, cost_expected = (
             sum(float(np.nansum(r**2)) for r in group) for group in (rows_before, rows, expected)
         )
-        if cost_before - cost_now < self.policy.secant_share * (cost_before - cost_expected):
+        if cost_before - cost_now < SECANT_SHARE * (cost_before - cost_expected):
             return None
         return [
             s + np.where(np.isfinite(r - e), r - e, 0.0)[:, :, None] * step / (step @ step)
@@ -259,17 +271,21 @@ class FmuObjective:
         """Converged where the quadratic model promises less than what noise does."""
         low, high = self.bounds
         noise = value.cost / max(self.count - len(z), 1)
-        if value.cost <= self.exact or value.predicted_decrease(low - z, high - z) <= self.policy.converged * noise:
+        if value.cost <= self.exact or value.predicted_decrease(low - z, high - z) <= FMU_FIT_CONVERGED * noise:
             return TerminationStatus.CONVERGED
         return None
+
+
+# Share of the rows from which a part is not worth a search of its own.
+FMU_FIT_ALMOST_WHOLE = 0.8
 
 
 def search_parameters(objective: FmuObjective, z: np.ndarray) -> SearchResult:
     """The parameters that fit the records best, from ``z``. Raises FmuRunError where the FMU does not run from there."""
     policy = objective.policy
     for share in policy.shares:
-        beginnings = [_cut(record, share, policy) for record in objective.records]
-        if sum(r.rows for r in beginnings) >= policy.almost_whole * sum(r.rows for r in objective.records):
+        beginnings = [_cut(record, share) for record in objective.records]
+        if sum(r.rows for r in beginnings) >= FMU_FIT_ALMOST_WHOLE * sum(r.rows for r in objective.records):
             continue
         part = objective.over(beginnings)
         part.begin(z)
@@ -280,16 +296,28 @@ def search_parameters(objective: FmuObjective, z: np.ndarray) -> SearchResult:
     return SearchResult(z, status, rows, slopes, dict(objective.simulated))
 
 
-def _cut(record: Experiment, share: float, policy: FmuFitPolicy) -> Experiment:
-    rows = max(round(share * record.rows), policy.least_rows)
+# Rows of a record that the first part has at least.
+FMU_FIT_LEAST_ROWS = 50
+
+
+def _cut(record: Experiment, share: float) -> Experiment:
+    rows = max(round(share * record.rows), FMU_FIT_LEAST_ROWS)
     return record.window(0, rows) if rows < record.rows else record
+
+
+# Most steps that gain, from one set of slopes by differences.
+FMU_FIT_ITERATIONS = 30
+# Damping of the first step, as a share of the curvature: an undamped one may leave a start that is far off for another oscillation.
+INITIAL_DAMPING = 0.001
+# Steps in a row that gain nothing before slopes are taken by differences again.
+FMU_FIT_REJECTIONS = 5
 
 
 def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, TerminationStatus]:
     """Rounds of steps, each from slopes by differences, until these promise nothing."""
     policy, (low, high) = objective.policy, objective.bounds
     status = TerminationStatus.ITERATION_LIMIT
-    damped = GaussNewtonPolicy(initial_damping=policy.initial_damping, max_rejections=policy.rejections)
+    damped = GaussNewtonPolicy(initial_damping=INITIAL_DAMPING, max_rejections=FMU_FIT_REJECTIONS)
     for _ in range(policy.rounds):
         objective.forget_secant()
         begun = objective.evaluate(z, objective.follow_slopes)
@@ -303,7 +331,7 @@ def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, Termin
             method=MinimisationMethod.GAUSS_NEWTON,
             scale=float(max(objective.count, 1)),
             value_at_start=begun,
-            iterations=policy.iterations,
+            iterations=FMU_FIT_ITERATIONS,
             thorough=False,
             cost=objective.cost,
             termination_test=objective.test_termination,

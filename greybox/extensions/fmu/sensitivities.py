@@ -35,6 +35,10 @@ def has_directional_derivatives(folder: str, description: Any, kind: str) -> boo
     return element is not None and any(element.get(name) in ("true", "1") for name in names)
 
 
+# Runge-Kutta steps between two rows of a run with sensitivities.
+SENSITIVITY_STEPS = 4
+
+
 class SensitivityRunner:
     """Runs an FMU with its sensitivities; a context manager that frees its instances.
 
@@ -108,7 +112,7 @@ class SensitivityRunner:
             slopes.append(self._outputs_along(base, moved, widths, S))
             if k + 1 == record.rows:
                 break
-            h, parts = time[k + 1] - time[k], self.policy.sensitivity_steps
+            h, parts = time[k + 1] - time[k], SENSITIVITY_STEPS
             for j in range(parts):
                 at = time[k] + h * j / parts
                 ends = (

@@ -53,6 +53,12 @@ class FmuRunError(GreyboxError):
     """A run of an FMU that failed."""
 
 
+# Deviation of such a run from the one by the solver, over the movement of the output, up to which its slopes are used.
+SENSITIVITY_ERROR = 0.0001
+# Relative tolerance asked of the FMU's solver.
+RELATIVE_TOLERANCE = 1e-08
+
+
 class FmuSimulator:
     """Runs an FMU; a context manager, which unpacks it and removes it again.
 
@@ -157,7 +163,7 @@ class FmuSimulator:
                 stop_time=float(time[-1]),
                 output_interval=step,
                 step_size=step,
-                relative_tolerance=self.policy.relative_tolerance,
+                relative_tolerance=RELATIVE_TOLERANCE,
                 record_events=False,
                 fmi_type=self.plant.kind,
                 start_values=dict(values),
@@ -224,9 +230,7 @@ class FmuSimulator:
             return None
         expected = np.column_stack([outputs[o.label] for o in self.plant.outputs])
         error = np.abs(run - expected).max(axis=0)
-        if not (
-            np.isfinite(slopes).all() and np.all(error <= self.policy.sensitivity_error * np.ptp(expected, axis=0))
-        ):
+        if not (np.isfinite(slopes).all() and np.all(error <= SENSITIVITY_ERROR * np.ptp(expected, axis=0))):
             self._may_differentiate = False
             return None
         return slopes

@@ -19,6 +19,7 @@ from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
+from greybox.extensions.formats.hdf5_file import DEEPEST_NESTING
 
 RECORDER = "recorder"
 NANOSECONDS = 10**9
@@ -130,7 +131,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             content = message.decode()
             leaves[message.topic] = dict(_list_numbers(content, "", policy))
             stamped[message.topic] = _find_stamp(content) is not None
-            check_width(sum(map(len, leaves.values())), policy)
+            check_width(sum(map(len, leaves.values())))
         if len(leaves) == len(filled):
             break
     channels: list[Channel] = []
@@ -188,19 +189,23 @@ def _member(content: Any, *names: str) -> Any:
     return None
 
 
+# Numbers of an array in a message, each of which becomes a signal; joints are tens, images and scans are no signals.
+LONGEST_MESSAGE_ARRAY = 64
+
+
 def _list_numbers(content: Any, prefix: str, policy: ReadingPolicy, depth: int = 0) -> Iterator[tuple[str, Any]]:
     """Name and value of every number of a message: ``position.x``, ``velocity[2]``. Long arrays, such as images, are left out."""
     if isinstance(content, (bool, int, float, np.number, np.bool_)):
         yield prefix or "value", content
         return
-    if depth > policy.deepest_nesting:
+    if depth > DEEPEST_NESTING:
         return
     if isinstance(content, Mapping):
         members: Iterator[tuple[str, Any]] = ((str(k), v) for k, v in content.items())
     elif is_dataclass(content) and not isinstance(content, type):
         members = ((f.name, getattr(content, f.name)) for f in fields(content))
     elif isinstance(content, (list, tuple, np.ndarray)):
-        if len(content) <= policy.longest_message_array:
+        if len(content) <= LONGEST_MESSAGE_ARRAY:
             for k, item in enumerate(content):
                 yield from _list_numbers(item, f"{prefix}[{k}]", policy, depth + 1)
         return

@@ -11,7 +11,6 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import NEUTRAL, START
 from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 
@@ -75,17 +74,27 @@ def _second_mass_balances(x: NamedValues, u: NamedValues, p: NamedValues) -> lis
     ]
 
 
+# Of the moving mass: a second mass of this size is visible but small.
+SECOND_MASS = 0.04
+# Damping of a second mode as a ratio of critical damping: metal structures have 0.002 to 0.03.
+SECOND_DAMPING = 0.02
+
+
 def _second_grid(s: Scales) -> Mapping[str, list[float]]:
     """Resonances from below the fastest mode of the plant up to a quarter of the sampling rate."""
-    m2 = START.second_mass * s.storage
+    m2 = SECOND_MASS * s.storage
     low, high = 0.3 / s.slowest, 1.5 / s.period
     middle = (low * high) ** 0.5
     return {
         "m2": [m2],
         # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
         "k2": [m2 * w**2 for w in geometric_grid(low, high, 16)],
-        "c2": [2 * START.second_damping * m2 * middle],
+        "c2": [2 * SECOND_DAMPING * m2 * middle],
     }
+
+
+# Lower bound of that stiffness and damping.
+LEAST_COUPLING = 1e-12
 
 
 def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
@@ -96,8 +105,8 @@ def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     fastest = math.pi / s.period
     return {
         "m2": (0.003 * s.storage, s.storage),
-        "k2": (NEUTRAL.least_coupling, s.storage * fastest**2),
-        "c2": (NEUTRAL.least_coupling, s.storage * fastest),
+        "k2": (LEAST_COUPLING, s.storage * fastest**2),
+        "c2": (LEAST_COUPLING, s.storage * fastest),
     }
 
 
@@ -192,6 +201,11 @@ bouc_wen_hysteresis = Effect(
     limits=_hysteresis_limits,
 )
 
+# Stiffness (N/m) and damping (N s/m) between two bodies that do not feel each other. Positive, so that a refit sees a change of mass,
+# stiffness and damping by the same factor as a straight line.
+NEUTRAL_COUPLING = 1e-09
+
+
 second_mode = Effect(
     "second_mode",
     site="force",
@@ -202,7 +216,7 @@ second_mode = Effect(
         shape_parameter(
             "k2",
             "{force}/{displacement}",
-            NEUTRAL.coupling,
+            NEUTRAL_COUPLING,
             (1e-12, 1e15),
             "stiffness between the two",
             "small, until fitted",
@@ -210,8 +224,8 @@ second_mode = Effect(
         shape_parameter(
             "c2",
             "{force}/{velocity}",
-            NEUTRAL.coupling,
-            (NEUTRAL.least_coupling, 1e12),
+            NEUTRAL_COUPLING,
+            (LEAST_COUPLING, 1e12),
             "damping between the two",
             "small, until fitted",
         ),
@@ -230,7 +244,7 @@ second_mode = Effect(
     ),
     source="two masses and a spring (Rayleigh, The Theory of Sound)",
     amplitudes=("k2", "c2"),
-    neutral={"k2": NEUTRAL.coupling, "c2": NEUTRAL.coupling},
+    neutral={"k2": NEUTRAL_COUPLING, "c2": NEUTRAL_COUPLING},
     grid=_second_grid,
     limits=_second_limits,
 )
@@ -280,8 +294,12 @@ def _stop_on_one_side(x: NamedValues, u: NamedValues, p: NamedValues) -> Express
     return -p.kc * p.side * ca.fmax(p.side * (x.displacement - p.gap), 0)
 
 
+# Share of the travel that a body goes into a stop of visible size.
+STOP_DEPTH = 0.3
+
+
 def _stop_probe(s: Scales) -> Mapping[str, float]:
-    return {"kc": s.visible_force / (START.stop_depth * s.displacement)}
+    return {"kc": s.visible_force / (STOP_DEPTH * s.displacement)}
 
 
 def _stiffest(s: Scales) -> tuple[float, float]:
@@ -293,28 +311,36 @@ def _travel(s: Scales) -> float:
     return (s.highest - s.lowest) or s.displacement
 
 
+# Where an end stop may begin, as shares of the way from the middle of the travel to its end, the faintest first.
+STOP_EDGES: tuple[float, ...] = (0.85, 0.6, 0.3)
+
+
 def _both_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"gap": [share * s.displacement for share in START.stop_edges]}
+    return {"gap": [share * s.displacement for share in STOP_EDGES]}
+
+
+# Share of the travel within which no stop is looked for about zero, and beyond its ends.
+NEAREST_STOP = 0.05
 
 
 def _both_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"kc": _stiffest(s), "gap": (START.nearest_stop * s.displacement, s.displacement)}
+    return {"kc": _stiffest(s), "gap": (NEAREST_STOP * s.displacement, s.displacement)}
 
 
 def _one_grid(s: Scales) -> Mapping[str, list[float]]:
-    into = [(1 - share) * _travel(s) / 2 for share in START.stop_edges]
+    into = [(1 - share) * _travel(s) / 2 for share in STOP_EDGES]
     return {"gap": [*(s.highest - depth for depth in into), *(s.lowest + depth for depth in into)], "side": [1.0, -1.0]}
 
 
 def _one_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    reach = START.nearest_stop * _travel(s)
+    reach = NEAREST_STOP * _travel(s)
     return {"kc": _stiffest(s), "gap": (s.lowest - reach, s.highest + reach)}
 
 
 def _one_from_spring(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     """Stops that push back as much at the end of the travel as the fitted spring does, on either side."""
     force = abs(values["K2"]) * s.displacement**2 if "K2" in values else abs(values["K3"]) * s.displacement**3
-    into = [(1 - share) * _travel(s) / 2 for share in START.stop_edges]
+    into = [(1 - share) * _travel(s) / 2 for share in STOP_EDGES]
     above = [{"gap": s.highest - depth, "kc": force / depth, "side": 1.0} for depth in into]
     below = [{"gap": s.lowest + depth, "kc": force / depth, "side": -1.0} for depth in into]
     return [*above, *below]
@@ -322,7 +348,7 @@ def _one_from_spring(values: Mapping[str, float], s: Scales) -> list[Mapping[str
 
 def _both_from_cubic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     force = abs(values["K3"]) * s.displacement**3
-    return [{"gap": share * s.displacement, "kc": force / ((1 - share) * s.displacement)} for share in START.stop_edges]
+    return [{"gap": share * s.displacement, "kc": force / ((1 - share) * s.displacement)} for share in STOP_EDGES]
 
 
 def _cogging_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -330,15 +356,27 @@ def _cogging_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression
     return p.F * ca.sin(turn) + p.Fq * ca.cos(turn)
 
 
+# Periods of a periodic force over the travel of the record that a search starts from. A refit finds the pitch only next to its start, so
+# they are close.
+COGGING_PERIODS: tuple[float, ...] = (2, 2.33, 2.67, 3, 3.5, 4, 4.5, 5, 6, 7, 8, 9, 10, 12, 14, 16)
+# Pitches that it starts from where the residual repeats over the position, over the period seen: each refit stays at the minimum next to
+# its start.
+SEEN_PITCHES: tuple[float, ...] = (1.0, 0.99, 1.01, 0.98, 1.02)
+
+
 def _pitch_grid(s: Scales) -> Mapping[str, list[float]]:
     longest, shortest = _pitch_limits(s)["pitch"][::-1]
-    seen = [share * s.pitch for share in START.seen_pitches if shortest <= share * s.pitch <= longest]
-    return {"pitch": [*seen, *(_travel(s) / periods for periods in START.cogging_periods)]}
+    seen = [share * s.pitch for share in SEEN_PITCHES if shortest <= share * s.pitch <= longest]
+    return {"pitch": [*seen, *(_travel(s) / periods for periods in COGGING_PERIODS)]}
+
+
+# Fewest periods over the travel: with fewer a sinusoid imitates any curve of the position.
+FEWEST_COGGING_PERIODS = 1.5
 
 
 def _pitch_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     # With fewer periods over the travel it is any curve.
-    return {"pitch": (_travel(s) / (2 * START.cogging_periods[-1]), _travel(s) / START.fewest_cogging_periods)}
+    return {"pitch": (_travel(s) / (2 * COGGING_PERIODS[-1]), _travel(s) / FEWEST_COGGING_PERIODS)}
 
 
 STIFFNESS = amplitude_parameter("kc", "{force}/{displacement}", "stiffness of the stop", low=0.0)

@@ -10,7 +10,6 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import START
 from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 
@@ -145,6 +144,10 @@ saturating_inductance = Effect(
     probe=lambda s: {"a": 0.1 / s.current**2},
 )
 
+# Share of the largest current within which the drop of a contact builds up.
+BRUSH_CURRENT = 0.02
+
+
 brush_drop = Effect(
     "brush_drop",
     site="voltage",
@@ -167,7 +170,7 @@ brush_drop = Effect(
     source="voltage drop of carbon brushes, 0.5 to 2 V a pair: A. Hughes, B. Drury, Electric Motors and Drives",
     amplitudes=("Ub",),
     probe=lambda s: {"Ub": s.visible_force},
-    grid=lambda s: {"ib": [START.brush_current * s.current]},
+    grid=lambda s: {"ib": [BRUSH_CURRENT * s.current]},
 )
 
 ELECTRICAL: tuple[Effect, ...] = (
@@ -207,9 +210,15 @@ def _store_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balan
     return [Balance("store", "{temperature}", p.tau_g, "z", body=x.temperature, store=-x.z)]
 
 
+# Zero of the Celsius scale (K).
+ZERO_CELSIUS = 273.15
+# A temperature whose peak is below this is in degrees Celsius: nothing that is modelled here runs that cold in kelvin.
+WARMEST_CELSIUS = 200.0
+
+
 def _celsius_offset(s: Scales) -> Mapping[str, list[float]]:
-    is_kelvin = s.peaks["temperature"] > START.warmest_celsius
-    return {"T0": [0.0 if is_kelvin else START.zero_celsius]}
+    is_kelvin = s.peaks["temperature"] > WARMEST_CELSIUS
+    return {"T0": [0.0 if is_kelvin else ZERO_CELSIUS]}
 
 
 def _radiation_probe(s: Scales) -> Mapping[str, float]:
@@ -226,7 +235,7 @@ radiation_loss = Effect(
         ),
         replace(
             shape_parameter(
-                "T0", "{temperature}", START.zero_celsius, (0.0, 500.0), "absolute temperature at zero of the scale"
+                "T0", "{temperature}", ZERO_CELSIUS, (0.0, 500.0), "absolute temperature at zero of the scale"
             ),
             fixed=True,
         ),
@@ -243,6 +252,10 @@ radiation_loss = Effect(
     probe=_radiation_probe,
     grid=_celsius_offset,
 )
+
+# Share of the largest temperature below which convection counts as proportional: its power has no slope at zero excess.
+LEAST_EXCESS = 0.001
+
 
 natural_convection = Effect(
     "natural_convection",
@@ -267,7 +280,7 @@ natural_convection = Effect(
     source="laminar natural convection, Nusselt number over Rayleigh number to the power 1/4: VDI Heat Atlas, part F",
     amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.peaks["temperature"] ** 1.25},
-    grid=lambda s: {"least": [START.least_excess * s.peaks["temperature"]]},
+    grid=lambda s: {"least": [LEAST_EXCESS * s.peaks["temperature"]]},
 )
 
 heat_storage = Effect(

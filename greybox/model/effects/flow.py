@@ -10,8 +10,8 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import FLOW_LIMITS, NEUTRAL, START
-from greybox.model.effects.scales import Scales
+from greybox.model.effects.policy import FLOW_LIMITS
+from greybox.model.effects.scales import VISIBLE_SHARE, Scales
 from greybox.model.signals import Expression, NamedValues, State
 
 
@@ -164,6 +164,10 @@ position_dependent_volume = Effect(
     probe=lambda s: {"scale": 0.1},
 )
 
+# Share of the largest pressure below which a leak is laminar: the root has no slope at zero.
+LAMINAR_SHARE = 0.001
+
+
 root_leak = Effect(
     "root_leak",
     site="pressure",
@@ -185,7 +189,7 @@ root_leak = Effect(
     source="orifice law of Torricelli: H. Merritt, Hydraulic Control Systems, Wiley 1967",
     amplitudes=("c",),
     probe=lambda s: {"c": s.visible_force / s.store**0.5},
-    grid=lambda s: {"laminar": [START.laminar_share * s.store]},
+    grid=lambda s: {"laminar": [LAMINAR_SHARE * s.store]},
 )
 
 pump_back_pressure = Effect(
@@ -201,7 +205,7 @@ pump_back_pressure = Effect(
     ),
     source="slope of a pump's characteristic, or its internal leak: H. Merritt, Hydraulic Control Systems, Wiley 1967",
     amplitudes=("b",),
-    probe=lambda s: {"b": START.visible_share / s.store},
+    probe=lambda s: {"b": VISIBLE_SHARE / s.store},
     limits=lambda s: {"b": (0.0, 10.0 / s.store)},
 )
 
@@ -241,25 +245,37 @@ def _own_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return -p.kl * x.store
 
 
+# Largest rate of an overflow, per sampling period: faster than the samples follow, an edge is an edge.
+FASTEST_OVERFLOW = 4.0
+
+
 def _own_overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"ko": (0.0, START.fastest_overflow * s.storage / s.period)}
+    return {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)}
+
+
+# Edges over which a tank may run, as shares of the highest level of the record, the faintest first.
+OVERFLOW_EDGES: tuple[float, ...] = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25)
 
 
 def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["upper_head"] for share in START.overflow_edges], "share": [0.2, 0.6]}
+    return {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]}
 
 
 def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["lower_head"] for share in START.overflow_edges]}
+    return {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]}
+
+
+# Rate of an overflow to start from, per sampling period.
+OVERFLOW_RATE = 0.1
 
 
 def _overflow_probe(s: Scales) -> Mapping[str, float]:
-    return {"ko": START.overflow_rate / s.period}
+    return {"ko": OVERFLOW_RATE / s.period}
 
 
 def _overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
     # Faster than the samples follow, an edge is an edge: the rate shows no more, and explicit steps would have to shrink.
-    return {"ko": (0.0, START.fastest_overflow / s.period)}
+    return {"ko": (0.0, FASTEST_OVERFLOW / s.period)}
 
 
 def _bend_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -331,8 +347,8 @@ overflow = Effect(
     ),
     source="weir, or relief valve, as straight above its edge: H. Merritt, Hydraulic Control Systems, Wiley 1967",
     amplitudes=("ko",),
-    probe=lambda s: {"ko": START.overflow_rate * s.storage / s.period},
-    grid=lambda s: {"edge": [share * s.store for share in START.overflow_edges]},
+    probe=lambda s: {"ko": OVERFLOW_RATE * s.storage / s.period},
+    grid=lambda s: {"edge": [share * s.store for share in OVERFLOW_EDGES]},
     limits=_own_overflow_limits,
 )
 
@@ -352,6 +368,10 @@ linear_leak = Effect(
     probe=lambda s: {"kl": s.visible_force / s.store},
 )
 
+# A limit, in the unit of the signal, that no record reaches.
+OUT_OF_REACH = 1000000.0
+
+
 reading_curve = Effect(
     "reading_curve",
     site="sensor",
@@ -362,9 +382,7 @@ reading_curve = Effect(
         ),
         # Both figures describe the way from nothing to this reading; any other would do as well.
         replace(
-            shape_parameter(
-                "full", "{sensor}", 10.0, (1e-9, NEUTRAL.out_of_reach), "reading at which level and reading agree"
-            ),
+            shape_parameter("full", "{sensor}", 10.0, (1e-9, OUT_OF_REACH), "reading at which level and reading agree"),
             fixed=True,
         ),
     ],
@@ -385,8 +403,8 @@ sensor_saturation = Effect(
         shape_parameter(
             "y_max",
             "{sensor}",
-            NEUTRAL.out_of_reach,
-            (1e-9, NEUTRAL.out_of_reach),
+            OUT_OF_REACH,
+            (1e-9, OUT_OF_REACH),
             "largest reading",
             "large: absent until fitted",
         )
@@ -399,7 +417,7 @@ sensor_saturation = Effect(
     ),
     source="end of the range of a converter",
     amplitudes=("y_max",),
-    neutral={"y_max": NEUTRAL.out_of_reach},
+    neutral={"y_max": OUT_OF_REACH},
     grid=lambda s: {"y_max": [share * s.reading for share in (1.0, 0.95, 0.85)]},
 )
 

@@ -10,8 +10,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import DryFriction, Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import START
-from greybox.model.effects.scales import Scales
+from greybox.model.effects.scales import BOUNDS_REACH, VISIBLE_SHARE, Scales
 from greybox.model.signals import Expression, NamedValues, State
 
 FULL = "Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky 1998, Friction models and compensation"
@@ -42,12 +41,16 @@ def _speed_grid(s: Scales) -> list[float]:
 
 def _fall_within_record(s: Scales) -> Mapping[str, tuple[float, float]]:
     """A fall of the friction that these speeds show: beyond them it is a constant level and a drag with the square of the speed."""
-    return {"vs": (_speed_grid(s)[0] / START.bounds_reach, s.velocity)}
+    return {"vs": (_speed_grid(s)[0] / BOUNDS_REACH, s.velocity)}
+
+
+# Friction at standstill over friction while sliding: about 1.2 for dry metal, up to 2.5 for seals and grease.
+FRICTION_RATIOS: tuple[float, float, float] = (1.2, 1.6, 2.4)
 
 
 def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     # Between Fc and Fs is what a fitted Coulomb friction shows: both are lowered a little for the highest ratio.
-    low, middle, high = START.friction_ratios
+    low, middle, high = FRICTION_RATIOS
     levels = [(values["Fc"] * share, ratio) for share, ratio in ((1.0, low), (1.0, middle), (0.8, high))]
     return [{"Fc": level, "Fs": level * ratio, "vs": vs} for (level, ratio), vs in product(levels, _speed_grid(s))]
 
@@ -78,7 +81,7 @@ def _lugre_from_parent(values: Mapping[str, float], s: Scales) -> list[Mapping[s
         parents: list[Mapping[str, float]] = [{name: values[name] for name in ("Fc", "Fs", "vs")}]
     else:
         slow, fast = 0.03 * s.velocity, 0.2 * s.velocity
-        parents = [{"Fc": values["Fc"], "Fs": START.friction_ratios[1] * values["Fc"], "vs": vs} for vs in (slow, fast)]
+        parents = [{"Fc": values["Fc"], "Fs": FRICTION_RATIOS[1] * values["Fc"], "vs": vs} for vs in (slow, fast)]
     return [{**parent, **bristles} for parent in parents for bristles in _bristle_grid(parent["Fc"], s)]
 
 
@@ -102,9 +105,13 @@ def _friction_under_load(x: NamedValues, u: NamedValues, p: NamedValues) -> DryF
     return DryFriction(sliding=level, static=level)
 
 
+# Mean of the transmitted force over the largest one.
+MEAN_LOAD = 0.5
+
+
 def _loaded_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     # The mean level is what a fitted Coulomb friction shows.
-    level, load = values["Fc"], START.mean_load * s.force
+    level, load = values["Fc"], MEAN_LOAD * s.force
     return [{"Fc": share * level, "mu": (1 - share) * level / load} for share in (0.1, 0.5, 0.9)]
 
 
@@ -157,7 +164,7 @@ stribeck_friction = Effect(
     ),
     source=f"R. Stribeck 1902; {FULL}",
     amplitudes=("Fc", "Fs"),
-    probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
+    probe=lambda s: {"Fc": s.visible_force, "Fs": FRICTION_RATIOS[1] * s.visible_force},
     grid=lambda s: {"vs": _speed_grid(s)},
     limits=_fall_within_record,
     from_parent=_stribeck_from_coulomb,
@@ -183,7 +190,7 @@ lugre_friction = Effect(
     ),
     source="Canudas de Wit, Olsson, Astrom, Lischinsky 1995, A new model for control of systems with friction",
     amplitudes=("Fc", "Fs"),
-    probe=lambda s: {"Fc": s.visible_force, "Fs": START.friction_ratios[1] * s.visible_force},
+    probe=lambda s: {"Fc": s.visible_force, "Fs": FRICTION_RATIOS[1] * s.visible_force},
     grid=_lugre_grid,
     limits=_lugre_limits,
     from_parent=_lugre_from_parent,
@@ -224,7 +231,7 @@ load_dependent_friction = Effect(
         " on load and velocity"
     ),
     amplitudes=("Fc", "mu"),
-    probe=lambda s: {"Fc": 0.5 * s.visible_force, "mu": START.visible_share},
+    probe=lambda s: {"Fc": 0.5 * s.visible_force, "mu": VISIBLE_SHARE},
     from_parent=_loaded_from_coulomb,
 )
 

@@ -9,7 +9,6 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
-from greybox.model.effects.policy import START
 from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 
@@ -56,6 +55,10 @@ gravity_torque = Effect(
     probe=_both_amplitudes("Gs", "Gc"),
 )
 
+# Periods of a torque a revolution that a search starts from: an unbalance, pairs of poles, slots.
+STARTING_RIPPLES: tuple[float, ...] = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0)
+
+
 torque_ripple = Effect(
     "torque_ripple",
     site="shaft",
@@ -80,7 +83,7 @@ torque_ripple = Effect(
     source="cogging of a permanent-magnet machine, unbalance: D. Hanselman, Brushless Permanent Magnet Motor Design",
     amplitudes=("Fs", "Fc"),
     probe=_both_amplitudes("Fs", "Fc"),
-    grid=lambda s: {"n": list(START.ripples)},
+    grid=lambda s: {"n": list(STARTING_RIPPLES)},
 )
 
 ROTATION: tuple[Effect, ...] = (gravity_torque, torque_ripple)

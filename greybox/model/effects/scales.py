@@ -12,7 +12,7 @@ from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE
 from greybox.model.algebraic import eliminate
 from greybox.model.effect import Effect
-from greybox.model.effects.policy import START, UNTAILORED_DELAY
+from greybox.model.effects.policy import UNTAILORED_DELAY
 from greybox.model.model import Model
 from greybox.model.sites import PlaceKind, Site, find_sites
 
@@ -46,6 +46,10 @@ class SiteScales:
     sensor: float = 0.0
     reading: float = 0.0
     pitch: float = 0.0
+
+
+# Share of the largest force: an effect of this size is visible in a good record and small enough to be nearly linear.
+VISIBLE_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -123,7 +127,11 @@ class Scales:
     @property
     def visible_force(self) -> float:
         """A small share of the largest force: an effect of this size is visible but small (`StartingValues.visible_share`)."""
-        return START.visible_share * self.force
+        return VISIBLE_SHARE * self.force
+
+
+# Rows of a record that the scales are taken from, evenly spread.
+STARTING_ROWS = 5000
 
 
 def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) -> Scales:
@@ -150,7 +158,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
     """
     system, p = model.system, np.array(list(model.values.values()))
     duration = period * max(len(x) - 1, 1)
-    every = max(1, len(x) // START.rows)
+    every = max(1, len(x) // STARTING_ROWS)
     x, u = np.asarray(x, float)[::every], np.asarray(u, float).reshape(len(u), -1)[::every]
     is_finite = np.isfinite(x).all(axis=1) & np.isfinite(u).all(axis=1)
     x, u = x[is_finite], u[is_finite]
@@ -233,6 +241,10 @@ def _measure_site(
     )
 
 
+# How far the bounds of a shape parameter reach beyond its start values, as a factor either way.
+BOUNDS_REACH = 1000.0
+
+
 def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
     """An effect of the catalogue made ready for a record.
 
@@ -263,9 +275,13 @@ def tailor_to_record(entry: Effect, scales: Scales) -> Effect:
         if q.name in limits:
             low, high = limits[q.name]
         elif values and q.positive and low < values[0] and values[-1] < high:
-            low, high = max(low, values[0] / START.bounds_reach), min(high, values[-1] * START.bounds_reach)
+            low, high = max(low, values[0] / BOUNDS_REACH), min(high, values[-1] * BOUNDS_REACH)
         parameters.append(replace(q, bounds=(low, high), value=min(max(value, low), high)))
     return replace(entry, parameters=tuple(parameters))
+
+
+# Longest delay that is considered, in sampling periods: a longer one is seen with the naked eye.
+LONGEST_DELAY = 16.0
 
 
 def bound_delays(model: Model, period: float) -> Model:
@@ -290,7 +306,7 @@ def bound_delays(model: Model, period: float) -> Model:
             continue
         for inner, outer in zip(bound.effect.parameters, bound.parameters, strict=True):
             if inner.name in bound.effect.amplitudes and inner.bounds == UNTAILORED_DELAY and not outer.fixed:
-                model = model.bound(**{outer.name: (0.0, START.longest_delay * period)})
+                model = model.bound(**{outer.name: (0.0, LONGEST_DELAY * period)})
     return model
 
 

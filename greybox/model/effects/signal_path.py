@@ -9,9 +9,10 @@ import casadi as ca
 
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
+from greybox.model.effects.flow import OUT_OF_REACH
 from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
-from greybox.model.effects.policy import NEUTRAL, START, UNTAILORED_DELAY
-from greybox.model.effects.scales import Scales
+from greybox.model.effects.policy import UNTAILORED_DELAY
+from greybox.model.effects.scales import LONGEST_DELAY, Scales
 from greybox.model.signals import Expression, NamedValues, State
 
 
@@ -40,9 +41,13 @@ def _scale_by_sign(value: Expression, x: NamedValues, u: NamedValues, p: NamedVa
     return value - p.g * ca.fmin(value, 0)
 
 
+# Difference of the gain by sign that a search starts from beside a constant load, as a share.
+GAIN_SHARE = 0.2
+
+
 def _gain_from_offset(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     # An input of both signs that does less on one side has a mean: that is what a fitted offset or load shows.
-    share = min(2 * abs(values["u0"]) / s.input, 0.5) if "u0" in values else START.gain_share
+    share = min(2 * abs(values["u0"]) / s.input, 0.5) if "u0" in values else GAIN_SHARE
     return [{"g": share}, {"g": -share}]
 
 
@@ -114,7 +119,7 @@ input_saturation = Effect(
         shape_parameter(
             "u_max",
             "{input}",
-            NEUTRAL.out_of_reach,
+            OUT_OF_REACH,
             (1e-9, 1e9),
             "largest input that gets through",
             "large: absent until fitted",
@@ -129,14 +134,14 @@ input_saturation = Effect(
     ),
     source="supply voltage of an amplifier, end stop of a spool",
     amplitudes=("u_max",),
-    neutral={"u_max": NEUTRAL.out_of_reach},
+    neutral={"u_max": OUT_OF_REACH},
     grid=_saturation_grid,
 )
 
 soft_saturation = Effect(
     "soft_saturation",
     site="input",
-    parameters=[shape_parameter("u_max", "{input}", NEUTRAL.out_of_reach, (1e-9, 1e9), "input that is never exceeded")],
+    parameters=[shape_parameter("u_max", "{input}", OUT_OF_REACH, (1e-9, 1e9), "input that is never exceeded")],
     on_input=_clip_softly,
     equation="u_max tanh(u / u_max)",
     parents=("input_saturation",),
@@ -147,7 +152,7 @@ soft_saturation = Effect(
     ),
     source="amplifier or valve driver that limits gradually",
     amplitudes=("u_max",),
-    neutral={"u_max": NEUTRAL.out_of_reach},
+    neutral={"u_max": OUT_OF_REACH},
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
     from_parent=_soft_from_hard_limit,
 )
@@ -225,12 +230,16 @@ rectified_reading = Effect(
     probe=lambda s: {"r": 0.05},
 )
 
+# Time constant (s) of a lag that no record shows.
+NEUTRAL_LAG = 1e-08
+
+
 valve_lag = Effect(
     "valve_lag",
     site="valve",
     parameters=[
         shape_parameter(
-            "tau_v", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the spool", "small: absent until fitted"
+            "tau_v", "s", NEUTRAL_LAG, (NEUTRAL_LAG, 100.0), "lag of the spool", "small: absent until fitted"
         )
     ],
     states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
@@ -244,9 +253,9 @@ valve_lag = Effect(
     ),
     source="first order of a spool with its spring and solenoid",
     amplitudes=("tau_v",),
-    neutral={"tau_v": NEUTRAL.lag},
+    neutral={"tau_v": NEUTRAL_LAG},
     grid=lambda s: {"tau_v": [0.5 * s.period, 3 * s.period, 15 * s.period]},
-    limits=lambda s: {"tau_v": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+    limits=lambda s: {"tau_v": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
 )
 
 drive_lag = replace(
@@ -255,7 +264,7 @@ drive_lag = replace(
     site="drive",
     parameters=(
         shape_parameter(
-            "tau_u", "s", NEUTRAL.lag, (NEUTRAL.lag, 1e6), "lag of the drive", "small: absent until fitted"
+            "tau_u", "s", NEUTRAL_LAG, (NEUTRAL_LAG, 1e6), "lag of the drive", "small: absent until fitted"
         ),
     ),
     states=(State("w", "{drive}", relaxing=True, description="what the drive delivers"),),
@@ -268,9 +277,9 @@ drive_lag = replace(
     ),
     source="first order of an amplifier, a heater or a pump",
     amplitudes=("tau_u",),
-    neutral={"tau_u": NEUTRAL.lag},
+    neutral={"tau_u": NEUTRAL_LAG},
     grid=lambda s: {"tau_u": [0.5 * s.period, 3 * s.period, 15 * s.period]},
-    limits=lambda s: {"tau_u": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+    limits=lambda s: {"tau_u": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
 )
 
 transport_delay = Effect(
@@ -287,7 +296,7 @@ transport_delay = Effect(
     source="transport time in a hose (about 3 ms a metre), a converter or a bus",
     amplitudes=("delay",),
     probe=lambda s: {"delay": 0.4 * s.period},
-    limits=lambda s: {"delay": (0.0, START.longest_delay * s.period)},
+    limits=lambda s: {"delay": (0.0, LONGEST_DELAY * s.period)},
 )
 
 input_offset = Effect(
@@ -352,7 +361,7 @@ sensor_lag = Effect(
     site="sensor",
     parameters=[
         shape_parameter(
-            "tau_s", "s", NEUTRAL.lag, (NEUTRAL.lag, 100.0), "lag of the sensor", "small: absent until fitted"
+            "tau_s", "s", NEUTRAL_LAG, (NEUTRAL_LAG, 100.0), "lag of the sensor", "small: absent until fitted"
         )
     ],
     states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
@@ -366,9 +375,9 @@ sensor_lag = Effect(
     ),
     source="filter of a sensor or its amplifier",
     amplitudes=("tau_s",),
-    neutral={"tau_s": NEUTRAL.lag},
+    neutral={"tau_s": NEUTRAL_LAG},
     grid=lambda s: {"tau_s": [0.5 * s.period, 3 * s.period, 15 * s.period]},
-    limits=lambda s: {"tau_s": (min(NEUTRAL.lag, 1e-4 * s.period), s.duration)},
+    limits=lambda s: {"tau_s": (min(NEUTRAL_LAG, 1e-4 * s.period), s.duration)},
 )
 
 backlash = Effect(

@@ -25,7 +25,6 @@ from greybox.show.figures.figure import (
     scale_to_prefix,
     size_axis,
 )
-from greybox.show.figures.policy import DRAWING
 from greybox.show.figures.records import TIME
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.wording import phrase
@@ -35,6 +34,12 @@ def model_roles(entries: Sequence[ComparisonEntry]) -> dict[str, Role]:
     """A role for each model: grey boxes first."""
     ordered = sorted(entries, key=lambda e: e.kind != "grey")
     return {e.name: MODELS[k % len(MODELS)] for k, e in enumerate(ordered)}
+
+
+# Size of a hollow mark for a second size: a filled one stands inside it where both are equal.
+MARK_BESIDE_SIZE = 17.0
+# Size of a hollow mark for a second size, on a bar.
+MARK_ON_BAR = 9.0
 
 
 def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figure:
@@ -66,7 +71,7 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
             ranked,
             Role.REFERENCE,
             "one sample ahead",
-            size=DRAWING.mark_beside_size if is_on_log else DRAWING.mark_on_bar,
+            size=MARK_BESIDE_SIZE if is_on_log else MARK_ON_BAR,
             symbol=Symbol.DIAMOND,
             texts=behind_marks if beyond.any() else (),
             hollow=True,
@@ -105,6 +110,10 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
 
 
+# An axis of errors ends at so many times the largest root mean square: one model that grows away hides no other.
+TYPICAL_ERRORS = 4.0
+
+
 def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured minus simulated of every model over one record, a panel for each output."""
     roles, panels = model_roles(comparison.entries), []
@@ -122,7 +131,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
             )
             for n, run in reversed(runs.items())
         ]
-        reach = DRAWING.typical_errors * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
+        reach = TYPICAL_ERRORS * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
         axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
         panels.append(Panel(output, tuple(curves), TIME, axis, listing=tuple(runs)))
     return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
@@ -167,21 +176,29 @@ def _error_sizes(comparison: Comparison, record: str) -> tuple[Finding, ...]:
     return tuple(description)
 
 
+# From this size on a run has no error worth a number.
+DRAWING_OVERFLOW = 1e100
+
+
 def _error_size(run: ComparisonRun) -> float:
     """Root mean square error; NaN where the run leaves all bounds."""
-    if not (np.abs(run.simulated) < DRAWING.overflow).all():
+    if not (np.abs(run.simulated) < DRAWING_OVERFLOW).all():
         return np.nan
     return _usable(root_mean_square(run.measured - run.simulated))
+
+
+# A run is cut where it lies further from the measured signal than so many times that signal's range.
+RANGES_FROM_MEASURED = 2.0
 
 
 def _cut(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """A run (N,) without what lies far outside the measured signal."""
     low, high = np.nanmin(measured), np.nanmax(measured)
-    reach = DRAWING.ranges_from_measured * (high - low) or 1.0
+    reach = RANGES_FROM_MEASURED * (high - low) or 1.0
     inside = np.isfinite(values) & (values > low - reach) & (values < high + reach)
     return np.where(inside, values, np.nan)
 
 
 def _usable(error: float) -> float:
     """An error that can be drawn: NaN where a run left all bounds, and where it is exact."""
-    return error if np.isfinite(error) and 0 < error < DRAWING.overflow else np.nan
+    return error if np.isfinite(error) and 0 < error < DRAWING_OVERFLOW else np.nan

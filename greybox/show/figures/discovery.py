@@ -32,7 +32,6 @@ from greybox.show.figures.figure import (
     size_axis,
     typeset_exponents,
 )
-from greybox.show.figures.policy import DRAWING
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.figures import FigureText
@@ -82,9 +81,13 @@ def errors_to_judge(discovery: Discovery) -> Mapping[str, HoldoutError]:
     return {**discovery.holdout, **surrogate.holdout}
 
 
+# Up to so many times the noise a model leaves nothing to explain.
+NOTHING_MISSING = 1.05
+
+
 def explained_share(error: HoldoutError) -> float | None:
     """Share of the error that the effects take away; None where the plain model leaves only noise."""
-    only_noise = error.is_floor_known and not error.before > DRAWING.nothing_missing * error.floor
+    only_noise = error.is_floor_known and not error.before > NOTHING_MISSING * error.floor
     return None if only_noise else error.share
 
 
@@ -195,9 +198,13 @@ def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
     return Figure("when", tuple(panels), phrase(FigureText.MISFIT_WINDOWS), (description,))
 
 
+# Best candidates of a discovery that are drawn.
+DRAWING_CANDIDATES = 15
+
+
 def plot_candidates(discovery: Discovery) -> Figure | None:
     """Misfit over noise of the best candidates on the records that they were fitted to; None where there are none."""
-    shown = discovery.ranking[: DRAWING.candidates]
+    shown = discovery.ranking[:DRAWING_CANDIDATES]
     if not shown:
         return None
     chosen = {effect.name for effect in discovery.best.model.effects}

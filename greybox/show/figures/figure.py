@@ -18,7 +18,6 @@ import numpy as np
 
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
-from greybox.show.figures.policy import DRAWING
 from greybox.show.sentences.wording import choose_prefix
 
 
@@ -347,6 +346,10 @@ class Figure:
         return next(panel for panel in self.panels if panel.name == name)
 
 
+# Size of the point that stands in the place of a bar on a logarithmic axis: as visible as the bar would be.
+MARK_OF_SIZE = 11.0
+
+
 def draw_sizes(
     names: Sequence[str],
     sizes: np.ndarray,
@@ -368,12 +371,18 @@ def draw_sizes(
             np.array([size if np.isfinite(size) else edge]),
             [name],
             role,
-            size=DRAWING.mark_of_size,
+            size=MARK_OF_SIZE,
             symbol=Symbol.CIRCLE if np.isfinite(size) else Symbol.CROSS,
             texts=[text] if text else (),
         )
         for name, size, role, text in zip(names, sizes, roles, behind, strict=True)
     )
+
+
+# Ratio of the largest to the smallest error from which bars have a logarithmic axis.
+LOG_FROM = 10.0
+# Space behind the longest bar for its text, as a share of the bar: ``4.5 × noise`` fits into half the width of a page.
+ROOM_FOR_TEXT = 0.6
 
 
 def size_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
@@ -383,10 +392,10 @@ def size_axis(name: str, unit: str, lengths: np.ndarray) -> Axis:
     """
     known = lengths[np.isfinite(lengths) & (lengths > 0)]
     low, high = (float(known.min()), float(known.max())) if len(known) else (1.0, 1.0)
-    if high <= DRAWING.log_from * low:
-        return Axis(name, unit, limits=(0.0, (1 + DRAWING.room_for_text) * high))
+    if high <= LOG_FROM * low:
+        return Axis(name, unit, limits=(0.0, (1 + ROOM_FOR_TEXT) * high))
     decades = np.log10(high / low)
-    return Axis(name, unit, Scale.LOG, (low / 10 ** (0.15 * decades), high * 10 ** (DRAWING.room_for_text * decades)))
+    return Axis(name, unit, Scale.LOG, (low / 10 ** (0.15 * decades), high * 10 ** (ROOM_FOR_TEXT * decades)))
 
 
 def _place(label: str, listing: Sequence[str]) -> int:
@@ -430,9 +439,13 @@ def write_cell(value: float) -> str:
     return f"{value:z.2f}".replace("-", "−")
 
 
+# Powers of ten up to this one are written out: 40 is read faster than 4·10¹.
+LARGEST_POWER_WRITTEN_OUT = 3
+
+
 def _typeset_exponent(match: re.Match[str]) -> str:
     digits, sign, exponent = match.groups()
-    if sign == "+" and int(exponent) <= DRAWING.largest_power_written_out:
+    if sign == "+" and int(exponent) <= LARGEST_POWER_WRITTEN_OUT:
         return f"{float(match[0]):.15g}"
     return f"{digits}·10" + (sign.replace("+", "") + exponent).translate(RAISED)
 

@@ -21,10 +21,14 @@ from greybox.show.figures.figure import (
     Symbol,
     typeset_unit,
 )
-from greybox.show.figures.policy import DRAWING
 from greybox.show.figures.records import FREQUENCY
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.wording import phrase
+
+# Of a frequency response.
+DRAWING_FREQUENCIES = 500
+# A frequency response reaches from the slowest pole divided by this to the fastest one times this.
+BEYOND_POLES = 20.0
 
 
 def response_frequencies(linear: Linearisation) -> np.ndarray:
@@ -33,10 +37,10 @@ def response_frequencies(linear: Linearisation) -> np.ndarray:
     speeds = np.abs(np.log(poles) / linear.dt) if linear.dt else np.abs(poles)
     speeds = speeds[np.isfinite(speeds) & (speeds > 1e-9)]
     low, high = (float(speeds.min()), float(speeds.max())) if len(speeds) else (1.0, 1.0)
-    reach = DRAWING.beyond_poles
+    reach = BEYOND_POLES
     high = min(high * reach, 0.999 * np.pi / linear.dt) if linear.dt else high * reach
     peaks = np.concatenate([s * np.linspace(0.9, 1.1, 81) for s in np.unique(speeds)]) if len(speeds) else np.array([])
-    grid = np.concatenate([np.geomspace(min(low / reach, high / 10), high, DRAWING.frequencies), peaks])
+    grid = np.concatenate([np.geomspace(min(low / reach, high / 10), high, DRAWING_FREQUENCIES), peaks])
     return np.unique(grid[grid <= high])
 
 

@@ -11,7 +11,6 @@ from greybox.base.findings import Finding
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.figures.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
-from greybox.show.figures.policy import DRAWING
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.wording import phrase
 
@@ -41,6 +40,10 @@ def relative_half_width(e: Estimate) -> float | None:
     return 100 * (e.interval[1] - e.interval[0]) / 2 / abs(e.value) or None
 
 
+# Parameters correlated more than this are called out: the records tell their ratio or product better than each.
+DRAWING_CORRELATED = 0.95
+
+
 def plot_correlation(fit: Fit) -> Figure | None:
     """Which parameters the records move together; None for fewer than two."""
     names = list(fit.uncertainty.free)
@@ -51,7 +54,7 @@ def plot_correlation(fit: Fit) -> Figure | None:
     panel = Panel(
         "correlation", (heatmap,), category, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY
     )
-    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=DRAWING.correlated),)
+    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=DRAWING_CORRELATED),)
     return Figure("correlation", (panel,), phrase(FigureText.CORRELATION), tuple(description))
 
 
@@ -69,7 +72,7 @@ def strongly_correlated_pairs(fit: Fit) -> tuple[Finding, ...]:
         (abs(rho[i, j]), i, j)
         for i in range(len(names))
         for j in range(i)
-        if np.isfinite(rho[i, j]) and abs(rho[i, j]) > DRAWING.correlated
+        if np.isfinite(rho[i, j]) and abs(rho[i, j]) > DRAWING_CORRELATED
     ]
     return tuple(
         phrase(FigureText.CORRELATED, first=names[j], second=names[i], correlation=float(rho[i, j]))

@@ -28,7 +28,6 @@ from greybox.show.figures.discovery import (
     plot_surrogate,
 )
 from greybox.show.figures.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale, draw_sizes
-from greybox.show.figures.policy import DRAWING
 from greybox.show.figures.records import (
     liveliest_window,
     plot_residual,
@@ -244,9 +243,13 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
     return [*sheets, _holdout_error_sheet(discovery)]
 
 
+# Values of an effect's signal that a picture shows over time.
+SIGNAL_IN_TIME = 150
+
+
 def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
     against, in_time = plot_effect_signal(signal, "missing").panels
-    shown = min(len(signal.time), DRAWING.signal_in_time)
+    shown = min(len(signal.time), SIGNAL_IN_TIME)
     window = (float(signal.time[0]), float(signal.time[shown - 1]))
     heading = phrase(FigureText.EFFECT_SIGNAL_HEADING, signal.effect, explained=signal.explained, record=signal.record)
     cells = (Cell(against, 0), Cell(in_time, 0, 1, window=window))

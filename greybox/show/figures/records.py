@@ -26,7 +26,6 @@ from greybox.show.figures.figure import (
     scale_to_prefix,
     value_range,
 )
-from greybox.show.figures.policy import DRAWING
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.wording import phrase
 
@@ -60,10 +59,14 @@ def amplitude_density(values: np.ndarray, step: float) -> tuple[np.ndarray, np.n
     return frequency[1:], np.sqrt(2 * step * np.abs(spectrum[1:]) ** 2 / np.sum(window[known] ** 2))
 
 
+# Relative variation of the sampling time from which a record is not evenly sampled: clocks in files are rounded.
+DRAWING_UNEVEN = 0.001
+
+
 def uniform_sampling_time(time: np.ndarray) -> float | None:
     """Seconds between rows, None where they are not evenly spaced."""
     steps = np.diff(time)
-    even = len(steps) > 0 and float(np.ptp(steps)) < DRAWING.uneven * float(steps.mean())
+    even = len(steps) > 0 and float(np.ptp(steps)) < DRAWING_UNEVEN * float(steps.mean())
     return float(steps.mean()) if even else None
 
 
@@ -261,9 +264,13 @@ def plot_runs_before_after(
     return Figure(name, tuple(panels), phrase(FigureText.RUNS_BEFORE_AFTER, before.name))
 
 
+# Rows of the closer look at a record's liveliest stretch.
+CLOSER_LOOK = 200
+
+
 def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float] | None:
     """From when to when ``values`` (N,) lie furthest from their mean, for a closer look; None where the record is short."""
-    rows = DRAWING.closer_look
+    rows = CLOSER_LOOK
     if len(time) <= 2 * rows:
         return None
     deviation = np.abs(np.where(np.isfinite(values), values, np.nan) - np.nanmean(values))
@@ -292,19 +299,27 @@ def _noise_floor(frequency: np.ndarray, density: float) -> Sequence[Series]:
     return [Curve(frequency[[0, -1]], np.array([density, density]), Role.NOISE, "noise", 1.4, Dash.DASHED)]
 
 
+# Values of a residual that travel with a page, for the spectrum of a stretch; of a longer one the spectrum stays as it is.
+SIGNAL_ON_PAGE = 25000
+
+
 def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, label: str, follows: str) -> Curve:
     """The spectrum of a residual (N,), with the residual itself where a page is to take it anew."""
     even = uniform_sampling_time(time)
     signal = None
-    if follows and even is not None and len(time) <= DRAWING.signal_on_page:
+    if follows and even is not None and len(time) <= SIGNAL_ON_PAGE:
         signal = SampledSignal(follows, float(time[0]), even, residual)
     frequency, density = amplitude_density(residual, step)
     return Curve(frequency, density, role, label, 1.0, thinning=Thinning.PEAKS, signal=signal)
 
 
+# Share of a residual that lies within the limits of a picture: a single outlier does not flatten the rest.
+SHOWN_SHARE = 0.9995
+
+
 def _robust_limits(residual: np.ndarray, band: float) -> tuple[float, float]:
     """The residual's range, not blown up by a single outlier, and never less than the noise band."""
     known = residual[np.isfinite(residual)]
-    largest = float(np.quantile(np.abs(known), DRAWING.shown_share)) if len(known) else 0.0
+    largest = float(np.quantile(np.abs(known), SHOWN_SHARE)) if len(known) else 0.0
     reach = 1.1 * max(1.2 * band, largest)
     return (-reach, reach) if reach > 0 else (-1.0, 1.0)

@@ -27,7 +27,6 @@ from greybox.show.figures.figure import (
     Thinning,
     choose_evenly,
 )
-from greybox.show.figures.policy import DRAWING
 from greybox.show.sentences.estimation import name_test
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.wording import phrase
@@ -91,18 +90,26 @@ def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[Re
     return [t for t in tests if t.kind in kinds]
 
 
+# Lags of an autocorrelation.
+DRAWING_LAGS = 40
+
+
 def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
-    rho, count = cross_correlation(series.series, series.series, DRAWING.lags)
+    rho, count = cross_correlation(series.series, series.series, DRAWING_LAGS)
     band = float(_quantile() / np.sqrt(max(count, 1)))
-    lags = np.arange(1, DRAWING.lags + 1)
+    lags = np.arange(1, DRAWING_LAGS + 1)
     return _correlation_panel("autocorrelation", lags, rho[1:], band, Axis("lag", "samples"), tests)
+
+
+# Lags of a correlation with an input, to both sides.
+DRAWING_INPUT_LAGS = 20
 
 
 def _input_correlation(series: ResidualSeries, name: str, tests: Sequence[ResidualTest]) -> Panel:
     inputs = series.inputs[name]
-    after, count = cross_correlation(inputs, series.series, DRAWING.input_lags)
-    before, _ = cross_correlation(series.series, inputs, DRAWING.input_lags)
-    lags = np.arange(-DRAWING.input_lags, DRAWING.input_lags + 1)
+    after, count = cross_correlation(inputs, series.series, DRAWING_INPUT_LAGS)
+    before, _ = cross_correlation(series.series, inputs, DRAWING_INPUT_LAGS)
+    lags = np.arange(-DRAWING_INPUT_LAGS, DRAWING_INPUT_LAGS + 1)
     values = np.concatenate([before[:0:-1], after])
     axis = Axis(f"lag of the residual behind {name}", "samples")
     return _correlation_panel(
@@ -119,18 +126,28 @@ def _correlation_panel(
     return Panel(name, series, x, Axis(name, limits=(-reach, reach)), _titles(tests))
 
 
+# Points of a plot against the normal distribution.
+NORMAL_POINTS = 2000
+
+
 def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
     values = np.concatenate(series.raw)
     values = np.sort(values[np.isfinite(values)])
     expected, ordered = expect_normal_order(len(values)), values
     slope, middle = np.polyfit(expected, ordered, 1)
-    shown, ends = choose_evenly(len(values), DRAWING.normal_points), expected[[0, -1]]
+    shown, ends = choose_evenly(len(values), NORMAL_POINTS), expected[[0, -1]]
     drawn = (
         Points(expected[shown], ordered[shown], Role.RESIDUAL, size=4.0),
         Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
     )
     axes = Axis("quantile of a normal distribution"), Axis("residual / noise")
     return Panel("normal distribution", drawn, *axes, _titles(tests))
+
+
+# Stretches of all records whose mean and spread are drawn.
+DRAWING_PARTS = 20
+# Share of a normalised residual within the limits of its axis.
+DRAWING_RESIDUAL_SHARE = 0.998
 
 
 def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
@@ -143,7 +160,7 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
     for time, residual in zip(series.time, series.series, strict=True):
         since = start + time - time[0]
         behind.append(Curve(since, residual, Role.BAND, width=0.9, thinning=Thinning.ENVELOPE))
-        count = max(2, round(DRAWING.parts * len(residual) / len(every)))
+        count = max(2, round(DRAWING_PARTS * len(residual) / len(every)))
         edges = np.linspace(0, len(residual), count + 1).astype(int)
         stretches = [np.flatnonzero(np.isfinite(residual[a:b])) + a for a, b in pairwise(edges)]
         stretches = [rows for rows in stretches if len(rows) > 1]
@@ -156,7 +173,7 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
         ]
         start = float(since[-1])
     lines = (Reference(0.0, width=0.6), Reference(total, width=0.6, dash=Dash.DASHED))
-    reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING.residual_share)), total)
+    reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING_RESIDUAL_SHARE)), total)
     time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
     axis = Axis("residual / noise", limits=(-reach, reach))
     return Panel("mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests))
@@ -177,17 +194,25 @@ def _titles(tests: Sequence[ResidualTest]) -> tuple[Finding, ...]:
     )
 
 
+# Lags that the band of a correlation with an input allows for.
+BAND_LAGS = 400
+
+
 def _band(inputs: Sequence[np.ndarray], colour: AutoRegression, count: int) -> float:
     """95 % band of the correlation with an input: ``1.96 sqrt(sum rho_r rho_u / N)``, both colours allowed for (Bartlett)."""
-    lags = min(max(len(u) for u in inputs) - 1, DRAWING.band_lags)
+    lags = min(max(len(u) for u in inputs) - 1, BAND_LAGS)
     of_input, _ = cross_correlation(inputs, inputs, lags)
     of_residual = colour.autocorrelation(lags + 1)
     both = max(1.0 + 2 * float(of_input[1:] @ of_residual[1:]), 1.0 / max(count, 1))
     return float(_quantile() * np.sqrt(both / max(count, 1)))
 
 
+# Of the band around the correlations of a residual that is white.
+DRAWING_CONFIDENCE = 0.95
+
+
 def _quantile() -> float:
-    return float(ndtri((1 + DRAWING.confidence) / 2))
+    return float(ndtri((1 + DRAWING_CONFIDENCE) / 2))
 
 
 def expect_normal_order(count: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from greybox.show.figures.parameters import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import statements
+from greybox.show.pages.fit_page import OPEN_RECORDS, statements
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -29,7 +29,6 @@ from greybox.show.pages.page import (
     Tone,
     typeset_number,
 )
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.provenance import format_sampling_time, provenance_section, signal_units
 from greybox.show.sentences.check import describe_noise_source
 from greybox.show.sentences.figures import FigureText
@@ -136,6 +135,10 @@ def _computation(check: ModelCheck) -> PageTable:
     return PageTable(phrase(PageText.COMPUTATION), ["what", "how"], rows)
 
 
+# The same of a check.
+RECORDS_OF_CHECK = 10
+
+
 def _data(check: ModelCheck) -> Iterator[Block]:
     if check.assumed:
         yield Paragraphs([phrase(PageText.CHECK_ASSUMED, text=str(check.assumed))])
@@ -150,12 +153,12 @@ def _data(check: ModelCheck) -> Iterator[Block]:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
         yield BulletList(statements(lines))
     units = signal_units(check.model)
-    drawn = check.experiments[: REPORT.records_of_check]
+    drawn = check.experiments[:RECORDS_OF_CHECK]
     stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
         figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
         blocks = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
-        yield from blocks if k < REPORT.open_records else [Details(phrase(PageText.RECORD, e.name), blocks)]
+        yield from blocks if k < OPEN_RECORDS else [Details(phrase(PageText.RECORD, e.name), blocks)]
 
 
 def _about_record(finding: Finding) -> Finding:

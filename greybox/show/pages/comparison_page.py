@@ -13,7 +13,7 @@ from greybox.show.figures.comparison import judging_records, plot_model_errors, 
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import parameters_table
+from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -28,7 +28,6 @@ from greybox.show.pages.page import (
     Tone,
     typeset_number,
 )
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.provenance import provenance_section
 from greybox.show.sentences.pages import PageText
 from greybox.show.sentences.registry import sentence
@@ -142,10 +141,14 @@ def _error(value: float, unit: str) -> str:
     return typeset_number(f"{format_number(value, 4)} {unit}".rstrip()) if math.isfinite(value) else "diverges"
 
 
+# The same of a comparison.
+RECORDS_OF_COMPARISON = 8
+
+
 def _runs(comparison: Comparison) -> Iterator[Block]:
     """The curves of every model over each judging record."""
     records = judging_records(comparison)
-    drawn = records[: REPORT.records_of_comparison]
+    drawn = records[:RECORDS_OF_COMPARISON]
     curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
     stretches = PAGE.stretches(len(drawn) * curves)
     yield Paragraphs([phrase(PageText.COMPARISON_LEGEND)])
@@ -155,7 +158,7 @@ def _runs(comparison: Comparison) -> Iterator[Block]:
             for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
         ]
         title = phrase(PageText.RECORD, record)
-        yield from [Subheading(title), *figures] if k < REPORT.open_records else [Details(title, figures)]
+        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
     if len(records) > len(drawn):
         yield Paragraphs([phrase(PageText.NOT_DRAWN, records=len(records) - len(drawn))])
 

@@ -25,7 +25,7 @@ from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import parameters_table, statements
+from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table, statements
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -40,7 +40,6 @@ from greybox.show.pages.page import (
     Tone,
     typeset_number,
 )
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
 from greybox.show.sentences.discovery import refinement_text, surrogate_title
 from greybox.show.sentences.estimation import to_constant_cells
@@ -113,6 +112,10 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
         yield Section("candidates", list(_candidates(discovery)))
 
 
+# The same of a discovery, on its validation records.
+RECORDS_OF_DISCOVERY = 8
+
+
 def _holdout(discovery: Discovery) -> Iterator[Block]:
     name, extended, errors = extended_model(discovery)
     rows = [
@@ -131,7 +134,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
         yield PageTable(phrase(PageText.DISCOVERY_PATH), ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
-    pairs = pairs[: REPORT.records_of_discovery]
+    pairs = pairs[:RECORDS_OF_DISCOVERY]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
     for k, (before, after) in enumerate(pairs):
         shared = before, after, signal_units(discovery.base.model), extended.noise.levels
@@ -143,7 +146,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
             FigureBlock(spectra, stretches, switch=together),
         ]
         title = phrase(PageText.RECORD, before.name)
-        yield from [Subheading(title), *figures] if k < REPORT.open_records else [Details(title, figures)]
+        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
 
 
 def _explained(error: HoldoutError) -> str:

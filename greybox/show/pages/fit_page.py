@@ -11,7 +11,7 @@ from greybox.base.findings import Finding
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.optimum import compute_record_misfits
-from greybox.estimation.residuals import ResidualTests, residual_tests
+from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.restore import has_free_run
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
@@ -23,8 +23,7 @@ from greybox.show.figures.parameters import (
     relative_half_widths,
     strongly_correlated_pairs,
 )
-from greybox.show.figures.policy import DRAWING
-from greybox.show.figures.records import plot_inputs, plot_residual, plot_run, plot_spectrum
+from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
@@ -42,7 +41,6 @@ from greybox.show.pages.page import (
     Tone,
     typeset_number,
 )
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
 from greybox.show.sentences.estimation import MISFIT_HEADS, name_test, to_constant_rows, to_misfit_cells
 from greybox.show.sentences.figures import FigureText
@@ -54,9 +52,15 @@ from greybox.show.sentences.wording import phrase
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
 
 
+# Up to so many times the noise a fit is said to explain its records: noise is known to about a tenth.
+GOOD_MISFIT = 1.2
+# Findings of a fit that stand with its verdict.
+LEADING_FINDINGS = 3
+
+
 def fit_verdict(fit: Fit) -> Paragraphs:
     """Whether the fit succeeded, and what to know before trusting it."""
-    leading = REPORT.leading_findings
+    leading = LEADING_FINDINGS
     if not fit.success:
         failure = (
             phrase(PageText.FIT_FAILED, reason=fit.solver.status_message),
@@ -66,7 +70,7 @@ def fit_verdict(fit: Fit) -> Paragraphs:
     free = [name for name in fit.uncertainty.free if name in fit.parameters]
     undetermined = [name for name in free if not fit.parameters[name].determined]
     known = [m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)]
-    is_good = bool(known) and max(known) <= REPORT.good_misfit and not undetermined
+    is_good = bool(known) and max(known) <= GOOD_MISFIT and not undetermined
     return Paragraphs(
         [_misfit_note(fit), _determined(fit, undetermined), *_validated(fit), *_further(fit)[:leading]],
         Tone.GOOD if is_good else Tone.CAUTION,
@@ -76,7 +80,7 @@ def fit_verdict(fit: Fit) -> Paragraphs:
 def findings_below(fit: Fit) -> list[Finding]:
     """What the page says of a fit beside its residual: findings that neither the verdict nor the parameters say already."""
     # The verdict of a fit that failed has the first ones already, of any kind.
-    return [*(_further(fit) if fit.success else fit.findings)[REPORT.leading_findings :]]
+    return [*(_further(fit) if fit.success else fit.findings)[LEADING_FINDINGS:]]
 
 
 def _further(fit: Fit) -> list[Finding]:
@@ -96,7 +100,7 @@ def _misfit_note(fit: Fit) -> Finding:
     known = [ratio for m in fit.misfit.values() if math.isfinite(ratio := m.noise_ratio)]
     if not known:
         return phrase(PageText.NOISE_UNKNOWN)
-    good = max(known) <= REPORT.good_misfit
+    good = max(known) <= GOOD_MISFIT
     return phrase(
         PageText.RESIDUAL_IS_NOISE if good else PageText.RESIDUAL_EXCEEDS_NOISE, **_over_noise(fit, fit.misfit)
     )
@@ -222,6 +226,14 @@ def _interval_note(fit: Fit) -> Text:
     return phrase(PageText.INTERVALS_LIKELIHOOD if likelihood else PageText.INTERVALS_GAUSS_NEWTON)
 
 
+# The same for all residuals of a page together.
+ALL_SIGNALS_ON_PAGE = 100000
+# Records whose figures stand open at first; those of the others open on request.
+OPEN_RECORDS = 1
+# Records of a fit whose curves are drawn; the tables have all.
+RECORDS_OF_FIT = 20
+
+
 def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
     yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit, fit.noise)
     if fit.prediction.one_step:
@@ -231,13 +243,13 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
         yield _by_record(fit, runs)
-    drawn = runs[: REPORT.records_of_fit]
+    drawn = runs[:RECORDS_OF_FIT]
     stretches = PAGE.stretches(sum(3 * len(r.trace.measured) + len(r.trace.inputs) for r in drawn))
-    signals = sum(len(r.trace.measured) * min(len(r.trace.time), DRAWING.signal_on_page) for r in drawn)
+    signals = sum(len(r.trace.measured) * min(len(r.trace.time), SIGNAL_ON_PAGE) for r in drawn)
     for k, run in enumerate(drawn):
-        blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= DRAWING.all_signals_on_page)
+        blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= ALL_SIGNALS_ON_PAGE)
         first_for_validation = run.validation and not runs[k - 1].validation
-        if k < REPORT.open_records or first_for_validation:
+        if k < OPEN_RECORDS or first_for_validation:
             yield Subheading(run.title)
             yield from blocks
         else:
@@ -306,6 +318,6 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
         for t in tests.tests
     ]
     head = ["test", "result", "p", "statistic"]
-    yield PageTable(phrase(PageText.TESTS), head, rows, phrase(PageText.TESTS_NOTE, level=tests.policy.alarm_level))
+    yield PageTable(phrase(PageText.TESTS), head, rows, phrase(PageText.TESTS_NOTE, level=ALARM_LEVEL))
     for output in tests.residuals:
         yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -32,7 +32,6 @@ from greybox.base.findings import Finding
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.figures.sheet import PALETTE
 from greybox.show.pages.page import Block, Details, FigureBlock, Page, Text, typeset_number
-from greybox.show.pages.policy import REPORT
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import as_sentence
 
@@ -44,6 +43,10 @@ MATHML_ATTRIBUTES = (
 CONTROL_CHARACTERS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
 """Characters that HTML does not have: left out."""
 MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
+
+
+# Bytes of a page: what an e-mail still carries.
+LARGEST_PAGE = 6000000
 
 
 def render_page(page: Page) -> str:
@@ -62,9 +65,9 @@ def render_page(page: Page) -> str:
         )
     )
     html = _as_text(html)
-    if len(html.encode()) > REPORT.largest_page:
+    if len(html.encode()) > LARGEST_PAGE:
         raise DataError(
-            f"the report {label(page.title)!r} is larger than {REPORT.largest_page / 1e6:.0f} MB; give fewer records"
+            f"the report {label(page.title)!r} is larger than {LARGEST_PAGE / 1e6:.0f} MB; give fewer records"
         )
     return html
 
@@ -158,6 +161,10 @@ def page_style() -> Markup:
     return Markup(f':root{{{light}}}\n:root[data-theme="dark"]{{{dark}}}\n') + _inside("page.css")
 
 
+# Significant digits of a number in a figure.
+REPORT_DIGITS = 6
+
+
 def _plain(value: Any, *, shown: bool = False) -> Any:
     """Arrays as lists, numbers in six digits, what is not finite as null (a gap in a curve).
 
@@ -172,7 +179,7 @@ def _plain(value: Any, *, shown: bool = False) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(v, shown=shown) for v in value]
     if isinstance(value, (float, np.floating)):
-        return float(f"{value:.{REPORT.digits}g}") if np.isfinite(value) else None
+        return float(f"{value:.{REPORT_DIGITS}g}") if np.isfinite(value) else None
     return int(value) if isinstance(value, np.integer) else value
 
 
@@ -180,7 +187,7 @@ def _short(values: np.ndarray) -> list[float | None]:
     """Numbers (N,) in six digits, as short in JSON as they can be."""
     known = np.isfinite(values)
     sizes = np.abs(np.where(known & (values != 0), values, 1.0))
-    places = np.clip(REPORT.digits - 1 - np.floor(np.log10(sizes)), -300, 300)
+    places = np.clip(REPORT_DIGITS - 1 - np.floor(np.log10(sizes)), -300, 300)
     factors = 10.0 ** np.abs(places)
     rounded = np.where(places >= 0, np.rint(values * factors) / factors, np.rint(values / factors) * factors)
     return [v if is_known else None for v, is_known in zip(rounded.tolist(), known.tolist(), strict=True)]
@@ -196,10 +203,14 @@ def _as_text(text: str) -> str:
     return CONTROL_CHARACTERS.sub("", text).encode("utf-8", "replace").decode()
 
 
+# Of Plotly's script: higher levels save 200 kB and cost a quarter of a second on every page.
+REPORT_COMPRESSION = 1
+
+
 @cache
 def pack_plotly() -> Markup:
     """Plotly's own script, packed; the page unpacks it."""
-    return Markup(b64encode(gzip.compress(read_plotly(), REPORT.compression, mtime=0)).decode())
+    return Markup(b64encode(gzip.compress(read_plotly(), REPORT_COMPRESSION, mtime=0)).decode())
 
 
 @cache

@@ -54,6 +54,10 @@ def choose_substeps(
     return min(2 * number if system.delays else number, policy.max_substeps)
 
 
+# Rows at the beginning of a record over which the integration error is measured by halving the step.
+ERROR_ROWS = 2000
+
+
 def refine_substeps(
     target: float,
     make: Callable[[int], Step],
@@ -70,10 +74,10 @@ def refine_substeps(
     ``target`` times the movement of each state (root-mean-square). A run that overflows is not within any target.
     """
     step = make(first)
-    path = run_step(step, p, x0, inputs, length, policy.error_rows)
+    path = run_step(step, p, x0, inputs, length, ERROR_ROWS)
     while step.substeps < policy.max_substeps:
         finer = make(2 * step.substeps)
-        finer_path = run_step(finer, p, x0, inputs, length, policy.error_rows)
+        finer_path = run_step(finer, p, x0, inputs, length, ERROR_ROWS)
         if np.isfinite(finer_path).all() and np.all(
             _rms(path - finer_path) <= target * _rms(finer_path - finer_path[0])
         ):
@@ -88,7 +92,7 @@ def run_step(
     x0: np.ndarray,
     inputs: np.ndarray,
     length: float,
-    rows: int = DEFAULT_POLICY.error_rows,
+    rows: int = ERROR_ROWS,
 ) -> np.ndarray:
     """States (N, nx) at the first ``rows`` of ``inputs`` (., nu), held over intervals of ``length`` seconds, without a kernel."""
     u = np.asarray(inputs, float)[:rows]
@@ -119,6 +123,10 @@ IMPLICIT = {"midpoint": midpoint, "radau": radau}
 
 METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
 """What may be asked for."""
+
+
+# Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own.
+MAX_INTERVAL_LENGTHS = 200
 
 
 def discretise(
@@ -166,8 +174,8 @@ def discretise(
         raise ModelError(
             f"the error target {target:g} needs inputs (N, nu) and a state to run from; give both, or substeps"
         )
-    past = require_history(system, lengths, policy)
-    few_lengths = len(lengths) <= policy.max_interval_lengths
+    past = require_history(system, lengths)
+    few_lengths = len(lengths) <= MAX_INTERVAL_LENGTHS
     if method == "exact" or (method == "automatic" and system.linear and few_lengths):
         return _make_exact(system, past)
     longest = float(np.max(lengths, initial=0.0))
@@ -201,5 +209,5 @@ def _make_stepped(
     if method == "mixed":
         return mixed(system, fast, substeps, past)
     if method in IMPLICIT:
-        return IMPLICIT[method](system, substeps, past, policy)
+        return IMPLICIT[method](system, substeps, past)
     return EXPLICIT.get(method, rk4)(system, substeps, past)

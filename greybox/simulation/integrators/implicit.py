@@ -13,7 +13,6 @@ import casadi as ca
 from greybox.base.errors import ModelError
 from greybox.model.system import System
 from greybox.simulation.integrators.composition import make_step
-from greybox.simulation.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
 
 
@@ -21,30 +20,33 @@ def midpoint(
     system: System,
     substeps: int = 1,
     past: InputHistory | None = None,
-    policy: DiscretisationPolicy = DEFAULT_POLICY,
 ) -> Step:
     """``x+ = x + h f((x + x+) / 2)``: order 2, symplectic, stable for every decaying mode (A-stable), damps none of them.
 
     A mode much faster than the step rings on without decay: take `radau` for those. Raises ModelError beyond the states that
     ``policy`` allows.
     """
-    return make_step("implicit midpoint", _require_few_states(system, policy), midpoint_step(policy), substeps, past)
+    return make_step("implicit midpoint", _require_few_states(system), midpoint_step(), substeps, past)
 
 
 def radau(
     system: System,
     substeps: int = 1,
     past: InputHistory | None = None,
-    policy: DiscretisationPolicy = DEFAULT_POLICY,
 ) -> Step:
     """Radau IIA with two stages: order 3, L-stable, modes much faster than the step die out at once.
 
     Hairer, Wanner, Solving Ordinary Differential Equations II, table IV.5.5. Raises ModelError beyond the states that ``policy`` allows.
     """
-    return make_step("Radau IIA", _require_few_states(system, policy), radau_step(policy), substeps, past)
+    return make_step("Radau IIA", _require_few_states(system), radau_step(), substeps, past)
 
 
-def midpoint_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMethod:
+# Newton iterations of an implicit step, from the Jacobian at its start. Each gains one order in ``h``, and the methods are of order two
+# and three.
+NEWTON_ITERATIONS = 4
+
+
+def midpoint_step() -> IntegrationMethod:
     """The implicit midpoint rule for ``dx/dt = rate(x, u, p)``."""
 
     def make_advance(rate: RateFunction) -> AdvanceFunction:
@@ -53,7 +55,7 @@ def midpoint_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationM
             matrix = ca.SX.eye(x.numel()) - h / 2 * _jacobian(rate, x, middle, p)
             z = ca.SX.zeros(x.numel())  # half the increment
             solve = _make_solver(matrix)
-            for _ in range(policy.newton_iterations):
+            for _ in range(NEWTON_ITERATIONS):
                 z = z + solve(h / 2 * rate(x + z, middle, p) - z)
             return x + 2 * z
 
@@ -62,7 +64,7 @@ def midpoint_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationM
     return make_advance
 
 
-def radau_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMethod:
+def radau_step() -> IntegrationMethod:
     """Radau IIA (two stages) for ``dx/dt = rate(x, u, p)``."""
     (a11, a12), (a21, a22) = (5 / 12, -1 / 12), (3 / 4, 1 / 4)
 
@@ -74,7 +76,7 @@ def radau_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMeth
             # (I - A x J) z = r by blocks: they are polynomials of J and commute, so one matrix of the size of the model is left.
             solve = _make_solver(one - (a11 + a22) * j + (a11 * a22 - a12 * a21) * (j @ j))
             z1 = z2 = ca.SX.zeros(x.numel())
-            for _ in range(policy.newton_iterations):
+            for _ in range(NEWTON_ITERATIONS):
                 k1, k2 = h * rate(x + z1, u1, p), h * rate(x + z2, ub, p)
                 r1, r2 = a11 * k1 + a12 * k2 - z1, a21 * k1 + a22 * k2 - z2
                 z1 = z1 + solve(r1 - j @ (a22 * r1 - a12 * r2))
@@ -86,11 +88,15 @@ def radau_step(policy: DiscretisationPolicy = DEFAULT_POLICY) -> IntegrationMeth
     return make_advance
 
 
-def _require_few_states(system: System, policy: DiscretisationPolicy) -> System:
+# States for which the implicit methods are written out: their linear equations become scalar instructions.
+MAX_IMPLICIT_STATES = 8
+
+
+def _require_few_states(system: System) -> System:
     states = system.x.numel()
-    if states > policy.max_implicit_states:
+    if states > MAX_IMPLICIT_STATES:
         raise ModelError(
-            f"implicit methods take up to {policy.max_implicit_states} states, this model has {states}; use 'rk4' or 'mixed'"
+            f"implicit methods take up to {MAX_IMPLICIT_STATES} states, this model has {states}; use 'rk4' or 'mixed'"
         )
     return system
 

@@ -16,16 +16,17 @@ import numpy as np
 from greybox.base.errors import DataError, ModelError
 from greybox.base.numerics import TIME_ROUNDING
 from greybox.model.system import System
-from greybox.simulation.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory
 
 FLAG_COLUMNS = ("parity", "linear", "length")
 """Columns after the earlier rows: 0 and 1 in turn, whether the input is linear between rows, and the interval's length in seconds."""
 
 
-def require_history(
-    system: System, lengths: np.ndarray, policy: DiscretisationPolicy = DEFAULT_POLICY
-) -> InputHistory | None:
+# Longest delay of an input in sampling intervals: each interval adds a column to the input of the step.
+MAX_DELAY_ROWS = 200
+
+
+def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
     """What a step must see of the past for the delays of ``system`` on records with intervals of ``lengths`` (s).
 
     Raises ModelError for delays of two different inputs, and for one of more intervals than the policy allows.
@@ -38,7 +39,7 @@ def require_history(
         raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
     longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
     rows = max(1, math.ceil(longest / shortest - TIME_ROUNDING)) if np.isfinite(shortest) else 1
-    most = policy.max_delay_rows
+    most = MAX_DELAY_ROWS
     if rows > most:
         raise ModelError(
             f"effect {names!r}: a delay of up to {longest:g} s is {rows} intervals of {shortest:g} s, more than {most}; give"

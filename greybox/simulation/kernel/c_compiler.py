@@ -67,13 +67,17 @@ class NoCompilerError(CompilerError):
     """There is no C compiler on this machine."""
 
 
+# Seconds after which a compilation is given up. The largest models take one tenth of it on a slow machine.
+COMPILE_SECONDS = 300.0
+
+
 @dataclass(frozen=True)
 class Compiler:
     """A C compiler: its command, the version text that it gives, and the seconds after which a run is given up."""
 
     command: tuple[str, ...]
     version: str
-    timeout: float = CACHE_POLICY.compile_seconds
+    timeout: float = COMPILE_SECONDS
 
 
 def load_library(source: Callable[[], str], key: str, is_quick: bool = False) -> ctypes.CDLL:
@@ -149,6 +153,12 @@ def find_cache_folder() -> Path:
     return _temporary_folder() if usual is None else _writable(usual)
 
 
+# Days after which a library that nobody used goes: a project that rests for a quarter compiles anew in a minute.
+LONGEST_UNUSED_DAYS = 90.0
+# Days after which the folder of a compilation that was killed goes: no compiler works so long.
+LEFTOVER_DAYS = 1.0
+
+
 def prune_cache(folder: Path, policy: CachePolicy = CACHE_POLICY) -> None:
     """Delete libraries that were not used for long, then those used longest ago until the rest is small enough."""
     now = time.time()
@@ -157,14 +167,14 @@ def prune_cache(folder: Path, policy: CachePolicy = CACHE_POLICY) -> None:
         with contextlib.suppress(OSError):  # cleared away by another process, or not ours to delete
             status = path.lstat()
             days = (now - status.st_mtime) / 86_400
-            if path.name.startswith("part-") and days > policy.leftover_days:
+            if path.name.startswith("part-") and days > LEFTOVER_DAYS:
                 shutil.rmtree(path, ignore_errors=True)
             elif path.suffix == SUFFIX:
                 libraries.append((status.st_mtime, status.st_size, path))
     kept = 0
     for used, size, path in sorted(libraries, reverse=True):
         kept += size
-        if kept > policy.largest_bytes or now - used > policy.longest_unused_days * 86_400:
+        if kept > policy.largest_bytes or now - used > LONGEST_UNUSED_DAYS * 86_400:
             for file in (path, _digest_path(path)):
                 with contextlib.suppress(OSError):
                     file.unlink()
@@ -390,9 +400,7 @@ def _replace(temporary: Path, path: Path) -> None:
             raise
 
 
-def run_compiler(
-    command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds
-) -> subprocess.CompletedProcess[str]:
+def run_compiler(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess.CompletedProcess[str]:
     """Run a compiler. Raises CompilerError where it cannot be run or takes too long; then it is not tried again."""
     if command[0] in _hanging:
         raise CompilerError(f"C compiler {' '.join(command[:3])} took more than {timeout:g} s before")
@@ -406,15 +414,20 @@ def run_compiler(
 _hanging: set[str] = set()
 
 
+# Bytes of memory that a compiler may take, where the system can hold it to that. Models of 500 constants need a tenth of it; for 200
+# states it goes on to 5 GB and does not end in time.
+COMPILE_MEMORY = 1000000000.0
+
+
 # A shell that ends with all it has started when its input ends: this process holds the other end, and lets go however it dies.
 # What it starts has so much memory and no more (in blocks of 1024 bytes; not every system can hold it to that).
 _LEASH = (
-    f"ulimit -v {int(CACHE_POLICY.compile_memory / 1024)} 2>/dev/null; "
+    f"ulimit -v {int(COMPILE_MEMORY / 1024)} 2>/dev/null; "
     'exec 3<&0; { read -r _ <&3; kill -9 0; } & watch=$!; "$@" </dev/null 3<&-; code=$?; kill $watch; exit $code'
 )
 
 
-def _run(command: Sequence[str], timeout: float = CACHE_POLICY.compile_seconds) -> subprocess.CompletedProcess[str]:
+def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess.CompletedProcess[str]:
     """Run a program that ends, with the programs that it starts, when this process does: ``cc`` is but the parent of a compiler."""
     leashed = ["/bin/sh", "-c", _LEASH, "sh", *command] if os.path.exists("/bin/sh") else list(command)
     leash, hand = os.pipe()

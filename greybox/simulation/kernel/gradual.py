@@ -107,6 +107,10 @@ class _Course(NamedTuple):
     """What comes after that; the same where nothing does."""
 
 
+# Registers of the machine lie on the stack; a thread may have as little as 512 kB of it. A model of ten states takes 20 kB.
+LARGEST_SCRATCH_BYTES = 200000
+
+
 class GradualKernel(CompiledKernel):
     """The tape machine, and compiled C from where that pays; see `greybox.simulation.kernel.interface.Kernel` for the arguments.
 
@@ -175,7 +179,7 @@ class GradualKernel(CompiledKernel):
         is_translated = course.kind is CompilerKind.TRANSLATED
         if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
             self._place(order, course.kind, shape)
-        if course.machine.scratch_bytes > policy.largest_scratch_bytes:
+        if course.machine.scratch_bytes > LARGEST_SCRATCH_BYTES:
             return self._load(shape)
         functions = _count_seconds(course.by_machine, order, (course.machine.address,))
 

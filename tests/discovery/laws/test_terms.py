@@ -6,7 +6,6 @@ import sympy
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.units import parse_unit
-from greybox.discovery.laws.policy import LawPolicy
 from greybox.discovery.laws.terms import ConstantNames, list_terms, write_equation
 
 T = np.linspace(0, 1, 50)
@@ -32,7 +31,7 @@ def rig() -> Model:
 
 @pytest.fixture(scope="module")
 def terms():
-    return list_terms(rig(), [("force", "N")], VALUES, LawPolicy())
+    return list_terms(rig(), [("force", "N")], VALUES)
 
 
 def test_units_close_for_every_term(terms):
@@ -69,7 +68,7 @@ def test_constants_do_not_hide_variables():
 
 def test_a_negative_constant_is_written_as_a_number():
     """The equation must be one that SymPy reads."""
-    (bias,) = [t for t in list_terms(rig(), [("force", "N")], VALUES, LawPolicy()) if not t.factors]
+    (bias,) = [t for t in list_terms(rig(), [("force", "N")], VALUES) if not t.factors]
     model = rig() + bias.to_effect("law", -2.5, 1.0, 0.0, (-np.inf, np.inf), 1.0)
     (text,) = write_equation(model, (bias,))
     assert float(sympy.sympify(text)) == -2.5

@@ -7,11 +7,16 @@ from scipy.signal import firwin, resample_poly
 
 from greybox import Experiment
 from greybox.base.errors import DataError
-from greybox.estimation.transcription.policy import DEFAULT_POLICY
 from greybox.model.effects.catalogue import effect
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.kernel.compiled import CompiledKernel
-from greybox.simulation.records import interpolate_band_limited, to_record
+from greybox.simulation.records import (
+    BAND_LIMITED_KAISER_BETA,
+    BAND_LIMITED_POINTS,
+    HALF_LENGTH,
+    interpolate_band_limited,
+    to_record,
+)
 from models.silverbox import silverbox
 from tests.support.stepping import oscillator, path, values
 
@@ -62,15 +67,14 @@ def tone_error(hold, rate, frequency=8.0):
 @pytest.mark.parametrize("rows", [2, 3, 30, 500])
 def test_the_points_between_samples_are_those_of_another_program(rows):
     """`scipy.signal` with the same window: the interpolated points before lines are drawn through them."""
-    policy = DEFAULT_POLICY.band_limited
     u = np.random.default_rng(rows).normal(size=(rows, 2)) + 5
-    margin, half = min(policy.half_length, rows - 1), policy.half_length * policy.points
+    margin, half = min(HALF_LENGTH, rows - 1), HALF_LENGTH * BAND_LIMITED_POINTS
     ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
-    taps = firwin(2 * half + 1, 1 / policy.points, window=("kaiser", policy.kaiser_beta))
-    fine = resample_poly(ends, policy.points, 1, axis=0, window=taps, padtype="line")
+    taps = firwin(2 * half + 1, 1 / BAND_LIMITED_POINTS, window=("kaiser", BAND_LIMITED_KAISER_BETA))
+    fine = resample_poly(ends, BAND_LIMITED_POINTS, 1, axis=0, window=taps, padtype="line")
     fine[1:-1] -= (fine[2:] - 2 * fine[1:-1] + fine[:-2]) / 12
-    expected = fine[policy.points * margin : policy.points * (margin + rows - 1) + 1]
-    assert np.allclose(interpolate_band_limited(u, policy.points), expected, rtol=1e-12, atol=1e-12)
+    expected = fine[BAND_LIMITED_POINTS * margin : BAND_LIMITED_POINTS * (margin + rows - 1) + 1]
+    assert np.allclose(interpolate_band_limited(u, BAND_LIMITED_POINTS), expected, rtol=1e-12, atol=1e-12)
 
 
 def test_rows_between_samples_carry_no_measurement():

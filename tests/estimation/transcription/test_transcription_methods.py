@@ -30,7 +30,7 @@ from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from models.cascaded_tanks import cascaded_tanks
 from models.emps import emps
 from models.micro_actuator import micro_actuator
@@ -278,8 +278,8 @@ def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau
     data = experiment(model, t, u[:, None], np.array(y))
     for line, expected in {
         0: ("single", True),
-        DiscretisationPolicy().max_implicit_states - 2: ("single", True),
-        DiscretisationPolicy().max_implicit_states - 1: ("collocation-radau", False),
+        MAX_IMPLICIT_STATES - 2: ("single", True),
+        MAX_IMPLICIT_STATES - 1: ("collocation-radau", False),
     }.items():
         larger = stiff(line)
         prepared = prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)

@@ -21,7 +21,15 @@ from greybox.base.errors import DataError
 from greybox.base.files import hold_file
 from greybox.base.json_file import ResultKind, read_json
 from greybox.data.signals import SignalLimit
-from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, Knowledge, choose_shares, run_campaign
+from greybox.extensions.design.campaign import (
+    MODEL_ERROR,
+    UNPROVEN_SHARE,
+    CampaignPlan,
+    CampaignStatus,
+    Knowledge,
+    choose_shares,
+    run_campaign,
+)
 from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
 from greybox.show.pages.report import build_page
@@ -122,14 +130,14 @@ def test_a_contradicted_model_is_not_trusted_far_from_where_the_rig_has_been(fin
     strict = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=0.9 * plain.misfit["x"].noise_ratio))
     tolerant = replace(PLAN, policy=replace(CAMPAIGN_POLICY, contradiction=1.1 * plain.misfit["x"].noise_ratio))
     known = Knowledge(plain, plain)
-    caution = 1 + CAMPAIGN_POLICY.model_error * known.unexplained
+    caution = 1 + MODEL_ERROR * known.unexplained
     assert caution > 1
     moved = {"x": np.abs(record.outputs["x"]).max() / 0.3, "F": np.abs(record.inputs["F"]).max() / 3}
     for name, share in choose_shares(strict, known, [record]).items():
-        assert share == pytest.approx(min(moved[name], CAMPAIGN_POLICY.unproven_share) / caution, rel=0.05)
-    assert moved["x"] < CAMPAIGN_POLICY.unproven_share
+        assert share == pytest.approx(min(moved[name], UNPROVEN_SHARE) / caution, rel=0.05)
+    assert moved["x"] < UNPROVEN_SHARE
     for share in choose_shares(tolerant, known, [record]).values():
-        assert share == pytest.approx(CAMPAIGN_POLICY.unproven_share / caution, rel=1e-9)
+        assert share == pytest.approx(UNPROVEN_SHARE / caution, rel=1e-9)
 
 
 def test_a_rig_that_passes_a_limit_stops_the_campaign_and_the_record_stays(tmp_path) -> None:

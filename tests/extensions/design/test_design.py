@@ -14,7 +14,13 @@ from greybox.base.json_file import ResultKind
 from greybox.data.signals import SignalLimit
 from greybox.estimation.result_parts import to_json_data
 from greybox.extensions.design.adjoint import SensitivityRun
-from greybox.extensions.design.goals import HiddenEffect, make_detection, make_discrimination, make_precision
+from greybox.extensions.design.goals import (
+    GOAL_DETECTION_RATIO,
+    HiddenEffect,
+    make_detection,
+    make_discrimination,
+    make_precision,
+)
 from greybox.extensions.design.plant import make_plant
 from greybox.extensions.design.policy import DesignPolicy
 from greybox.extensions.design.problem import DesignProblem, GoalName
@@ -134,7 +140,7 @@ def test_small_amounts_are_seen() -> None:
     truth = extended.start(**{name: 2 * found_amount.after})
     record = gb.simulate(truth, plan.experiment).record({"x": 1e-3}, np.random.default_rng(3))
     fit = gb.fit(truth, record, noise={"x": 1e-3}, options=REST)
-    assert POLICY.goal.detection_ratio * fit.parameters[name].std == pytest.approx(found_amount.after, rel=0.3)
+    assert GOAL_DETECTION_RATIO * fit.parameters[name].std == pytest.approx(found_amount.after, rel=0.3)
 
 
 GOALS = {

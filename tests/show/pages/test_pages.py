@@ -27,9 +27,8 @@ from greybox.shell.commands import app
 from greybox.show.figures.figure import Axis, Band, Curve, Figure, Panel, Role
 from greybox.show.figures.records import plot_residual
 from greybox.show.pages.fit_page import misfit_table
-from greybox.show.pages.html import render_page, say, write_page
+from greybox.show.pages.html import LARGEST_PAGE, render_page, say, write_page
 from greybox.show.pages.page import BulletList, FigureBlock, Page, Paragraphs, Section, Subheading
-from greybox.show.pages.policy import REPORT
 from greybox.show.pages.report import build_page
 from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.pages import PageText
@@ -265,7 +264,7 @@ def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
     )
     many = replace(good, traces=[replace(long, name=f"r{k}") for k in range(24)])
     html = render_page(build_page(many, tests=residual_tests(good)))
-    assert len(html.encode()) < REPORT.largest_page
+    assert len(html.encode()) < LARGEST_PAGE
     assert "The tables include 4 more records that are not drawn." in html
 
 

@@ -17,10 +17,10 @@ import pytest
 import greybox.simulation.kernel.make_kernel as kernels
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel import c_compiler as compiling
-from greybox.simulation.kernel.c_compiler import CompilerError, GreyboxWarning
+from greybox.simulation.kernel.c_compiler import COMPILE_MEMORY, CompilerError, GreyboxWarning
 from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.make_kernel import make_kernel
-from greybox.simulation.kernel.policy import CACHE_POLICY, CachePolicy
+from greybox.simulation.kernel.policy import CachePolicy
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import UnsupportedOperationError
 
@@ -437,8 +437,7 @@ def test_a_compiler_may_take_so_much_memory_and_no_more():
     """Of a model with hundreds of states it takes gigabytes: the model then runs without compiled code."""
     script = "bytearray({:.0f})"
     outcomes = [
-        compiling.run_compiler([sys.executable, "-c", script.format(share * CACHE_POLICY.compile_memory)])
-        for share in (0.3, 1.1)
+        compiling.run_compiler([sys.executable, "-c", script.format(share * COMPILE_MEMORY)]) for share in (0.3, 1.1)
     ]
     assert [run.returncode for run in outcomes] == [0, 1]
     assert "MemoryError" in outcomes[1].stderr
