@@ -115,12 +115,12 @@ def _library() -> str:
 
 def _draw(result: Any) -> bytes:
     """The one figure that shows a result best."""
-    from greybox.plots.change_detection import plot_changes
-    from greybox.plots.comparison import plot_model_errors
-    from greybox.plots.discovery import plot_effect_signal, plot_surrogate
-    from greybox.plots.matplotlib_backend import draw_sheet
-    from greybox.plots.records import liveliest_window, plot_residuals_before_after, plot_run
-    from greybox.plots.sheet import Cell, Sheet
+    from greybox.extensions.changes.figures import plot_changes
+    from greybox.show.figures.comparison import plot_model_errors
+    from greybox.show.figures.discovery import plot_effect_signal, plot_surrogate
+    from greybox.show.figures.matplotlib_backend import draw_sheet
+    from greybox.show.figures.records import liveliest_window, plot_residuals_before_after, plot_run
+    from greybox.show.figures.sheet import Cell, Sheet
 
     window, panel = None, 0
     match type(result).__name__:
@@ -192,11 +192,16 @@ def public_names() -> str:
     lines = ["## greybox", "", "The verbs and values of the first week.", ""]
     for module, names in greybox._NAMES.items():
         lines += [line for name in names for line in _entry(f"greybox.{module}", name)]
-    for namespace in greybox._NAMESPACES:
-        module = importlib.import_module(f"greybox.{namespace}")
+    listed = set(greybox.__all__)
+    for namespace, place in greybox._NAMESPACES.items():
+        if place in listed:  # another name of a namespace that stands above
+            continue
+        listed.add(place)
+        module = importlib.import_module(f"greybox.{place}")
         doc = inspect.getdoc(module) or ""
         names = list(getattr(module, "__all__", ())) or _defined_in(module)
-        names = [n for n in names if n not in greybox.__all__]
+        names = [n for n in names if n not in listed]
+        listed.update(names)
         lines += [f"## greybox.{namespace}", "", doc.split("\n\n")[0], ""]
         lines += [line for name in names for line in _entry(module.__name__, name)]
     return "\n".join(lines)
@@ -304,7 +309,7 @@ GENERATED: dict[str, Callable[[], str]] = {
 def rewrite_catalogue() -> None:
     """Write docs/catalogue.md and docs/roles.md anew from the catalogue: ``python docs/hooks.py``."""
     from greybox.effects import CATALOGUE, ROLES
-    from greybox.rendering.effects import write_catalogue_page, write_roles_page
+    from greybox.show.sentences.model import write_catalogue_page, write_roles_page
 
     (FOLDER / "roles.md").write_text(write_roles_page(ROLES), encoding="utf-8")
 

@@ -147,9 +147,9 @@ def test_commands_and_catalogue_are_those_of_the_program(hooks) -> None:
 
 def test_every_package_has_its_table_of_modules(hooks) -> None:
     tables = hooks.modules()
-    packages = {path.parent.name for path in (ROOT / "greybox").glob("*/__init__.py")}
-    assert packages == set(re.findall(r"^## (\w+)$", tables, re.MULTILINE))
-    assert "| `single_shooting.py` |" in tables
+    layers = {path.parent.name for path in (ROOT / "greybox").glob("*/__init__.py")}
+    assert layers == set(re.findall(r"^## (\w+)$", tables, re.MULTILINE))
+    assert "| `transcription/single_shooting.py` |" in tables
 
 
 def test_pages_of_studies_find_their_way_into_the_navigation(hooks) -> None:

@@ -268,6 +268,7 @@ def _target(path: Path, to: str, kind: ExportTarget, fit: Path) -> Path:
     if target.exists() and target.samefile(fit):
         raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
     check_writable(target.parent)
+    target.parent.mkdir(parents=True, exist_ok=True)
     return target
 
 

@@ -1,0 +1,121 @@
+"""A package of strangers, installed beside greybox: its reader, export target, effect and command are used; a broken one hurts nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "extensions.md").read_text(encoding="utf-8")
+USE = """
+import sys
+import numpy as np
+import greybox as gb
+
+sys.path.insert(0, {root!r})
+from models.silverbox import silverbox
+
+record = gb.read_csv("run.acme", silverbox)
+print(record.source, len(record.time))
+extended = silverbox + gb.effect("acme_seal_drag")
+print(extended.title)
+fit = gb.fit(silverbox, record, noise={{"y": 1e-3}}, options=gb.FitOptions(at_rest=True))
+fit.save("fit.json")
+"""
+
+
+def code(title: str) -> str:
+    found = re.search(rf'```\w+ title="{title}"\n(.*?)```', PAGE, re.DOTALL)
+    assert found, title
+    return found[1]
+
+
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package of the page as a wheel, and a folder with it installed; a second package that cannot be imported."""
+    wheel = pytest.importorskip("hatchling.builders.wheel", reason="hatchling comes with the extra 'test'")
+    folder = tmp_path_factory.mktemp("beside")
+    for name, project, module in (
+        ("acme", code("pyproject.toml"), code("acme.py")),
+        (
+            "broken",
+            '[project]\nname = "greybox-broken"\nversion = "2.0"\n'
+            '[project.entry-points."greybox.readers"]\nbroken = "broken:READER"\n',
+            "import a_package_that_nobody_has\n",
+        ),
+    ):
+        source = tmp_path_factory.mktemp(name)
+        build = (
+            '\n[build-system]\nrequires = ["hatchling"]\nbuild-backend = "hatchling.build"\n'
+            f'[tool.hatch.build.targets.wheel]\ninclude = ["{name}.py"]\n'
+        )
+        (source / "pyproject.toml").write_text(project + build, encoding="utf-8")
+        (source / f"{name}.py").write_text(module, encoding="utf-8")
+        (built,) = wheel.WheelBuilder(str(source)).build(directory=str(source / "dist"), versions=["standard"])
+        command = [
+            sys.executable,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--no-deps",
+            "--no-index",
+            "--target",
+            str(folder),
+            built,
+        ]
+        subprocess.run(command, check=True, timeout=120)
+    return folder
+
+
+def run(beside: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    path = os.pathsep.join([str(beside), str(ROOT)])
+    environment = {**os.environ, "PYTHONPATH": path, "COLUMNS": "200"}
+    return subprocess.run(words, cwd=folder, env=environment, capture_output=True, text=True, timeout=150)
+
+
+def greybox(beside: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return run(beside, folder, sys.executable, "-m", "greybox", *words)
+
+
+def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
+    rows = [f"{k * 1e-3!r}|{(-1) ** (k // 7) * 0.1!r}|{0.01 * ((k % 14) - 6.5)!r}" for k in range(200)]
+    (tmp_path / "run.acme").write_text("\n".join(["time|u|y", *rows]), encoding="utf-8")
+    done = run(beside, tmp_path, sys.executable, "-c", USE.format(root=str(ROOT)))
+    assert done.returncode == 0, done.stderr
+    assert "run.acme 200" in done.stdout and "acme_seal_drag" in done.stdout
+    done = greybox(
+        beside,
+        tmp_path,
+        "export",
+        "fit.json",
+        "--to",
+        "listing",
+        "--model",
+        str(ROOT / "models" / "silverbox.py"),
+        "--no-report",
+    )
+    assert done.returncode == 0, done.stderr
+    written = next(tmp_path.rglob("*.lst")).read_text(encoding="utf-8")
+    assert all(re.fullmatch(r"\w+ = \S+", line) for line in written.splitlines())
+    assert greybox(beside, tmp_path, "acme-info", "stage").stdout == "acme stage\n"
+
+
+def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reason(
+    beside: Path, tmp_path: Path
+) -> None:
+    done = greybox(beside, tmp_path, "extensions", "--json")
+    listed = {(e["kind"], e["name"]): e for e in json.loads(done.stdout)["extensions"]}
+    assert listed["readers", "acme"]["distribution"] == "greybox-acme"
+    assert listed["readers", "mat"]["distribution"] == "greybox-sysid"
+    assert "a_package_that_nobody_has" in listed["readers", "broken"]["failure"]
+    (tmp_path / "run.strange").write_text("x", encoding="utf-8")
+    done = greybox(beside, tmp_path, "fit", "silverbox", "run.strange")
+    assert done.returncode == 2
+    assert "broken of greybox-broken" in done.stderr and ".acme" in done.stderr
