@@ -18,7 +18,7 @@ from greybox.base.findings import Finding
 from greybox.base.values import Printable
 from greybox.data.findings import TIMING, RecordCode
 from greybox.data.problems import (
-    RECORD_MIN_ROWS,
+    FEW_ROWS,
     RowLabels,
     find_array_problems,
     find_measurement_problems,
@@ -165,7 +165,7 @@ class Experiment(Printable):
         Raises
         ------
         DataError
-            Besides what `Experiment` refuses: fewer than 10 rows, an output without any value, a record in which no output moves,
+            Besides what `Experiment` refuses: fewer than 2 rows, an output without any value, a record in which no output moves,
             and inputs that are all constant at zero unless ``allow_constant_input``.
         """
         bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
@@ -268,7 +268,7 @@ class Experiment(Printable):
         DataError
             Where no piece is left.
         """
-        least = RECORD_MIN_ROWS if min_rows is None else min_rows
+        least = FEW_ROWS if min_rows is None else min_rows
         kept, dropped = find_pieces(self.time, self.outputs, least)
         if len(kept) + len(dropped) == 1:
             return (self,)

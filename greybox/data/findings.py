@@ -10,6 +10,7 @@ from greybox.base.findings import Finding
 class RecordCode(StrEnum):
     """What can be found in a record."""
 
+    FEW_ROWS = "few_rows"
     INPUT_CONSTANT = "input_constant"
     OUTPUT_CONSTANT = "output_constant"
     OUTPUT_GAPS = "output_gaps"

@@ -73,8 +73,11 @@ def find_array_problems(
     return problems
 
 
-# Fewest rows of a measured record: with fewer there is nothing to learn from.
-RECORD_MIN_ROWS = 10
+# Rows below which nothing is a record: two are one step of time. Textbook problems have six, and whether they determine the
+# constants is what a fit's intervals say.
+FEWEST_ROWS = 2
+# Rows of a piece between gaps in time below which it is left out, and of a record below which it is told how little it carries.
+FEW_ROWS = 10
 
 
 def find_measurement_problems(
@@ -85,11 +88,12 @@ def find_measurement_problems(
 ) -> list[str]:
     """Problems of a measured record from which nothing can be learnt."""
     problems: list[str] = []
-    if rows < RECORD_MIN_ROWS:
-        problems.append(f"{rows} rows; a record needs at least {RECORD_MIN_ROWS}")
+    if rows < FEWEST_ROWS:
+        problems.append(f"{rows} rows; a record needs at least {FEWEST_ROWS}")
     if not outputs:
         problems.append("no output; a record needs at least one measured output")
-    if not rows:
+    # Whether anything moves is no question for so few.
+    if rows < FEWEST_ROWS:
         return problems
     empty = [name for name, values in outputs.items() if np.isnan(values).all()]
     problems += [

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.findings import RecordCode
-from greybox.data.problems import is_constant
+from greybox.data.problems import FEW_ROWS, is_constant
 
 
 def inspect_signals(
@@ -22,7 +22,10 @@ def inspect_signals(
     inputs: Mapping[str, np.ndarray],
     outputs: Mapping[str, np.ndarray],
 ) -> Iterator[Finding]:
-    """What is accepted but should be known: what is constant, sensors in doubt, gaps."""
+    """What is accepted but should be known: few rows, what is constant, sensors in doubt, gaps."""
+    if len(time) < FEW_ROWS:
+        # Such a record is fitted all the same: the intervals say what it determines, and this why they rest on the model.
+        yield Finding(RecordCode.FEW_ROWS, values={"rows": len(time)})
     for name, values in inputs.items():
         if is_constant(values):
             yield Finding(RecordCode.INPUT_CONSTANT, subject=name, values={"value": float(values[0])})

@@ -444,8 +444,8 @@ BAD_LINES = [
     ({5: "0.3,0.5"}, "line 5 has 2 fields, the header (line 1) has 4"),
     ({5: "0.3,0,5,1e-6,0"}, "line 5 has 5 fields, the header (line 1) has 4; write a decimal point, or ';'"),
     ({31: "2.9,0.5,1e-"}, "line 31 has 3 fields"),
-    (dict.fromkeys(range(10, 32)), "8 rows; a record needs at least 10"),
-    (dict.fromkeys(range(2, 32)), "0 rows; a record needs at least 10"),
+    (dict.fromkeys(range(3, 32)), "1 rows; a record needs at least 2"),
+    (dict.fromkeys(range(2, 32)), "0 rows; a record needs at least 2"),
     ({1: "0,0,0,0"}, "line 1 holds numbers where the header should be; begin the file with a line of names"),
 ]
 

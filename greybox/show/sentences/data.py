@@ -147,6 +147,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.CONDITION_READ: lambda f: (
         f"condition {f.subject}: {f.values['value']:.6g} {f.values['unit']}, {_SOURCES[f.values['source']]}"
     ),
+    RecordCode.FEW_ROWS: "only {rows} rows: the intervals hold if the model is right, and so few values hardly show whether it is",
     RecordCode.ONE_OF_RUNS: "one of {runs} runs in its file: time restarts with each run",
     RecordCode.RESAMPLED: "resampled to every {sampling_time:.6g} s from {rows} rows",
     RecordCode.NO_TIME: "no column is called time or t: name it (--column time=HEADER), or give the step (--sampling-time SECONDS)",

@@ -142,6 +142,11 @@ GOLDEN = {
         {"value": 801e3, "unit": "Pa", "source": "comment"},
         "condition P_S: 801000 Pa, from a comment of the file",
     ),
+    RecordCode.FEW_ROWS: (
+        "",
+        {"rows": 7},
+        "only 7 rows: the intervals hold if the model is right, and so few values hardly show whether it is",
+    ),
     RecordCode.ONE_OF_RUNS: ("", {"runs": 2}, "one of 2 runs in its file: time restarts with each run"),
     RecordCode.RESAMPLED: (
         "",
