@@ -192,11 +192,11 @@ def public_names() -> str:
     lines = ["## greybox", "", "The verbs and values of the first week.", ""]
     for module, names in greybox._NAMES.items():
         lines += [line for name in names for line in _entry(f"greybox.{module}", name)]
-    listed = set(greybox.__all__)
+    listed, places = set(greybox.__all__), set()
     for namespace, place in greybox._NAMESPACES.items():
-        if place in listed:  # another name of a namespace that stands above
+        if place in places:  # another name of a namespace that stands above
             continue
-        listed.add(place)
+        places.add(place)
         module = importlib.import_module(f"greybox.{place}")
         doc = inspect.getdoc(module) or ""
         names = list(getattr(module, "__all__", ())) or _defined_in(module)

@@ -218,6 +218,7 @@ PRINTED: Mapping[str, tuple[str, ...]] = {
     "models": ("model_list", "model_outline"),
     "effects": ("effect_list",),
     "init": ("project",),
+    "extensions": ("extension_list",),
     "demo": (ResultKind.DISCOVERY,),
     "schema": ("json_schema",),
 }

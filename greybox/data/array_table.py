@@ -73,7 +73,7 @@ class ArrayTable:
         cls, infos: Mapping[str, ArrayInfo], load: ArrayLoader, policy: ReadingPolicy = READING_POLICY
     ) -> ArrayTable:
         """The table of a file's arrays. Raises DataError for more columns than the policy allows."""
-        check_width(sum(min(i.shape) if i.is_matrix else 1 for i in infos.values()))
+        check_width(sum(min(i.shape) if i.is_matrix else 1 for i in infos.values()), policy)
         columns: list[ArrayColumn] = []
         for name, info in infos.items():
             if not info.is_matrix:

@@ -91,7 +91,7 @@ class ChannelTable:
         findings: Sequence[Finding] = (),
     ) -> ChannelTable:
         """The table of a file's channels. Raises DataError for none, and for more than the policy allows."""
-        check_width(len(channels))
+        check_width(len(channels), policy)
         if not channels:
             raise DataError("the file has no signals; record some, or export it as CSV")
         return cls(tuple(channels), load, findings=tuple(findings), policy=policy)

@@ -63,15 +63,11 @@ class DataTable(Protocol):
         its signals to one time says what it did."""
 
 
-# Columns, or variables, of a file; rigs have tens, loggers hundreds.
-MOST_COLUMNS = 10000
-
-
-def check_width(columns: int) -> None:
+def check_width(columns: int, policy: ReadingPolicy) -> None:
     """Refuse a table of more columns than the policy allows, before anything of it is read. Raises DataError."""
-    if columns > MOST_COLUMNS:
+    if columns > policy.most_columns:
         raise DataError(
-            f"{columns} columns, at most {MOST_COLUMNS} are read; export the needed ones, or raise the limit"
+            f"{columns} columns, at most {policy.most_columns} are read; export the needed ones, or raise the limit"
             f" {raise_limit('most_columns')}"
         )
 

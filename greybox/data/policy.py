@@ -17,6 +17,13 @@ class ReadingPolicy:
     largest_unpacked: int = 400_000_000
     """Bytes that the wanted columns take in memory: 5 million rows of 10 signals."""
 
+    most_columns: int = 10_000
+    """Columns, or variables, of a file; rigs have tens, loggers hundreds."""
+    deepest_nesting: int = 8
+    """Levels of structs inside structs; a logger's are two or three deep."""
+    longest_line: int = 200_000
+    """Bytes of a line of text: 10 000 columns of 20 characters."""
+
     rows_per_chunk: int = 20_000
     """Lines taken apart at a time: large enough for speed, small enough for memory."""
 

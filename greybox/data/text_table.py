@@ -157,7 +157,7 @@ HEADER_LINES = 60
 
 def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     """Open a text table. Raises DataError for an empty or binary file, and where the header is not the first line."""
-    source = TextSource(path, _find_encoding(path))
+    source = TextSource(path, _find_encoding(path, policy))
     numbers, comments, first = _LineNumbers(), dict[int, str](), list[str]()
     has_comma = has_point = False
     for number, line in enumerate(source.read_lines(), 1):
@@ -192,7 +192,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
             headless = False
         else:
             headers = [str(k) for k in range(1, len(headers) + 1)]
-    check_width(len(headers))
+    check_width(len(headers), policy)
     labels = RowLabels("line", rows[skipped:])
     return TextTable(
         source,
@@ -347,13 +347,11 @@ def _guess_separator(header: str, body: Sequence[str]) -> str:
     return separator if count > 1 else BLANKS
 
 
-# Bytes of a line of text: 10 000 columns of 20 characters.
-LONGEST_LINE = 200000
 # Bytes looked at together when the encoding is found.
 BYTES_PER_BLOCK = 1000000
 
 
-def _find_encoding(path: Path) -> str:
+def _find_encoding(path: Path, policy: ReadingPolicy) -> str:
     """The encoding of a text: UTF-8, UTF-16 with or without its mark, or that of older instruments.
 
     Raises DataError for a file that is no text, and for a line longer than the policy allows, which no table has.
@@ -367,9 +365,9 @@ def _find_encoding(path: Path) -> str:
             *lines, rest = re.split(rb"[\r\n]", block)
             longest = max([since_end + len(lines[0]), *map(len, lines[1:])]) if lines else 0
             since_end = len(rest) if lines else since_end + len(rest)
-            if max(longest, since_end) > LONGEST_LINE:
+            if max(longest, since_end) > policy.longest_line:
                 raise DataError(
-                    f"{path.name}: a line is longer than {LONGEST_LINE} characters; write one line for each row"
+                    f"{path.name}: a line is longer than {policy.longest_line} characters; write one line for each row"
                 )
             try:
                 decoder.decode(block)

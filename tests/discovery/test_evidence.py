@@ -13,7 +13,7 @@ from greybox.discovery.certainty import Grade
 from greybox.discovery.evidence import EffectEvidence, _measure_change, _represents, _share_of_error, measure_structure
 from greybox.discovery.execution import FailureLog
 from greybox.discovery.holdout import AdaptedRun, compare_errors
-from greybox.discovery.policy import DiscoveryPolicy, EvidencePolicy
+from greybox.discovery.policy import DiscoveryPolicy
 from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import candidate, toy_effect
 
@@ -115,7 +115,6 @@ def compare_with_curves(monkeypatch, *curves, error=1.0, rest=1000.0, is_constan
         signals=[signal],
         selected=SimpleNamespace(cost=100.0, criterion=110.0),
         scores=scores,
-        limits=EvidencePolicy(),
         policy=DiscoveryPolicy(),
         attempt_check=lambda check: is_constant,
     )
@@ -152,7 +151,6 @@ def test_what_stands_in_the_place_of_an_effect_is_simpler(monkeypatch, name, exp
     inputs = SimpleNamespace(
         signals=[SimpleNamespace(effect=name)],
         selected=SimpleNamespace(model=model, effects=(name,)),
-        limits=EvidencePolicy(),
         policy=DiscoveryPolicy(),
         problem=SimpleNamespace(failures=FailureLog(), refit_all=lambda jobs: ["fit"]),
     )
@@ -197,15 +195,13 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
     )
     scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
     model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")], outputs=["x"])
-    inputs = SimpleNamespace(
-        scores=scores, selected=SimpleNamespace(model=model), limits=EvidencePolicy(), policy=DiscoveryPolicy()
-    )
+    inputs = SimpleNamespace(scores=scores, selected=SimpleNamespace(model=model), policy=DiscoveryPolicy())
     assert [e.grade for e in evidence.gather_evidence(inputs)] == [expected, Grade.STAND_IN]
 
 
 def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end(monkeypatch):
     monkeypatch.setattr(evidence, "_converge", lambda inputs, fit: SimpleNamespace(cost=fit.cost - 1))
-    inputs = SimpleNamespace(limits=EvidencePolicy(), selected=SimpleNamespace(cost=1.0))
+    inputs = SimpleNamespace(selected=SimpleNamespace(cost=1.0))
     rivals = [SimpleNamespace(cost=cost) for cost in (900.0, 20.0, 300.0)]
     assert [fit.cost for fit in evidence._keep_hopeful(inputs, rivals)] == [19.0]
     assert [fit.cost for fit in evidence._keep_hopeful(inputs, [rivals[0], rivals[2]])] == [300.0]
@@ -257,6 +253,6 @@ def test_noise_of_one_time_constant_is_no_structure_where_nobody_knows_the_noise
 
 def test_without_a_run_on_the_validation_records_there_is_no_evidence():
     scores = SimpleNamespace(square_errors=lambda fit, blocks: {}, run=lambda fit: None, adapt=lambda fit: None)
-    inputs = SimpleNamespace(scores=scores, selected=candidate(1.0, "a"), limits=EvidencePolicy())
+    inputs = SimpleNamespace(scores=scores, selected=candidate(1.0, "a"))
     assert evidence.gather_evidence(inputs) == ()
     assert measure_structure(scores, None, 1.05, 0.95) == 1.0

@@ -16,7 +16,6 @@ from greybox.discovery.localisation import (
     find_worst_stretch,
     localise_residual,
 )
-from greybox.discovery.policy import LocalisationPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
@@ -30,7 +29,6 @@ MOTOR = Model(
     balances=lambda x, u, p: [Balance("torque", "rad/s^2", 1, "y", motor=p.b * u.u, drag=-p.a * x.y)],
 )
 NOISE = {"x": 2e-7, "i": 5e-3}
-POLICY = LocalisationPolicy()
 
 
 def localise(effects):
@@ -101,7 +99,7 @@ def test_a_signal_depends_on_its_variable_with_its_shape(curve, parity, kind, po
     z = z - np.linspace(z[0], z[-1], t.size)
     z = np.sin(37 * t) * (1 + 0.3 * np.sin(5 * t)) + 0.05 * z / np.abs(z).max()
     w = curve(z) + 0.1 * rng.normal(size=t.size)
-    best = rank_dependences(t, w, {"other": (rng.normal(size=t.size), "V"), "z": (z, "m")}, POLICY)[0]
+    best = rank_dependences(t, w, {"other": (rng.normal(size=t.size), "V"), "z": (z, "m")})[0]
     assert best.variable == "z"
     assert (best.shape.kind, best.shape.parity) == (kind, parity)
     assert best.shape.position == (None if position is None else pytest.approx(position, rel=0.05))
@@ -135,7 +133,7 @@ def test_a_tone_that_the_input_does_not_have_has_a_frequency():
     rng = np.random.default_rng(2)
     t = np.arange(4000) * 2.5e-4
     w = np.sin(2 * np.pi * 50 * t) + 0.3 * rng.normal(size=t.size)
-    best = rank_dependences(t, w, {"x": (rng.normal(size=t.size), "m")}, POLICY)[0]
+    best = rank_dependences(t, w, {"x": (rng.normal(size=t.size), "m")})[0]
     assert best.tone == pytest.approx(50, abs=0.5)
     assert best.shape.kind is ShapeKind.TONE
 
@@ -143,7 +141,7 @@ def test_a_tone_that_the_input_does_not_have_has_a_frequency():
 def test_a_tone_that_the_input_has_is_none():
     t = np.arange(4000) * 2.5e-4
     w = np.sin(2 * np.pi * 50 * t)
-    assert rank_dependences(t, w, {"u": (np.sin(2 * np.pi * 50 * t + 1), "V")}, POLICY)[0].tone is None
+    assert rank_dependences(t, w, {"u": (np.sin(2 * np.pi * 50 * t + 1), "V")})[0].tone is None
 
 
 def test_the_stretch_is_where_the_misfit_varies_and_not_where_it_stands_still():

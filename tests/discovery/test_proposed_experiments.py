@@ -7,11 +7,9 @@ import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.proposals import InputKind, candidate_inputs
 from greybox.model.effects.catalogue import effect
 
-POLICY = DiscoveryPolicy().proposals
 HEATED = Model(
     "heated",
     states=[State("T", "K", role="temperature")],

@@ -8,7 +8,6 @@ import pytest
 
 from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 from greybox.discovery import residual_noise
-from greybox.discovery.policy import ResidualNoisePolicy
 from greybox.discovery.residual_noise import (
     RESIDUAL_NOISE_LONGEST_CORRELATION,
     estimate_residual_noise,
@@ -19,7 +18,6 @@ from greybox.discovery.residual_noise import (
 from greybox.estimation.policy import EstimationPolicy
 
 WHITE = AutoRegression()
-POLICY = ResidualNoisePolicy()
 RNG = np.random.default_rng(1)
 
 

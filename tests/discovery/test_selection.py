@@ -73,7 +73,7 @@ def test_no_more_effects_than_the_budget_allows():
 def test_a_further_effect_must_beat_a_correction_of_the_shape():
     table = costs(9000, a=2000, b=3000, a__b=NOISE)
 
-    def correct_shape(problem, fit, scales, policy):
+    def correct_shape(problem, fit, scales):
         return problem.refit_best(fit.model + toy_effect("a_second_branch"), [])
 
     selection, best = select(

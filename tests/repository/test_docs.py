@@ -26,6 +26,7 @@ QUICK = (
     "design.md",
     "changed.md",
     "laws.md",
+    "extensions.md",
 )
 STUDIES = sorted(path.stem for path in (DOCS / "gallery").glob("*.md"))
 QUICK_STUDIES = ("first_order_steps", "pendulum_constants", "worn_bearing")

@@ -68,6 +68,7 @@ EXAMPLES = {
     "models": "",
     "effects": "micro_actuator",
     "init": "rig --plant tanks",
+    "extensions": "",
     "demo": "--no-report",
     "schema": "design",
 }

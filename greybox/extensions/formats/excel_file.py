@@ -105,7 +105,7 @@ def _read_block(
     title: str, head: Sequence[Any], first: Sequence[Any], rows: Iterator[Sequence[Any]], policy: ReadingPolicy
 ) -> _Sheet:
     named = {k: str(cell).strip() for k, cell in enumerate(head) if cell is not None and str(cell).strip()}
-    check_width(len(named))
+    check_width(len(named), policy)
     cells: dict[int, list[float]] = {k: [] for k in named}
     row: Sequence[Any] | None = first
     count = 0

@@ -28,10 +28,6 @@ def is_hdf5(path: Path) -> bool:
     return any(start[place : place + len(SIGNATURE)] == SIGNATURE for place in PLACES)
 
 
-# Levels of structs inside structs; a logger's are two or three deep.
-DEEPEST_NESTING = 8
-
-
 def read_hdf5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     """Data sets of an HDF5 file; ``x`` in a group ``data`` is called ``data.x``. Links to other files are not followed."""
     import h5py
@@ -40,11 +36,11 @@ def read_hdf5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     places: dict[str, tuple[str, bool]] = {}
     with h5py.File(path, "r") as file:
         by_matlab = "MATLAB_class" in {key for _, _, data in _walk(h5py, file, "", 1) for key in data.attrs}
-        for name, place, data in _walk(h5py, file, "", DEEPEST_NESTING):
+        for name, place, data in _walk(h5py, file, "", policy.deepest_nesting):
             shape = tuple(int(n) for n in data.shape or ())
             infos[name] = ArrayInfo(shape[::-1] if by_matlab else shape, _describe_content(data))
             places[name] = (place, by_matlab)
-            check_width(len(infos))
+            check_width(len(infos), policy)
 
     def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
         with h5py.File(path, "r") as file:
@@ -65,8 +61,8 @@ def read_hdf5_file(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayT
     channels: list[Channel] = []
     places: list[tuple[str, _StampSource]] = []
     with h5py.File(path, "r") as file:
-        sets = list(_walk(h5py, file, "", DEEPEST_NESTING))
-        check_width(len(sets))
+        sets = list(_walk(h5py, file, "", policy.deepest_nesting))
+        check_width(len(sets), policy)
         clocks = {data.parent.name: data for _, _, data in sets if _is_time(data.name)}
         for _, place, data in sets:
             stamps = None if _is_time(place) or data.ndim != 1 else _read_stamps(data, clocks)

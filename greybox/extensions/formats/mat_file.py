@@ -16,7 +16,7 @@ from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width, raise_limit
 from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.extensions.formats.hdf5_file import DEEPEST_NESTING, is_hdf5, read_hdf5
+from greybox.extensions.formats.hdf5_file import is_hdf5, read_hdf5
 
 # MATLAB files of versions 5 to 7: numbers and structs, every size checked against the bytes that are there.
 #
@@ -81,14 +81,14 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
         order, end = _read_order(file), path.stat().st_size
         room = policy.largest_unpacked
         for variable in _list_variables(file, order, end):
-            check_width(len(infos) + 1)
+            check_width(len(infos) + 1, policy)
             if not variable.is_struct:
                 infos[variable.name], variables[variable.name] = variable.info, variable
                 continue
             content = _unpack(file, variable, order, room)
             room -= len(content)
-            for name, leaf in _list_leaves(memoryview(content), order, DEEPEST_NESTING):
-                check_width(len(infos) + 1)
+            for name, leaf in _list_leaves(memoryview(content), order, policy.deepest_nesting):
+                check_width(len(infos) + 1, policy)
                 infos[name] = ArrayInfo((), leaf) if isinstance(leaf, str) else ArrayInfo(leaf.shape)
                 if not isinstance(leaf, str):
                     members[name] = leaf

@@ -32,7 +32,7 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
     places: list[tuple[int, int]] = []
     # From an open stream: by its name, the library would open an unfinished file for writing.
     with open(path, "rb") as stream, _open(stream) as file:
-        check_width(sum(len(group.channels) for group in file.groups))
+        check_width(sum(len(group.channels) for group in file.groups), policy)
         for g, group in enumerate(file.groups):
             head = group.channel_group
             name = str(getattr(head, "acq_name", "") or getattr(head, "comment", "") or f"group {g + 1}")

@@ -22,7 +22,7 @@ def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTab
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        check_width(len(file.schema_arrow))
+        check_width(len(file.schema_arrow), policy)
         rows = file.metadata.num_rows
         infos = {
             column.name: ArrayInfo((rows,), "" if _is_number(pa.types, column.type) else _describe_type(column.type))
@@ -63,7 +63,7 @@ def read_npz(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     Raises DataError for a member that is no array, or shorter than it claims to be.
     """
     with zipfile.ZipFile(path) as archive:
-        check_width(len(archive.infolist()))
+        check_width(len(archive.infolist()), policy)
         members = {member.filename.removesuffix(SUFFIX): member for member in archive.infolist()}
         infos = {}
         for name, member in members.items():

@@ -19,7 +19,6 @@ from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
-from greybox.extensions.formats.hdf5_file import DEEPEST_NESTING
 
 RECORDER = "recorder"
 NANOSECONDS = 10**9
@@ -131,7 +130,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             content = message.decode()
             leaves[message.topic] = dict(_list_numbers(content, "", policy))
             stamped[message.topic] = _find_stamp(content) is not None
-            check_width(sum(map(len, leaves.values())))
+            check_width(sum(map(len, leaves.values())), policy)
         if len(leaves) == len(filled):
             break
     channels: list[Channel] = []
@@ -198,7 +197,7 @@ def _list_numbers(content: Any, prefix: str, policy: ReadingPolicy, depth: int =
     if isinstance(content, (bool, int, float, np.number, np.bool_)):
         yield prefix or "value", content
         return
-    if depth > DEEPEST_NESTING:
+    if depth > policy.deepest_nesting:
         return
     if isinstance(content, Mapping):
         members: Iterator[tuple[str, Any]] = ((str(k), v) for k, v in content.items())

@@ -36,7 +36,7 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
     places: list[tuple[str, str, _Stamps]] = []
     starts: dict[str, float] = {}
     with TdmsFile.open(path) as file:
-        check_width(sum(len(group.channels()) for group in file.groups()))
+        check_width(sum(len(group.channels()) for group in file.groups()), policy)
         for group in file.groups():
             clock = next((c for c in group.channels() if _is_time(c.name)), None)
             for channel in group.channels():

@@ -113,7 +113,6 @@ def test_findings_as_json() -> None:
     assert {"remedies", "verdict", "directions", "determined"} <= set(found["structure"])
     assert {"constants", "combinations", "remarks", "failure", "excitation"} <= set(found["data"])
     assert found["data"]["excitation"][0]["warnings"] == []
-    assert found["policy"]["max_relative_interval"] == 0.5
 
 
 def runaway(growth: float) -> Model:

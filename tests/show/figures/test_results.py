@@ -13,7 +13,6 @@ from greybox.discovery.curve_shape import rank_dependences
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal
-from greybox.discovery.policy import LocalisationPolicy
 from greybox.estimation.linear.linearise import linearise
 from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
@@ -138,7 +137,7 @@ def test_the_mean_in_bins_lies_among_the_points_that_it_is_the_mean_of() -> None
     rng = np.random.default_rng(1)
     time, v = 0.01 * np.arange(400), rng.uniform(-1, 1, 400)
     value = 5.0 + 2.0 * np.sign(v)  # a signal with a mean
-    dependence = rank_dependences(time, value, {"v": (v, "m/s")}, LocalisationPolicy())[0]
+    dependence = rank_dependences(time, value, {"v": (v, "m/s")})[0]
     signal = EffectSignal(
         "friction", "force", "N", "run", time, value, np.full(400, 0.1), value, "v", "m/s", v, dependence
     )
@@ -162,7 +161,7 @@ def test_the_unexplained_signal_is_drawn_at_the_site_that_the_text_names() -> No
 def test_a_figure_of_the_missing_signal_tells_of_no_variable_that_explains_nothing():
     x = np.linspace(-1, 1, 400)
     noise = np.random.default_rng(3).standard_normal(400)
-    dependences = rank_dependences(x, noise, {"x": (x, "m")}, LocalisationPolicy())
+    dependences = rank_dependences(x, noise, {"x": (x, "m")})
     assert dependences and not dependences[0].is_relevant
     signal = SimpleNamespace(site="force", unit="N", value=noise, variables={"x": x}, units={"x": "m"})
     figure = plot_unexplained_signal(SimpleNamespace(signal=signal, dependences=dependences))
