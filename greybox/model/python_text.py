@@ -12,6 +12,7 @@ from greybox.base.texts import escape_line, to_line
 from greybox.model.balance import Balance
 from greybox.model.expressions.printer import Printer
 
+# Characters of a line of a written model, beyond which its arguments stand on lines of their own.
 WIDTH = 110
 INDENT = "    "
 

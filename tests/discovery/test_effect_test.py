@@ -11,7 +11,6 @@ from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import validate_candidate
 from greybox.discovery.localisation import localise_residual
-from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.estimation.options import FitOptions
 from models.micro_actuator import micro_actuator
@@ -99,7 +98,7 @@ def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect,
     problem = DiscoveryProblem(lag, (record,), {"y": 1e-3}, (), FitOptions())
     candidate = problem.restore(model, RefitOutcome({"k": 2.0, amplitude: 0.1}, ((0.0,),)))
     checks = (acts_as_constant, is_offset_on_one_side)
-    assert tuple(check(candidate, effect, DiscoveryPolicy().evidence) for check in checks) == expected
+    assert tuple(check(candidate, effect) for check in checks) == expected
 
 
 @pytest.mark.parametrize(

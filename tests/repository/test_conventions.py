@@ -1,4 +1,4 @@
-"""Conventions that keep the library findable: where numbers stand, what names say, what public docstrings hold."""
+"""Conventions that keep the library findable: what is a setting, what names say, what public docstrings hold."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ import greybox
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
 
-# Constants of nature and of file formats, and the like. Decision numbers belong to a policy, tolerances to numerics.py.
-MOST_NUMERIC_CONSTANTS = 40
+# Settings of the whole library; whoever adds one asks first who turns it.
+MOST_SETTINGS = 150
 # Names that say nothing of what they hold.
 VAGUE = {"found", "said", "told", "there", "here", "own", "ways"}
 
@@ -51,18 +51,69 @@ def assigned(statement: ast.stmt) -> Iterator[tuple[str, ast.AST]]:
             yield from zip(names, statement.value.elts, strict=False)
 
 
-def test_numbers_stand_in_policies_or_among_the_tolerances() -> None:
-    constants = [
-        f"{path.relative_to(ROOT)}:{statement.lineno} {name}"
+def policies() -> dict[str, list[str]]:
+    """Class of settings -> its fields that are no group of settings themselves."""
+    return {
+        node.name: [
+            field.target.id
+            for field in node.body
+            if isinstance(field, ast.AnnAssign)
+            and not re.search(r"Policy|Budget", ast.unparse(field.annotation).replace("PolicyName", ""))
+        ]
         for path in LIBRARY
-        if path.name not in ("policy.py", "numerics.py")
-        for statement in parsed(path).body
-        for name, value in assigned(statement)
-        if re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) and is_number(value)
-    ]
-    assert len(constants) <= MOST_NUMERIC_CONSTANTS, "\n".join(
-        [f"{len(constants)} numeric constants at module level, at most {MOST_NUMERIC_CONSTANTS}:", *constants]
-    )
+        for node in parsed(path).body
+        if isinstance(node, ast.ClassDef) and re.search(r"(Policy|Budget)$", node.name)
+    }
+
+
+def given_names() -> set[str]:
+    """Every name that some call gives by keyword, and every name that stands as a text in the library (limits that one factor raises)."""
+    names: set[str] = set()
+    for folder in ("greybox", "tests", "fits"):
+        for path in (ROOT / folder).rglob("*.py"):
+            for node in ast.walk(parsed(path)):
+                if isinstance(node, ast.Call):
+                    names |= {k.arg for k in node.keywords if k.arg}
+                elif folder == "greybox" and isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    names.add(node.value)
+    for page in (ROOT / "docs").rglob("*.md"):
+        names |= set(re.findall(r"(\w+)=", page.read_text(encoding="utf-8")))
+    return names
+
+
+def test_a_setting_is_turned_by_somebody() -> None:
+    """A number that no caller, study or test turns is a constant above the function that it steers."""
+    given = given_names()
+    idle = [f"{policy}.{name}" for policy, names in policies().items() for name in names if name not in given]
+    assert not idle, f"settings that nobody turns; make them constants: {', '.join(idle)}"
+    assert sum(map(len, policies().values())) <= MOST_SETTINGS
+
+
+def test_a_constant_says_what_it_is() -> None:
+    """A comment stands above each number at module level, or above the group that it is in; or a docstring below."""
+    bare = []
+    for path in LIBRARY:
+        lines, body = path.read_text(encoding="utf-8").split("\n"), parsed(path).body
+        for k, statement in enumerate(body):
+            for name, value in assigned(statement):
+                if not (re.fullmatch(r"_?[A-Z][A-Z0-9_]*", name) and is_number(value)):
+                    continue
+                above = statement.lineno - 2
+                while above >= 0 and re.match(r"_?[A-Z][A-Z0-9_]*\b.* = ", lines[above]):
+                    above -= 1
+                told = lines[above].startswith("#") or "#" in lines[statement.lineno - 1]
+                # A group of lines without a blank one between them has its words below the last.
+                last = k
+                while (
+                    last + 1 < len(body)
+                    and body[last + 1].lineno == body[last].end_lineno + 1
+                    and isinstance(body[last], ast.Assign)
+                ):
+                    last += 1
+                below = isinstance(body[last], ast.Expr)
+                if not (told or below):
+                    bare.append(f"{path.relative_to(ROOT)}:{statement.lineno} {name}")
+    assert not bare, "\n".join(["numbers without a word:", *bare])
 
 
 def test_no_two_classes_share_a_name() -> None:

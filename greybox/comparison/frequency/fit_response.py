@@ -32,6 +32,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.model.model import Model
 
+# 97.5 % quantile of the normal distribution: half the width of a 95 % interval in standard deviations.
 NORMAL_95 = 1.959963984540054
 OperatingPoints = Mapping[str, float] | Sequence[Mapping[str, float]] | None
 

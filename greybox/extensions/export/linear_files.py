@@ -28,6 +28,7 @@ from greybox.model.model import Model
 from greybox.model.python_text import docstring, literal
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 
+# Version of the keys in the files of linear models.
 FORMAT_VERSION = 1
 
 

@@ -25,6 +25,7 @@ from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
 from greybox.extensions.fmu.search import FmuObjective, search_parameters
 from greybox.extensions.fmu.simulator import FmuSimulator
 
+# Version of the keys in fmu_fit.json.
 FORMAT = 1
 
 

@@ -24,6 +24,7 @@ from greybox.extensions.formats.hdf5_file import is_hdf5, read_hdf5
 # and numbers, and may be compressed as a whole (MathWorks, "MAT-File Level 5 File Format"). Readers in C follow sizes beyond the end
 # of a damaged file, so that it may end the process.
 
+# Bytes before the first element of a MATLAB file: text, version, order of bytes.
 HEADER = 128
 MATRIX, COMPRESSED = 14, 15  # types of elements
 STORED_AS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -31,6 +32,7 @@ CELL, STRUCT, OBJECT = 1, 2, 3  # classes of variables; from 6 to 15 they are nu
 CONTAINERS = (CELL, STRUCT, OBJECT)
 NUMERIC = range(6, 16)
 HOLDS = {4: "text", 5: "a sparse matrix", 16: "a function", 17: "an object, such as a table"}
+# Bit in the flags of an array that has an imaginary part.
 COMPLEX = 0x08
 BYTES_OF_HEAD = 1 << 16
 """Enough for class, dimensions and name of a variable."""

@@ -21,6 +21,7 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
 RECORDER = "recorder"
+# In a second; stamps of ROS count them.
 NANOSECONDS = 10**9
 
 

@@ -207,9 +207,9 @@ def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
     command = f"{sys.executable} -c {shlex.quote(program)} {{input}}"
     script = f"""
 import os, pathlib
-from greybox.experiment_design.policy import CAMPAIGN_POLICY
-from greybox.experiment_design.rig import run_rig
-from greybox.files import hold_file
+from greybox.extensions.design.policy import CAMPAIGN_POLICY
+from greybox.extensions.design.rig import run_rig
+from greybox.base.files import hold_file
 os.chdir({str(tmp_path)!r})
 with hold_file("campaign.lock") as held:
     run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
