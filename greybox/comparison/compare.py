@@ -28,7 +28,7 @@ from greybox.comparison.runs import (
     run_black_box,
     run_grey_box,
 )
-from greybox.data.experiment import Experiment, number_unnamed_records
+from greybox.data.experiment import Experiment, name_records
 from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import check_steps_ahead
 from greybox.estimation.result import Fit
@@ -415,4 +415,4 @@ def _default_name(model: ComparedModel) -> str:
 
 
 def _as_tuple(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return number_unnamed_records((experiments,) if isinstance(experiments, Experiment) else experiments)
+    return name_records(experiments)

@@ -332,12 +332,22 @@ def collect_record_findings(experiments: Iterable[Experiment]) -> tuple[Finding,
     return tuple(replace(f, values={**f.values, "records": list(names[key])}) for key, f in findings.items())
 
 
+def as_records(records: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """One record or several, as a tuple."""
+    return (records,) if isinstance(records, Experiment) else tuple(records)
+
+
 def number_unnamed_records(experiments: Iterable[Experiment]) -> tuple[Experiment, ...]:
     """The records, those that nobody named as ``record 1``, ``record 2``, by their place in the list."""
     return tuple(
         _with_sampling_time(replace(e, name=f"record {number}"), e.sampling_time) if e.name == UNNAMED else e
         for number, e in enumerate(experiments, 1)
     )
+
+
+def name_records(records: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
+    """One record or several, as a tuple, each with a name."""
+    return number_unnamed_records(as_records(records))
 
 
 def _restore(values: Mapping[str, Any], sampling_time: float | None) -> Experiment:

@@ -173,7 +173,7 @@ def generate_starting_points(
     amplitudes
         Amplitudes of the effect, in multiples of its probe.
     """
-    names = next(b.model_names for b in model.bound_effects if b.effect.name == effect.name)
+    names = model.names_of(effect.name)
     nominal = {**parent.model.values, **plain.values}
     origins = [parent.model.values] + ([nominal] if nominal != parent.model.values else [])
     probe = effect.probe(scales) if effect.probe else {}
@@ -190,8 +190,8 @@ def generate_child_starting_points(
     """Start values for ``model``, in which ``child`` replaces its fitted parent effect."""
     if child.from_parent is None:
         return
-    parent_names = next(b.model_names for b in parent.model.bound_effects if b.effect.name == parent_effect.name)
-    child_names = next(b.model_names for b in model.bound_effects if b.effect.name == child.name)
+    parent_names = parent.model.names_of(parent_effect.name)
+    child_names = model.names_of(child.name)
     fitted = {
         name: parent.model.values[in_model]
         for name, in_model in parent_names.items()

@@ -189,7 +189,7 @@ MOST_PERIODS = 40.0
 STEPS_PER_PERIOD = 20
 
 
-def find_period(z: np.ndarray, w: np.ndarray) -> tuple[float, float, float]:
+def find_period_of_curve(z: np.ndarray, w: np.ndarray) -> tuple[float, float, float]:
     """The sinusoid over ``z`` (K,) that explains most of ``w`` (K,) beside a straight line: its share of the variance, that of both, and
     its period in ``z``."""
     reach = float(np.ptp(z))
@@ -369,7 +369,7 @@ def _depend_on(name: str, unit: str, z: np.ndarray, w: np.ndarray) -> Dependence
     with_direction = _adjusted_share(w, 2 * which + upwards, 2 * (len(edges) - 1))
     with_direction = max(with_direction, share, 0.0)
     loop = with_direction - max(share, 0.0)
-    sinusoid, with_line, period = find_period(z, w)
+    sinusoid, with_line, period = find_period_of_curve(z, w)
     gain_needed = min(PERIODIC_GAIN, PERIODIC_GAIN_OF_REST * (1 - with_direction))
     if sinusoid > DEPENDENCE_SHARE and with_line - with_direction > gain_needed:
         relevant = bool(with_line > DEPENDENCE_SHARE)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from greybox.base.errors import DataError
 from greybox.base.findings import Check
 from greybox.base.values import Printable, ReadOnly
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.decision import criterion_gain, excess_cost, judge_effect
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, validate_candidate
@@ -177,7 +177,7 @@ def _compare(
     validation: Experiment | Sequence[Experiment],
     policy: DiscoveryPolicy,
 ) -> EffectTest:
-    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    records = as_records(validation)
     before, after = (validate_candidate(problem, candidate, records) for candidate in (smaller, larger))
     excess = excess_cost(smaller)
     explained = (smaller.cost - larger.cost) / excess if excess else 0.0

@@ -626,7 +626,7 @@ def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[Can
     """
     if len(halves) < 2:
         return np.nan
-    names = next(b.model_names for b in selected.model.bound_effects if b.effect.name == effect.name)
+    names = selected.model.names_of(effect.name)
     amplitudes = [names[n] for n in effect.amplitudes]
     shapes = [names[q.name] for q in effect.parameters if q.name not in effect.amplitudes]
     free = [n for n in (*amplitudes, *shapes) if not selected.model.parameter(n).fixed]
@@ -667,7 +667,7 @@ def _is_undetermined(fit: Fit, name: str) -> bool:
 
 def _count_free(candidate: CandidateFit, effect: Effect) -> int:
     """How many constants of an effect are not fixed."""
-    names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == effect.name)
+    names = candidate.model.names_of(effect.name)
     return sum(not candidate.model.parameter(names[q.name]).fixed for q in effect.parameters)
 
 

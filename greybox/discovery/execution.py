@@ -68,6 +68,12 @@ class SearchFailure:
     reason: str
 
 
+# What models, solvers and compilers raise: errors of this library, CasADi's (RuntimeError), those of linear algebra and of arithmetic,
+# ValueError of numerical libraries for arrays that are not finite, and what a compiler or a full disk gives. While a candidate is
+# prepared, functions of an effect that a user wrote run: they may raise anything.
+NUMERICAL_ERRORS = (GreyboxError, RuntimeError, ValueError, ArithmeticError, OSError, MemoryError)
+
+
 @dataclass
 class FailureLog:
     """Failures of a search in the order in which they happened, each model once a stage."""
@@ -81,10 +87,15 @@ class FailureLog:
     def attempt(
         self, stage: SearchStage, effects: tuple[str, ...], run: Callable[[], Result], fallback: Fallback
     ) -> Result | Fallback:
-        """``run()``, or ``fallback`` where it fails: whatever is wrong with one candidate must not end the search."""
+        """``run()``, or ``fallback`` where a model, a solver or a compiler fails: one candidate must not end the search.
+
+        An error of any other kind is a bug of this library, which ends the run: it must not turn a name into *unknown*.
+        """
         try:
             return run()
-        except Exception as error:  # of an effect that a user wrote, of the solver, of the compiler: the reason is kept
+        except Exception as error:
+            if stage is not SearchStage.PREPARATION and not isinstance(error, NUMERICAL_ERRORS):
+                raise
             self.add(stage, effects, reason_of(error))
             return fallback
 

@@ -14,7 +14,7 @@ from greybox.base.findings import Check
 from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import BoundDirection, NoiseModel
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
@@ -177,7 +177,7 @@ class ValidationSet:
         """One record, or several, as a set; a set as it is."""
         if isinstance(records, ValidationSet):
             return records
-        return cls((records,) if isinstance(records, Experiment) else tuple(records))
+        return cls(as_records(records))
 
     @property
     def uncounted(self) -> int:

@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
-from greybox.data.experiment import Experiment, number_unnamed_records
+from greybox.data.experiment import Experiment, name_records
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
@@ -858,7 +858,7 @@ def _name(candidate: CandidateFit) -> str:
 
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:
-    return number_unnamed_records((records,) if isinstance(records, Experiment) else records)
+    return name_records(records)
 
 
 def _ignore(_: str) -> None:

@@ -185,7 +185,7 @@ def prepare_power(selected: CandidateFit, rest: CandidateFit, signal: EffectSign
     """The refit of ``rest`` with a power of the variable of ``signal`` that stands for the whole signal of an effect of ``selected``."""
     power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)
     model = rest.model + power
-    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    names = model.names_of(CURVE)
     begin = {names[n]: v for n, v in values.items()}
     kept = {n: v for n, v in selected.model.values.items() if n in rest.model.values}
     starts = ({**rest.model.values, **begin}, {**rest.model.values, **kept, **begin})
@@ -215,7 +215,7 @@ def _prepare_curve(candidate: CandidateFit, signal: EffectSignal, values: np.nda
         CORRECTION_HEIGHTS,
     )
     model = candidate.model + curve
-    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    names = model.names_of(CURVE)
     starts = ({**candidate.model.values, **{names[n]: v for n, v in heights.items()}}, candidate.model.values)
     return RefitJob(model, starts, 1, CORRECTION_ITERATIONS)
 

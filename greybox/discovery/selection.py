@@ -477,8 +477,8 @@ class StepwiseSelection:
     def _refit_from_child(self, simpler: CandidateFit, richer: CandidateFit, parent: str, child: str) -> CandidateFit:
         """The simpler model from the constants of the richer one: caught in a minimum of its own it would leave its name to its child."""
         values = dict(richer.model.values)
-        child_names = next(b.model_names for b in richer.model.bound_effects if b.effect.name == child)
-        parent_names = next(b.model_names for b in simpler.model.bound_effects if b.effect.name == parent)
+        child_names = richer.model.names_of(child)
+        parent_names = simpler.model.names_of(parent)
         shared = {parent_names[q]: values[child_names[q]] for q in parent_names.keys() & child_names.keys()}
         start = {**simpler.model.values, **{n: v for n, v in values.items() if n in simpler.model.values}, **shared}
         again = self.problem.refit_best(simpler.model, [start], keep=1)

@@ -409,7 +409,7 @@ def _prepare_curve(
             make_sinusoid_effect(place.site, dependence, share * period, z, signal.value)[1] for share in PERIOD_STARTS
         ]
     model = candidate.model + effect
-    names = next(b.model_names for b in model.bound_effects if b.effect.name == CURVE)
+    names = model.names_of(CURVE)
     nominal = {q.name: q.value for q in problem.model.free_parameters if q.name in model.values}
     return model, [
         {**candidate.model.values, **values, **{names[n]: v for n, v in start.items()}}
@@ -458,7 +458,7 @@ def _to_curve_surrogate(
     )
     fit = validate_candidate(replace(problem, options=brief), candidate, validation)
     holdout = compare_holdout_errors(base, fit)
-    names = next(b.model_names for b in candidate.model.bound_effects if b.effect.name == CURVE)
+    names = candidate.model.names_of(CURVE)
     values = {n: candidate.model.values[in_model] for n, in_model in names.items()}
     measured = signal.variables[dependence.variable]
     points = CURVE_POINTS

@@ -10,7 +10,7 @@ from typing import Any
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.identifiability.combinations import OpenDirection
@@ -216,7 +216,7 @@ def check(
     ['M, B, K, Kf scale together']
     """
     options = options or FitOptions()
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     _check_outputs(model, outputs)
     assumed = None
     if not group:

@@ -15,7 +15,7 @@ from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
 from greybox.base.findings import Finding, Severity
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
@@ -136,7 +136,7 @@ def multistart(
             f"{model.title}: several starts compare free runs, which do not determine process noise; fit it from one start, or first"
             " without its process noise"
         )
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     known_noise = prepare_estimation(
         model, group, noise, options, quiet=quiet
     ).noise  # once; refuses here what no start can use

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.numerics import TINY, UNSEEN_INFORMATION
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
@@ -305,7 +305,7 @@ def predictor(
     >>> predictor(fit).predict(other_record, steps=5)["x"]  # doctest: +SKIP
     """
     known = fix_parameters(model, noise, options)
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     if isinstance(model, Fit):
         if model.model.noisy_states and noise is None and not group:
             frozen = model.model.fix(*model.model.values)

@@ -13,7 +13,7 @@ from greybox.base.errors import DataError
 from greybox.base.linear_algebra import RankTolerance, decompose_symmetric
 from greybox.base.numerics import REDUNDANT_VARIANCE
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.estimation.objective import SimulationErrorObjective
@@ -459,7 +459,7 @@ def score(
     --------
     >>> score(fit, validation, steps=(1, 10)).outputs["x"].free_run  # doctest: +SKIP
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     judged = [t.experiment for t in model.traces] if isinstance(model, Fit) and not group else list(group)
     if not judged:
         raise DataError("scores: no record; give experiments, or a fit, which has its own")

@@ -129,6 +129,10 @@ class Model(Printable):
             for effect, placed in zip(self.effects, self.system.effects, strict=True)
         )
 
+    def names_of(self, effect: str) -> Mapping[str, str]:
+        """Constant of an effect that the model has -> its name in the model."""
+        return next(bound.model_names for bound in self.bound_effects if bound.effect.name == effect)
+
     @cached_property
     def sites(self) -> tuple[Site, ...]:
         """Every balance, input and output of the plant as a place where effects may act."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base.errors import DataError, nearest
 from greybox.base.numerics import COLLINEAR_COLUMNS, DEPENDENT_COLUMN_SHARE, SAME_SAMPLING_TIME
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 
 # Records for a difference equation: one output and the inputs at equal steps.
 
@@ -95,7 +95,7 @@ def to_sampled_data(
 
     Raises DataError for unknown names, irregular time, and records of different sampling times.
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     if not group:
         raise DataError("no experiment; give at least one record")
     known = list(dict.fromkeys(name for e in group for name in e.outputs))

@@ -26,7 +26,7 @@ from greybox.comparison.blackbox.prediction_error import (
     fit_prediction_error,
 )
 from greybox.comparison.blackbox.prediction_error_models import make_armax_structure, make_output_structure
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 
 
 class BlackBoxKind(StrEnum):
@@ -236,7 +236,7 @@ def scan_choices(
     policy: StructureScanPolicy = DEFAULT_SCAN,
 ) -> StructureScan:
     """`scan_structures` over a list of ``choices``; the chosen one is fitted to ``final`` (None: to the same records)."""
-    records = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    records = as_records(validation)
     listed, structures, began = list(choices), [], time.perf_counter()
     for done, orders in enumerate(listed, 1):
         try:

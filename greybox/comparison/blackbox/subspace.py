@@ -22,7 +22,7 @@ from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECOR
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
 from greybox.comparison.blackbox.responses import InitialChoice
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 
 WEIGHTS = ("cva", "n4sid")
 
@@ -247,7 +247,7 @@ def subspace(
     >>> model = gb.blackbox.subspace(records)  # doctest: +SKIP
     >>> gb.compare({"physics": fit, "subspace": model.boxes()}, validation)  # doctest: +SKIP
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     if not group:
         raise DataError("no experiment; give at least one record")
     if weight not in WEIGHTS:

@@ -3,7 +3,7 @@
 from greybox.comparison.frequency.best_linear_approximation import (
     BestLinearApproximation,
     estimate_best_linear_approximation,
-    find_period,
+    find_rows_of_period,
 )
 from greybox.comparison.frequency.fit_response import FrequencyFit, fit_frequency_response
 from greybox.comparison.frequency.response import FrequencyResponse, read_frequency_response
@@ -13,7 +13,7 @@ __all__ = [
     "FrequencyFit",
     "FrequencyResponse",
     "estimate_best_linear_approximation",
-    "find_period",
+    "find_rows_of_period",
     "fit_frequency_response",
     "read_frequency_response",
 ]

@@ -18,7 +18,7 @@ from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Check
 from greybox.base.values import Printable
 from greybox.comparison.frequency.response import FrequencyResponse
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 
 # Codes of the tests of linearity; their sentences are in `greybox.show.sentences.frequency`.
 
@@ -135,7 +135,7 @@ def estimate_best_linear_approximation(
     DataError
         For records that are not periodic, too short, irregular, or not excited alike.
     """
-    group = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    group = as_records(experiments)
     if not group:
         raise DataError("no experiment; give at least one record")
     source = _choose(input, list(group[0].inputs), "input")
@@ -143,7 +143,7 @@ def estimate_best_linear_approximation(
     step = group[0].sampling_time
     if step is None or any(e.sampling_time is None or not np.isclose(e.sampling_time, step) for e in group):
         raise DataError("a best linear approximation needs uniform time, the same in all records; resample them")
-    rows = period or find_period(group[0], source)
+    rows = period or find_rows_of_period(group[0], source)
     spectra = [_take_periods(e, source, sink, rows, transient_periods) for e in group]
     count = min(len(u) for u, _ in spectra)
     U, Y = (np.stack([part[k][:count] for part in spectra]) for k in (0, 1))  # (realisations, periods, lines)
@@ -200,7 +200,7 @@ def estimate_best_linear_approximation(
 PERIOD_ERROR = 0.01
 
 
-def find_period(experiment: Experiment, input: str) -> int:
+def find_rows_of_period(experiment: Experiment, input: str) -> int:
     """Find the rows after which an input repeats.
 
     Parameters

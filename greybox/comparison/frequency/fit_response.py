@@ -17,7 +17,7 @@ from greybox.base.findings import Finding
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.comparison.frequency.response import FrequencyResponse
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.objective import ResidualRows, SimulationErrorObjective
@@ -146,7 +146,7 @@ def fit_frequency_response(
     if not names:
         raise DataError(f"{model.title} has no free parameter; free one")
     rows = _ResponseRows(model, names, group, tuple(points))
-    records = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    records = as_records(experiments)
     time_fit = fit(model, records, noise=noise, options=options) if records else None
     start = np.array(
         [model.parameter(n).value if time_fit is None else time_fit.model.parameter(n).value for n in names]

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import (
     WHITE,
     AutoRegression,
@@ -106,7 +106,7 @@ def estimate_noise(
     DataError
         For a quiet record whose input moves, or that lacks an output it should show.
     """
-    quiet_records = (quiet,) if isinstance(quiet, Experiment) else tuple(quiet)
+    quiet_records = as_records(quiet)
     check_given_noise(model, given)
     _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}

@@ -18,7 +18,7 @@ SAME_INPUT = 1e-06
 MIN_PERIOD_ROWS = 20
 
 
-def find_period(inputs: np.ndarray) -> int | None:
+def find_repetition(inputs: np.ndarray) -> int | None:
     """The period in rows of ``inputs`` (N, nu), if they repeat to the last digits for two periods or more."""
     rows = len(inputs)
     span = np.ptp(inputs, axis=0) if rows else np.zeros(0)
@@ -96,7 +96,7 @@ def deviations_between_periods(experiment: Experiment, output: str, inputs: Sequ
     """
     if not experiment.regular or output not in experiment.outputs:
         return []
-    rows = find_period(stack_signals([experiment.inputs[n] for n in inputs], experiment.rows))
+    rows = find_repetition(stack_signals([experiment.inputs[n] for n in inputs], experiment.rows))
     if rows is None:
         return []
     count = experiment.rows // rows

@@ -529,7 +529,7 @@ def curve_effects(
         unit = term.site_unit if not others else f"({term.site_unit})/({_unit_of(term, others)})"
         effect = _curve_effect(term, variable, others, shape, low, pitch, unit, heights)
         curved = model.without(name) + effect
-        names_in_model = next(b.model_names for b in curved.bound_effects if b.effect.name == LAW_CURVE)
+        names_in_model = curved.names_of(LAW_CURVE)
         start = {n: v for n, v in model.values.items() if n in curved.values}
         yield curved, start | {names_in_model[f"h{k}"]: float(v) for k, v in enumerate(heights)}
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.policy import DEFAULT_POLICY, SegmentPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -54,7 +54,7 @@ def split_into_arcs(
     DataError
         For a length that is not positive, or shorter than three rows.
     """
-    originals = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
+    originals = as_records(experiments)
     arcs: list[Experiment] = []
     for experiment in originals:
         cuts = place_cuts(experiment.name, experiment.time - experiment.time[0], seconds=seconds, rows=rows)

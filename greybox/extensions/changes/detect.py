@@ -14,7 +14,7 @@ from scipy.special import fdtrc
 
 from greybox.base.errors import DataError, FitError
 from greybox.base.findings import Check, Finding, Severity
-from greybox.data.experiment import Experiment, number_unnamed_records
+from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
@@ -235,7 +235,7 @@ def detect_changes(
     ('changed', ('K',))
     """
     began = time.perf_counter()
-    listed, judges = as_records(records), as_records(validation)
+    listed, judges = name_records(records), name_records(validation)
     check_reference(reference)
     if not listed:
         raise DataError("no record of today: give at least one")
@@ -315,11 +315,6 @@ def detect_changes(
         p_value=test.p_value if test else None,
         seconds=time.perf_counter() - began,
     )
-
-
-def as_records(records: Records) -> tuple[Experiment, ...]:
-    """One or several records as a tuple, each with a name."""
-    return number_unnamed_records((records,) if isinstance(records, Experiment) else records)
 
 
 def check_reference(reference: Fit) -> None:

@@ -15,7 +15,7 @@ from greybox.base.values import Printable
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import NamedModel, compare_named
 from greybox.comparison.result import Comparison
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.discovery.decision import Verdict
 from greybox.discovery.effect_test import try_effect
 from greybox.discovery.pipeline import discover
@@ -510,4 +510,4 @@ def _measure(
 
 
 def _as_tuple(records: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return (records,) if isinstance(records, Experiment) else tuple(records)
+    return as_records(records)

@@ -15,7 +15,7 @@ from greybox.base.errors import DataError
 from greybox.base.files import write_file
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
-from greybox.data.experiment import Experiment
+from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.spectrum import estimate_noise_of_records
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
@@ -161,8 +161,8 @@ def fit_fmu(
     ModelError
         For unknown names.
     """
-    records = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
-    others = (validation,) if isinstance(validation, Experiment) else tuple(validation)
+    records = as_records(experiments)
+    others = as_records(validation)
     if not records:
         raise DataError("no experiment; give at least one record")
     unknowns = plant.choose(free)

@@ -192,7 +192,7 @@ def _effect_test(test: EffectTest) -> str:
     lines = [f"{test.name}: {decision}"]
     lines += [f"  {sentence(check)}" for check in test.checks]
     lines.append(f"  explains {_percent(test.explained_fraction)} of the misfit above the noise")
-    names = next(b.model_names for b in test.larger.model.bound_effects if b.effect.name == test.name)
+    names = test.larger.model.names_of(test.name)
     for name, in_model in names.items():
         estimate = test.larger.parameters.get(in_model)
         if estimate is not None:

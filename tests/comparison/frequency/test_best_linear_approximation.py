@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from greybox.base.errors import DataError
-from greybox.comparison.frequency.best_linear_approximation import estimate_best_linear_approximation, find_period
+from greybox.comparison.frequency.best_linear_approximation import (
+    estimate_best_linear_approximation,
+    find_rows_of_period,
+)
 from greybox.data.experiment import Experiment
 
 ROWS, PERIODS, STEP, AMPLITUDE = 1024, 6, 1e-3, 0.1
@@ -66,9 +69,9 @@ def test_false_alarms_are_rare():
 def test_the_period_is_found_where_the_measured_input_is_noisy():
     record = realisations(1)[0]
     noisy = record.inputs["u"] + 2e-3 * np.random.default_rng(0).standard_normal(record.rows)
-    assert find_period(Experiment("r", record.time, {"u": noisy}, dict(record.outputs)), "u") == ROWS
+    assert find_rows_of_period(Experiment("r", record.time, {"u": noisy}, dict(record.outputs)), "u") == ROWS
     with pytest.raises(DataError, match="does not repeat"):
-        find_period(Experiment("r", record.time, {"u": np.sqrt(record.time)}, dict(record.outputs)), "u")
+        find_rows_of_period(Experiment("r", record.time, {"u": np.sqrt(record.time)}, dict(record.outputs)), "u")
 
 
 def test_what_is_too_short_is_refused():

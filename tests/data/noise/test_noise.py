@@ -12,7 +12,7 @@ from greybox.base.errors import DataError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, BoundDirection, NoiseSource, fit_autoregression, join_series
 from greybox.data.noise.noise_sources import estimate_noise
-from greybox.data.noise.repeats import deviations_from_mean, find_period
+from greybox.data.noise.repeats import deviations_from_mean, find_repetition
 from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
@@ -149,8 +149,8 @@ def test_periods_of_the_input_tell_level_and_colour():
     assert set(told.sources.values()) == {NoiseSource.REPEATED_PERIODS}
     assert told.std == pytest.approx([LEVEL["x"], LEVEL["i"]], rel=0.15)
     assert [a.autocorrelation(2)[1] for a in told.colour] == pytest.approx([0.7, 0.7], abs=0.06)
-    assert find_period(np.tile(once, 4)[:, None]) == 500
-    assert find_period(once[:, None]) is None and find_period(np.ones((100, 1))) is None
+    assert find_repetition(np.tile(once, 4)[:, None]) == 500
+    assert find_repetition(once[:, None]) is None and find_repetition(np.ones((100, 1))) is None
 
 
 @pytest.mark.parametrize("held", [1, 7])
@@ -162,13 +162,13 @@ def test_the_period_of_a_long_record_is_that_of_a_short_one(monkeypatch, period,
     once = np.repeat(rng.integers(0, 2, size=(period or rows) // held + 1), held)[: period or rows].astype(float)
     once[: len(once) // 3] = 0.0
     inputs = np.stack([np.resize(once, rows), np.resize(np.roll(once, 5), rows)], axis=1)
-    expected = find_period(inputs)
+    expected = find_repetition(inputs)
     monkeypatch.setattr("greybox.data.noise.repeats.NUMBERS_AT_A_TIME", 1000)
     monkeypatch.setattr("greybox.data.noise.repeats.ROWS_AT_A_TIME", 100)
-    assert find_period(inputs) == expected
+    assert find_repetition(inputs) == expected
     assert expected == (period if period and 2 * period <= rows and np.ptp(once) else expected)
     inputs[-1, 0] += 0.5  # the last row breaks it
-    assert find_period(inputs) is None
+    assert find_repetition(inputs) is None
 
 
 def test_deviations_leave_out_how_the_repeats_began():
