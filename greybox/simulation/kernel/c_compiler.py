@@ -25,6 +25,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
@@ -449,13 +450,30 @@ def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess
     finally:
         os.close(leash)
     try:
-        output, errors = process.communicate(timeout=timeout)
+        output, errors = _wait(process, timeout)
     except BaseException:  # too slow, or interrupted
         _kill_group(process)
         raise
     finally:
         os.close(hand)
     return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+
+# Seconds between looks at whether the program still goes on.
+LOOK_SECONDS = 0.05
+
+
+def _wait(process: subprocess.Popen[str], timeout: float) -> tuple[str, str]:
+    """What a program prints. Beside a main thread that has ended it is given up: nobody waits for what it makes."""
+    deadline = time.monotonic() + timeout
+    while True:
+        try:
+            return process.communicate(timeout=LOOK_SECONDS)
+        except subprocess.TimeoutExpired:
+            if time.monotonic() > deadline:
+                raise
+            if not threading.main_thread().is_alive():
+                raise CompilerError("the program has ended") from None
 
 
 def _kill_group(process: subprocess.Popen[str]) -> None:

@@ -14,6 +14,11 @@ from collections.abc import Callable, Collection
 from enum import Enum
 from typing import Any, NamedTuple
 
+try:
+    import resource
+except ImportError:  # on Windows
+    resource = None  # type: ignore[assignment]
+
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import CompilerError, find_library, load_library
 from greybox.simulation.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
@@ -45,15 +50,17 @@ class CompilerOrder:
         if self._is_placed or not _compiler_is_busy.acquire(blocking=False):
             return
         self._is_placed = True
-        threading.Thread(target=self._run, args=(prepare(),), daemon=True).start()
+        # No daemon: the interpreter waits for the thread before it takes LLVM apart. The thread gives up by itself once the program ends
+        # (`run_compiler`), so that this takes no longer than a short piece of machine code.
+        threading.Thread(target=self._run, args=(prepare(),)).start()
 
     def _run(self, make: Callable[[], Any]) -> None:
         try:
             self.result = make()
         except CompilerError as error:
             self.error = error
-        except RuntimeError as error:  # what llvmlite raises
-            self.error = CompilerError(f"LLVM cannot translate the equations: {error}")
+        except RuntimeError:  # LLVM cannot, or not in the time and memory that it is given: the tape machine goes on, with the same numbers
+            self.result = None
         finally:
             _compiler_is_busy.release()
 
@@ -109,6 +116,20 @@ class _Course(NamedTuple):
 
 # Registers of the machine lie on the stack; a thread may have as little as 512 kB of it. A model of ten states takes 20 kB.
 LARGEST_SCRATCH_BYTES = 200000
+# Share of the main thread's stack that they may take: 25 bodies on springs take 0.75 MB of the usual 8 MB.
+STACK_SHARE = 0.25
+
+
+def largest_scratch() -> int:
+    """Bytes of registers for which there is room on the stack of this thread."""
+    if resource is None or threading.current_thread() is not threading.main_thread():
+        return LARGEST_SCRATCH_BYTES
+    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
+    return (
+        LARGEST_SCRATCH_BYTES
+        if limit == resource.RLIM_INFINITY
+        else max(LARGEST_SCRATCH_BYTES, int(STACK_SHARE * limit))
+    )
 
 
 class GradualKernel(CompiledKernel):
@@ -179,7 +200,7 @@ class GradualKernel(CompiledKernel):
         is_translated = course.kind is CompilerKind.TRANSLATED
         if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
             self._place(order, course.kind, shape)
-        if course.machine.scratch_bytes > LARGEST_SCRATCH_BYTES:
+        if course.machine.scratch_bytes > largest_scratch():
             return self._load(shape)
         functions = _count_seconds(course.by_machine, order, (course.machine.address,))
 

@@ -11,14 +11,19 @@ import importlib.util
 import platform
 import re
 import struct
+import sys
+import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
 import casadi as ca
 
+from greybox.base.files import write_file
 from greybox.model.expressions.operations import OPERATIONS
+from greybox.simulation.kernel.c_compiler import CompilerError, run_compiler
 from greybox.simulation.kernel.tape import FMA, FMS, FNMA, Tape, find_needed, order_terms
 
 ARITHMETIC = {ca.OP_ADD: "fadd", ca.OP_SUB: "fsub", ca.OP_MUL: "fmul", ca.OP_DIV: "fdiv"}
@@ -78,13 +83,59 @@ def generate(tape: Tape, width: int, blocks: int) -> Code:
     missing = sorted(name for name in text.functions if llvm.address_of_symbol(name) is None)
     if missing:  # LLVM would end the process
         raise RuntimeError(f"this process has no function {', '.join(missing)}")
-    machine = llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, jit=True
-    )
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(source), machine)
-    engine.finalize_object()
+    engine = _run_generator(llvm, source, text.instructions)
     once, each = (engine.get_function_address(name) for name in ("once", "each"))
     return Code(once, each, max(1, text.values), max(1, text.tangents), engine)
+
+
+# Instructions of LLVM from which its code generator runs in a process of its own. It takes 0.3 ms each, and more in long routines, and
+# nothing can interrupt it in this process; a process of its own costs 0.2 s and ends with the program.
+LONG_ROUTINE = 700
+# Seconds after which a code generator is given up: the tape machine has done the work of several fits by then.
+GENERATOR_SECONDS = 60.0
+
+
+def _run_generator(llvm: ModuleType, source: str, instructions: int) -> Any:
+    """The machine code of ``source``, loaded. Raises RuntimeError where there is none."""
+    if instructions < LONG_ROUTINE:
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(source), create_target(llvm))
+        engine.finalize_object()
+        return engine
+    with tempfile.TemporaryDirectory(prefix="greybox-") as folder:
+        text, code = Path(folder, "routine.ll"), Path(folder, "routine.o")
+        write_file(text, source)
+        command = [sys.executable, "-P", "-c", GENERATOR, str(text), str(code)]
+        try:
+            run = run_compiler(command, GENERATOR_SECONDS)
+        except CompilerError as error:  # it takes too long, or the program has ended
+            raise RuntimeError(str(error)) from error
+        if run.returncode or not code.exists():
+            raise RuntimeError(f"the process of the code generator ended with code {run.returncode}")
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), create_target(llvm))
+        engine.add_object_file(llvm.object_file.ObjectFileRef.from_data(code.read_bytes()))
+    engine.finalize_object()
+    return engine
+
+
+def create_target(llvm: ModuleType) -> Any:
+    """This machine, as the code generator sees it."""
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, jit=True
+    )
+
+
+GENERATOR = """
+import sys
+import llvmlite.binding as llvm
+llvm.initialize_native_target()
+llvm.initialize_native_asmprinter()
+target = llvm.Target.from_default_triple().create_target_machine(
+    cpu=llvm.get_host_cpu_name(), features=llvm.get_host_cpu_features().flatten(), opt=2, jit=True
+)
+with open(sys.argv[1], encoding="utf-8") as text, open(sys.argv[2], "wb") as code:
+    code.write(target.emit_object(llvm.parse_assembly(text.read())))
+"""
+"""The program of that process: assembly language in, an object file out, by the same generator with the same settings."""
 
 
 class _Text:
@@ -100,6 +151,11 @@ class _Text:
         self.declared: set[str] = set()
         self.functions: set[str] = set()
         self._count = 0
+
+    @property
+    def instructions(self) -> int:
+        """Of both functions, once they are written."""
+        return self._count
 
     def module(self) -> str:
         """Both functions and what they call."""
