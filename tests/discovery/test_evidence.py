@@ -77,7 +77,7 @@ def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, exp
         parameters=[SimpleNamespace(name=name) for name in names],
     )
     model = SimpleNamespace(
-        bound_effects=[SimpleNamespace(effect=effect, model_names=names)],
+        names_of=lambda _: names,
         parameter=lambda name: SimpleNamespace(fixed=False, unit="N"),
     )
     fit = SimpleNamespace(parameters={"a_size": SimpleNamespace(at_bound=is_at_bound)})

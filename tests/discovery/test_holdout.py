@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greybox.base.errors import FitError
 from greybox.discovery.execution import FailureLog, SearchStage
 from greybox.discovery.holdout import (
     HoldoutError,
@@ -113,11 +114,23 @@ def test_square_errors_are_those_of_blocks_without_the_first_rows():
 def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
     failures = FailureLog()
     problem = SimpleNamespace(failures=failures, noise_std={}, options=None)
-    scores = HoldoutScores(problem, ValidationSet(("no record",)))
+
+    class Failing(ValidationSet):
+        def run(self, *_):
+            raise FitError("on purpose")
+
+    scores = HoldoutScores(problem, Failing(("no record",)))
     assert scores.score(SELECTED) == np.inf
     assert scores.score(SELECTED) == np.inf
     (failure,) = failures.entries.values()
     assert failure.stage is SearchStage.HOLDOUT
+
+
+def test_a_bug_of_the_library_ends_the_run():
+    """It must not pass for a model that fails, which would turn a name into *unknown*."""
+    problem = SimpleNamespace(failures=FailureLog(), noise_std={}, options=None)
+    with pytest.raises(TypeError):
+        HoldoutScores(problem, ValidationSet(("no record",))).score(SELECTED)
 
 
 def test_the_beginning_of_a_record_does_not_count():

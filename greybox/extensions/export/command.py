@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -193,7 +193,7 @@ def _linear(
     plant = to_plant(fit)
     for finding in (*whole.findings, *(drawn.findings if drawn else ())):
         print_note(f"warning: {finding}")
-    written = _as_tuple(kind.write(linear, target, plant=plant, family=drawn))
+    written = _write(kind, linear, target, plant=plant, family=drawn)
     # Findings of the whole model went to stderr above; those of the reduction belong to what is shown.
     shown = replace(linear, findings=linear.findings[len(whole.findings) :])
     family = None if drawn is None else replace(drawn, findings=())
@@ -217,17 +217,19 @@ def _code(
         print_note(f"warning: {finding}")
     if observer_noise is not None:
         observer = design_observer(fit, dt, process_noise=observer_noise or None, substeps=substeps)
-        files = _as_tuple(kind.write(observer, target))
+        files = _write(kind, observer, target)
         what = f"{kind.description.replace('model file', 'file')}, its Kalman filter"
         return CodeAnswer(fit.model.title, what, observer.dt, "step", files), Export(fit, what, files)
     given = {"dt": dt, "substeps": substeps}
-    files = _as_tuple(kind.write(fit, target, **{name: given[name] for name in given if name in kind.options}))
+    files = _write(kind, fit, target, **{name: given[name] for name in given if name in kind.options})
     step = dt if dt is not None or not kind.stepped else to_plant(fit).sampling_time
     answer = CodeAnswer(fit.model.title, kind.description, step, kind.stepped or "step", files)
     return answer, Export(fit, kind.description, files)
 
 
-def _as_tuple(files: Path | tuple[Path, ...]) -> tuple[Path, ...]:
+def _write(kind: ExportTarget, plant: Any, target: Path, **options: Any) -> tuple[Path, ...]:
+    target.parent.mkdir(parents=True, exist_ok=True)  # whoever writes a target need not think of it
+    files = kind.write(plant, target, **options)
     return (files,) if isinstance(files, Path) else files
 
 
@@ -268,7 +270,6 @@ def _target(path: Path, to: str, kind: ExportTarget, fit: Path) -> Path:
     if target.exists() and target.samefile(fit):
         raise GreyboxError(f"--output {path}: it is the input file, which would be overwritten; give another file")
     check_writable(target.parent)
-    target.parent.mkdir(parents=True, exist_ok=True)
     return target
 
 
