@@ -186,7 +186,7 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
     weighed = tuple(
         _weigh_effect(inputs, effect, errors, corrected.get(effect.name), halves, survives_start, structure)
         for effect in inputs.selected.model.effects
-        if not is_shape_correction(effect.name)
+        if effect.name in inputs.selected.effects and not is_shape_correction(effect.name)
     )
     return _lower_doubtful(weighed, structure, len(inputs.selected.model.outputs))
 

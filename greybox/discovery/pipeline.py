@@ -748,7 +748,7 @@ def _propose_for_unknown(
     surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
     share = judged.holdout[worst_output(judged.holdout)].share
     is_near = share >= PARTIAL_SHARE and surrogate_fails
-    look_alike = " + ".join(_physical_effects(judged.best)) if is_near else ""
+    look_alike = " + ".join(_physical_effects(judged)) if is_near else ""
     return propose_next_steps(judged.base, location, surrogate, judged.scores.validation.records, policy, look_alike)
 
 
@@ -764,11 +764,11 @@ def _summarise(
     """The conclusion as findings: the effects and how certain they are, the error they take, and what is left."""
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
-    effects = _physical_effects(judged.best)
+    effects = _physical_effects(judged)
     name, output = " + ".join(effects), worst_output(judged.holdout)
     error = judged.holdout[output]
     # With what corrects the shape of an effect: the error is that of the whole model.
-    fitted = [e.name for e in judged.best.model.effects]
+    fitted = _added_effects(judged)
     grades = {e.effect: e.grade for e in evidence}
     established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
     reduced = _error_reduced(fitted, judged.holdout, VALIDATION_SHARE)
@@ -848,9 +848,16 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
     return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(labels), values=values)
 
 
-def _physical_effects(fit: Fit) -> list[str]:
-    """The effects of a fit that have a name, without curves that correct them."""
-    return [e.name for e in fit.model.effects if not is_shape_correction(e.name)]
+def _added_effects(judged: JudgedSelection) -> list[str]:
+    """The effects of the extended model that the plain one has not."""
+    return [
+        e.name for e in judged.best.model.effects if e.name not in {given.name for given in judged.base.model.effects}
+    ]
+
+
+def _physical_effects(judged: JudgedSelection) -> list[str]:
+    """Those that have a name, without curves that correct them."""
+    return [name for name in _added_effects(judged) if not is_shape_correction(name)]
 
 
 def _name(candidate: CandidateFit) -> str:

@@ -49,6 +49,8 @@ class CandidateFit:
         Number of free parameters and initial states.
     problem, variables, evaluation
         The estimation problem, its variables at the fit, and the residuals there.
+    given
+        Names of the effects that the model in question holds already: they are its user's, and no search adds, drops or swaps them.
     """
 
     model: Model
@@ -58,11 +60,12 @@ class CandidateFit:
     problem: EstimationProblem
     variables: DecisionVector
     evaluation: Evaluation
+    given: tuple[str, ...] = ()
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Names of the effects in the model."""
-        return tuple(e.name for e in self.model.effects)
+        """Names of the effects that were added to the model in question."""
+        return tuple(e.name for e in self.model.effects if e.name not in self.given)
 
     @property
     def per_sample(self) -> float:
@@ -145,8 +148,13 @@ class DiscoveryProblem:
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
         evaluation = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(
-            fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
+            fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation, self.given
         )
+
+    @property
+    def given(self) -> tuple[str, ...]:
+        """Names of the effects that the model in question holds already."""
+        return tuple(e.name for e in self.model.effects)
 
     @cached_property
     def baseline(self) -> CandidateFit:
@@ -154,7 +162,7 @@ class DiscoveryProblem:
         solution = solve(self.prepare(self.model), self.options)
         if solution.status is TerminationStatus.INTERRUPTED:
             raise KeyboardInterrupt
-        return _from_solution(self.model, solution)
+        return _from_solution(self.model, solution, self.given)
 
     def prepare(
         self, model: Model, experiments: tuple[Experiment, ...] | None = None, most_substeps: int = 0
@@ -276,7 +284,7 @@ class DiscoveryProblem:
         solutions = [solve(replace(problem, variables=v), options) for _, v in points[: job.keep]]
         if any(s.status is TerminationStatus.INTERRUPTED for s in solutions):
             raise KeyboardInterrupt
-        finite = [fit for fit in (_from_solution(job.model, s) for s in solutions) if np.isfinite(fit.cost)]
+        finite = [fit for fit in (_from_solution(job.model, s, self.given) for s in solutions) if np.isfinite(fit.cost)]
         if not finite:
             self.failures.add(SearchStage.REFIT, tuple(e.name for e in job.model.effects), NOT_SIMULATED)
         return min(finite, key=lambda fit: fit.cost, default=None)
@@ -294,7 +302,7 @@ class DiscoveryProblem:
             problem = problem.with_substeps(outcome.substeps)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
         e = problem.shooting(variables).evaluate(variables.here)
-        return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e)
+        return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e, self.given)
 
     def to_portable(self) -> DiscoveryProblem:
         """The same for another process: the noise is known, and there is no executor or journal."""
@@ -357,7 +365,7 @@ def _with_initial_states(problem: EstimationProblem, values: Mapping[str, Sequen
     return replace(problem, variables=replace(problem.variables, initial=initial))
 
 
-def _from_solution(model: Model, solution: Solution) -> CandidateFit:
+def _from_solution(model: Model, solution: Solution, given: tuple[str, ...]) -> CandidateFit:
     variables, evaluation = solution.variables, solution.evaluation
     values = dict(zip(model.values, map(float, variables.fixed), strict=True))
     return CandidateFit(
@@ -368,6 +376,7 @@ def _from_solution(model: Model, solution: Solution) -> CandidateFit:
         solution.problem,
         variables,
         evaluation,
+        given,
     )
 
 

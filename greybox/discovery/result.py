@@ -146,9 +146,10 @@ class Discovery(Printable):
         """
         laws = {law.name: law for law in self.laws}
         evidence = {e.effect: e for e in self.evidence}
+        given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
         effects: list[dict[str, Any]] = []
         for bound in self.best.model.bound_effects:
-            if is_shape_correction(bound.effect.name):
+            if is_shape_correction(bound.effect.name) or bound.effect.name in given:
                 continue
             parameters = {}
             for name, in_model in bound.model_names.items():

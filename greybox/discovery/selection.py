@@ -580,7 +580,7 @@ class StepwiseSelection:
         model = fit.model.without(name)
         values = {n: value for n, value in fit.model.values.items() if n in model.values}
         starts = [values, {**values, **self.problem.model.values}]
-        known = self.fits.get(frozenset(e.name for e in model.effects))
+        known = self.fits.get(frozenset(n for n in fit.effects if n != name))
         refits = [f for f in (self.problem.refit_best(model, starts), known) if f is not None]
         return min(refits, key=lambda f: f.cost, default=None)
 

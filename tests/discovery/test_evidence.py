@@ -195,7 +195,9 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
     )
     scores = SimpleNamespace(square_errors=lambda fit, blocks: ERRORS)
     model = SimpleNamespace(effects=[toy_effect("a"), toy_effect("b")], outputs=["x"])
-    inputs = SimpleNamespace(scores=scores, selected=SimpleNamespace(model=model), policy=DiscoveryPolicy())
+    inputs = SimpleNamespace(
+        scores=scores, selected=SimpleNamespace(model=model, effects=("a", "b")), policy=DiscoveryPolicy()
+    )
     assert [e.grade for e in evidence.gather_evidence(inputs)] == [expected, Grade.STAND_IN]
 
 

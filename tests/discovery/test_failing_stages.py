@@ -127,3 +127,23 @@ def test_a_shape_that_cannot_be_corrected_stands_in_nobodys_way():
     selection, best = select(table, [toy_effect("a"), toy_effect("b")], correct_shape=fail)
     assert set(best.effects) == {"a", "b"}
     assert SearchStage.SHAPE_CORRECTION in {f.stage for f in selection.problem.failures.entries.values()}
+
+
+# A model that holds an effect already: it is its user's, and no search adds, drops or swaps it.
+
+
+@pytest.mark.parametrize("noise", [NOISE, None], ids=["noise told", "noise untold"])
+@pytest.mark.parametrize(
+    ("hidden", "expected"),
+    [({}, []), ({"coulomb_friction": {"Fc": 0.05}}, ["coulomb_friction"])],
+    ids=["nothing else is missing", "another effect is"],
+)
+def test_an_effect_that_the_model_holds_already_is_no_find_of_the_search(noise, hidden, expected):
+    hidden = {"cubic_stiffness": {"K3": 1e10}, **hidden}
+    train, test = simulate_records(micro_actuator, hidden, tuple(NOISE.values()), rows=300)
+    among = [gb.effect(name) for name in ("coulomb_friction", "input_offset")]
+    own = plain_model(micro_actuator) + gb.effect("cubic_stiffness")
+    found = discover(own, train, validation=test, noise=noise, options=AT_REST, effects=among, workers=1)
+    assert [e["name"] for e in found.effects] == expected
+    assert "cubic_stiffness" in {e.name for e in found.best.model.effects}
+    assert found.verdict == ("named" if expected else "complete")

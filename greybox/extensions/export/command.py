@@ -227,9 +227,9 @@ def _code(
     return answer, Export(fit, kind.description, files)
 
 
-def _write(kind: ExportTarget, plant: Any, target: Path, **options: Any) -> tuple[Path, ...]:
+def _write(kind: ExportTarget, source: Any, target: Path, **options: Any) -> tuple[Path, ...]:
     target.parent.mkdir(parents=True, exist_ok=True)  # whoever writes a target need not think of it
-    files = kind.write(plant, target, **options)
+    files = kind.write(source, target, **options)
     return (files,) if isinstance(files, Path) else files
 
 
