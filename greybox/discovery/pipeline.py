@@ -258,7 +258,14 @@ def discover(
     )
     with refits.open():
         problem = DiscoveryProblem(
-            model, _as_tuple(estimation), dict(noise or {}), _as_tuple(quiet), options, refits, policy.budget
+            model,
+            _as_tuple(estimation),
+            dict(noise or {}),
+            _as_tuple(quiet),
+            options,
+            refits,
+            policy.budget,
+            given=tuple(own.name for own in model.effects),
         )
         scales = _estimate_scales(problem, policy)
         given = (

@@ -118,6 +118,8 @@ class DiscoveryProblem:
         How many starting points and iterations a refit has.
     failures
         What failed so far, and why.
+    given
+        Names of the effects that are the user's own: they count as a part of the plain model.
     """
 
     model: Model
@@ -128,6 +130,7 @@ class DiscoveryProblem:
     executor: RefitExecutor = field(default_factory=RefitExecutor)
     budget: SearchBudget = field(default_factory=SearchBudget)
     failures: FailureLog = field(default_factory=FailureLog)
+    given: tuple[str, ...] = ()
 
     @classmethod
     def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
@@ -150,11 +153,6 @@ class DiscoveryProblem:
         return CandidateFit(
             fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation, self.given
         )
-
-    @property
-    def given(self) -> tuple[str, ...]:
-        """Names of the effects that the model in question holds already."""
-        return tuple(e.name for e in self.model.effects)
 
     @cached_property
     def baseline(self) -> CandidateFit:
@@ -307,7 +305,7 @@ class DiscoveryProblem:
     def to_portable(self) -> DiscoveryProblem:
         """The same for another process: the noise is known, and there is no executor or journal."""
         return DiscoveryProblem(
-            self.model, self.experiments, self.noise_model, (), self.refit_options, budget=self.budget
+            self.model, self.experiments, self.noise_model, (), self.refit_options, budget=self.budget, given=self.given
         )
 
     def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:

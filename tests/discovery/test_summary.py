@@ -24,6 +24,7 @@ def summarise(effects, surrogate_share, look_alike_share=0.5):
     error = HoldoutError(1.0, 1 - look_alike_share, 0.01, "m")
     judged = SimpleNamespace(
         best=SimpleNamespace(model=SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects])),
+        base=SimpleNamespace(model=SimpleNamespace(effects=[])),
         holdout={"s": error},
         selection=SimpleNamespace(policy=DiscoveryPolicy()),
     )
