@@ -2,7 +2,8 @@
 
 Every effect of every answer is one observation: what its evidence was, and whether it is right, or one of those that the answer calls
 its equals. The weights of `greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of
-cases that were left out of the fit.
+cases that were left out of the fit. It is not out of sample: a ridge draws each fold towards the library's weights, which were fitted to earlier
+answers of the same study.
 """
 
 from __future__ import annotations
@@ -121,7 +122,8 @@ def write_certainty(rows: Sequence[Row], docs: Path) -> None:
         f"Each effect of an answer has a probability of being right. Here it is held against the truth: {len(effects)} effects in"
         f" {runs} answers to {len(rows)} simulated cases on {len(plants)} plants ({', '.join(plants)}); in {without} of the answers the"
         " true effect and its family had been taken away from the candidates. The probabilities are those of weights fitted without the"
-        " case in question. Written by `python -m fits.hidden_study FOLDER --page`.",
+        " case in question, yet drawn towards the library's weights, which were fitted to earlier answers of the same study: the table is"
+        " not out of sample, and on other cases the errors may be larger. Written by `python -m fits.hidden_study FOLDER --page`.",
         _reliability_table(predicted, right),
         "![Predicted probability against observed frequency](figures/certainty.svg)",
         f"Brier score: {np.mean((predicted - right) ** 2):.3f} (with the weights of the library:"
