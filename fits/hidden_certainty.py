@@ -2,8 +2,8 @@
 
 Every effect of every answer is one observation: what its evidence was, and whether it is right, or one of those that the answer calls
 its equals. The weights of `greybox.discovery.CertaintyPolicy` are a logistic regression on these; the reliability on the page is that of
-cases that were left out of the fit. It is not out of sample: a ridge draws each fold towards the library's weights, which were fitted to earlier
-answers of the same study.
+cases that were left out of the fit. It is not out of sample: a ridge draws each fold towards the library's weights, which were fitted to
+earlier answers of the same study.
 """
 
 from __future__ import annotations
