@@ -193,6 +193,7 @@ def _additions(model: Model, name: str) -> list[str]:
         b.effect.name: entry for b in model.bound_effects if (entry := _catalogue_entry(b.effect)) is not None
     }
     lines = []
+    wider: dict[str, str] = {}
     bounds: dict[str, str] = {}
     values: dict[str, str] = {}
     fixed: list[str] = []
@@ -204,19 +205,25 @@ def _additions(model: Model, name: str) -> list[str]:
         lines.append(f"{name} = {name} + {call('effect', [literal(b.effect.name)])}")
         stated = {q.name: q for q in entry.parameters}
         for inner, outer in zip(b.effect.parameters, b.parameters, strict=True):
-            if inner.bounds != stated[inner.name].bounds:
+            (low, high), value = stated[inner.name].bounds, float(inner.value)
+            if not low <= value <= high:  # the value moves first, and the catalogue's bounds would refuse it
+                wider[outer.name] = literal((min(low, value), max(high, value)))
+            if inner.bounds != stated[inner.name].bounds or outer.name in wider:
                 bounds[outer.name] = literal(inner.bounds)
             if inner.value != stated[inner.name].value:
                 values[outer.name] = literal(float(inner.value))
             if inner.fixed:
                 fixed.append(literal(outer.name))
-    changes = {
-        ".bound": keywords(bounds),
-        ".start": keywords(values),
-        ".fix": fixed,
-        ".tie": keywords({tie.name: literal(tie.formula) for tie in model.ties}),
-    }
-    return lines + [f"{name} = {name}{call(verb, arguments)}" for verb, arguments in changes.items() if arguments]
+    # A model refuses a value outside its bounds, and bounds that its value is outside of: the fitted bounds may leave out the catalogue's
+    # value, which is neutral, so that they come after the fitted value.
+    changes = (
+        (".bound", keywords(wider)),
+        (".start", keywords(values)),
+        (".bound", keywords(bounds)),
+        (".fix", fixed),
+        (".tie", keywords({tie.name: literal(tie.formula) for tie in model.ties})),
+    )
+    return lines + [f"{name} = {name}{call(verb, arguments)}" for verb, arguments in changes if arguments]
 
 
 def _catalogue_entry(effect: Effect) -> Effect | None:

@@ -89,6 +89,22 @@ def read_back(model, folder):
     return find_model(str(gb.export.to_python(model, folder / f"{model.name}.py")))
 
 
+@pytest.mark.parametrize(
+    ("value", "bounds"),
+    [(3e9, (1e9, 1e10)), (5e30, (1e30, 1e31)), (0.0, (-1.0, 1.0))],
+    ids=["bounds without zero", "a value beyond the catalogue's bounds", "the neutral value"],
+)
+def test_a_written_model_takes_its_values_and_bounds_back(tmp_path, value, bounds):
+    """As a discovery writes them: bounds that suit the record may leave out the neutral value of the catalogue."""
+    model = micro_actuator + gb.effect("cubic_stiffness")
+    effect = model.bound_effects[-1].effect
+    (amplitude,) = effect.parameters
+    fitted = replace(effect, parameters=(replace(amplitude, value=value, bounds=bounds),))
+    again = read_back(micro_actuator + fitted, tmp_path)
+    written = again.parameter(again.names_of("cubic_stiffness")[amplitude.name])
+    assert (written.value, written.bounds) == (value, bounds)
+
+
 @pytest.mark.parametrize("model", [micro_actuator, pneumatic_full, cascaded_tanks, emps], ids=lambda m: m.name)
 def test_a_python_file_is_the_model_again(tmp_path, model):
     back = read_back(model, tmp_path)
