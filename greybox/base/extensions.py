@@ -92,6 +92,8 @@ def load_extension(kind: ExtensionKind, name: str) -> Any:
 def describe_failures(kind: ExtensionKind) -> str:
     """A half sentence that names the entries of a kind that could not be loaded, or nothing."""
     failed = [f"{e.name} of {e.distribution} ({e.failure})" for e in list_extensions(kind) if e.failure]
+    if not any(_distribution(entry) == OWN for entry in _sorted_entries(ExtensionKind.READERS)):
+        return f"; what {OWN} ships is not found, because it is not installed or was installed before: pip install -e . in its folder"
     return f"; not loaded: {', '.join(failed)}" if failed else ""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,6 +73,8 @@ def discover(
         return
     model = constrain(build_model(study), study)
     folder = check_writable(output or Path("results") / f"{model.name}-discover")
+    # Asked for before the search: an answer of minutes must not fail at its last file.
+    write_model = load_extension(ExtensionKind.EXPORTS, "python").write
     records, validation = read_records(study, model)
     quiet = read_quiet_records(study, model, hold=study.hold)
     print_record_notes(records, validation, quiet)
@@ -107,7 +110,7 @@ def discover(
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
-    _write(result, folder, json=json, page=not no_report, pictures=figures)
+    _write(result, folder, write_model, json=json, page=not no_report, pictures=figures)
 
 
 def _discover_at_plant(
@@ -163,14 +166,16 @@ def _left_out(study: Study) -> tuple[str, ...]:
     return (*study.without, *relatives)
 
 
-def _write(result: Discovery, folder: Path, *, json: bool, page: bool, pictures: bool) -> None:
+def _write(
+    result: Discovery, folder: Path, write_model: Callable[..., Path], *, json: bool, page: bool, pictures: bool
+) -> None:
     from greybox.show.sentences.shell import report_line, written
 
     saved = result.save(folder / "discovery.json")
     typer.echo(saved.read_text(encoding="utf-8") if json else str(result), nl=not json)
     files = [saved]
     try:
-        files.append(load_extension(ExtensionKind.EXPORTS, "python").write(result.extended, folder / "model.py"))
+        files.append(write_model(result.extended, folder / "model.py"))
         files += _draw_pictures(result, folder) if pictures else []
         report = write_report(result, folder / "report.html") if page else None
     except KeyboardInterrupt:
