@@ -265,7 +265,7 @@ def discover(
             options,
             refits,
             policy.budget,
-            given=tuple(own.name for own in model.effects),
+            given=tuple(effect.name for effect in model.effects),
         )
         scales = _estimate_scales(problem, policy)
         given = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -49,7 +50,18 @@ def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
     page = browser.new_page(**context)
     faults = collect_faults(page, ("file:",))
     page.goto(path.as_uri())
-    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
+    wait_until(page, "window.greyboxReady === true")
     yield page
     page.close()
     assert not faults
+
+
+def wait_until(page: Any, expression: str, seconds: float = 60.0) -> None:
+    """Until ``expression`` is true on the page.
+
+    Playwright's own waiting evaluates a text inside the page, which the page's policy forbids.
+    """
+    deadline = time.monotonic() + seconds
+    while not page.evaluate(expression):
+        assert time.monotonic() < deadline, f"not true after {seconds:g} s: {expression}"
+        page.wait_for_timeout(20)

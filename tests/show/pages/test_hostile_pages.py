@@ -23,7 +23,7 @@ from greybox.show.pages.page import Page
 from greybox.show.pages.report import build_page
 from models.micro_actuator import micro_actuator
 from tests.extensions.design.test_design import QUICK
-from tests.support.browser import opened
+from tests.support.browser import opened, wait_until
 from tests.support.hostile import CODE, MARKUP, poison
 
 KINDS = (
@@ -112,7 +112,7 @@ def test_what_is_injected_all_the_same_does_not_run(browser, pages, tmp_path):
     (tmp_path / "page.html").write_text(html)
     page = browser.new_page()
     page.goto((tmp_path / "page.html").as_uri())
-    page.wait_for_function("window.greyboxReady === true", timeout=60_000)
+    wait_until(page, "window.greyboxReady === true")
     page.click("#link >> nth=0", force=True)
     page.evaluate(
         "() => { const s = document.createElement('script'); s.textContent = 'window.hurt=1'; document.body.append(s); }"

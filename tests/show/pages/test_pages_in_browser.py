@@ -13,7 +13,7 @@ from greybox.estimation.check import check
 from greybox.show.pages.html import write_page
 from greybox.show.pages.report import build_page
 from models.micro_actuator import micro_actuator
-from tests.support.browser import opened
+from tests.support.browser import opened, wait_until
 
 REST = gb.FitOptions(at_rest=True)
 HOSTILE = """<script>window.hurt=1</script></script>"><img src=x onerror="window.hurt=1">&amp;'`${1}"""
@@ -75,10 +75,10 @@ def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(page):
     points = "document.querySelector('#spectrum-0 .plot').data[0].x.length"
     before = page.evaluate(points)
     page.evaluate("Plotly.relayout(document.querySelector('#residual-0 .plot'), {'xaxis.range': [0.3, 0.5]})")
-    page.wait_for_function("document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
-    page.wait_for_function(f"{points} !== {before}")
+    wait_until(page, "document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
+    wait_until(page, f"{points} !== {before}")
     page.evaluate("Plotly.relayout(document.querySelector('#run-0 .plot'), {'xaxis.autorange': true})")
-    page.wait_for_function(f"{points} === {before}")
+    wait_until(page, f"{points} === {before}")
 
 
 def test_the_page_prints(page):
