@@ -146,7 +146,9 @@ def fit(
         intervals: dict[str, Any] = {}
         if (profiled or study.bootstrap) and result.success and not interrupted:
             intervals = _intervals(result, profiled, study.bootstrap, _share(executor, workers))
-        answer = _answer(result, tests, study, validation, intervals, short=interrupted)
+        # Scores and remedies take as long as the fit: a quiet command, whose reader is a script, leaves them out.
+        short = interrupted or (silent and not study.predict)
+        answer = _answer(result, tests, study, validation, intervals, short=short)
         with hold_interrupts():
             _store_answer(saved, answer)
         if json:
@@ -181,7 +183,7 @@ def _answer(
         "validation_misfits": _misfits(result, result.validation.traces, study.uncounted),
     }
     if short:
-        return FitAnswer(result, **tables)
+        return FitAnswer(result, **intervals, **tables)
     return FitAnswer(
         result, remedies=tuple(recommend_after_fit(result)), **intervals, **_scores(result, study, validation), **tables
     )
