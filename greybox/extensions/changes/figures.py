@@ -22,8 +22,7 @@ from greybox.show.figures.figure import (
     Series,
     typeset_unit,
 )
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import join_names
 
 
 def plot_changes(change: ChangeDetection) -> Figure | None:
@@ -43,9 +42,17 @@ def plot_changes(change: ChangeDetection) -> Figure | None:
     panel = Panel(
         "changes", tuple(series), Axis(scale=Scale.CATEGORY), Axis("change since the fit", "%"), height=Height.MEDIUM
     )
-    description = phrase(FigureText.CHANGES_LISTED, percent=percent)
+    description = "; ".join(f"{name} {size:+.3g} %" for name, size in percent.items())
     missing = [n for n in change.constants if n not in shown]
-    return Figure("changes", (panel,), phrase(FigureText.CHANGES, missing=missing), (description,))
+    return Figure(
+        "changes",
+        (panel,),
+        (
+            "Change of each constant since the fit, with 95 % intervals that hold together. Zero is as before."
+            + (f" Not drawn, as the table tells why: {join_names(missing)}." if missing else "")
+        ),
+        (description,),
+    )
 
 
 def plot_population(change: ChangeDetection) -> Figure | None:
@@ -71,7 +78,11 @@ def plot_population(change: ChangeDetection) -> Figure | None:
         return None
     outlying = {name for m in change.machines for name in m.outlying}
     panels.sort(key=lambda panel: panel.name not in outlying)
-    return Figure("machines", tuple(panels), phrase(FigureText.MACHINES))
+    return Figure(
+        "machines",
+        tuple(panels),
+        "Each machine with its 95 % interval. The line is the mean of those that belong together, the band holds 95 % of such machines.",
+    )
 
 
 def plot_course(change: ChangeDetection) -> Figure | None:
@@ -104,4 +115,6 @@ def plot_course(change: ChangeDetection) -> Figure | None:
         return None
     jumped = {c.constant for c in change.change_points}
     panels.sort(key=lambda panel: panel.name not in jumped)
-    return Figure("course", tuple(panels), phrase(FigureText.COURSE))
+    return Figure(
+        "course", tuple(panels), "Each record with its 95 % interval, in the order of time; record 0 is the fit."
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from greybox.base.findings import Finding, Severity
+from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
 from greybox.extensions.changes.result import ChangeDetection, ChangePoint, ChangeVerdict
 from greybox.extensions.changes.sentences import (
@@ -30,8 +30,7 @@ from greybox.show.pages.page import (
     typeset_number,
 )
 from greybox.show.pages.provenance import provenance_section, records_section, signal_units
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import count_noun
 
 TONES = {
     ChangeVerdict.UNCHANGED: Tone.GOOD,
@@ -46,29 +45,25 @@ def build_changed_page(change: ChangeDetection, *, command: str = "") -> Page:
     findings = merge_not_seen(change.findings)
     first = [f for f in findings if f.severity is not Severity.NOTE]
     notes = [f for f in findings if f.severity is Severity.NOTE]
-    sections = [Section("changes", [*_evidence(change), *([BulletList(notes)] if notes else [])])]
+    sections = [Section("changes", "What changed", [*_evidence(change), *([BulletList(notes)] if notes else [])])]
     if change.checks:
-        sections.append(
-            Section("checks", [BulletList([phrase(PageText.STATEMENT, text=str(check)) for check in change.checks])])
-        )
+        sections.append(Section("checks", "Checks", [BulletList([str(check) for check in change.checks])]))
     if change.today is not None:
-        sections.append(Section("today", list(_today(change))))
+        sections.append(Section("today", "Records and model of today", list(_today(change))))
         sections.append(records_section([*change.today.traces], [], change.today))
     sections.append(provenance_section(command))
     question = _ask(change)
     verdict = Paragraphs([*change.conclusion, *first], TONES[change.verdict])
-    return Page(
-        phrase(PageText.CHANGED_TITLE, title, verdict=str(change.verdict)), question, verdict, sections, "changed"
-    )
+    return Page(f"{title}: {change.verdict}", question, verdict, sections, "changed")
 
 
-def _ask(change: ChangeDetection) -> Finding:
+def _ask(change: ChangeDetection) -> str:
     title = change.reference.model.title
     if change.machines:
-        return phrase(PageText.CHANGED_KIND, title, machines=len(change.machines))
+        return f"Which of {len(change.machines)} machines of the kind {title} falls out?"
     if change.records:
-        return phrase(PageText.CHANGED_COURSE, title, records=len(change.records) - 1)
-    return phrase(PageText.CHANGED_QUESTION, title, records=len(change.reference.traces))
+        return f"When in {len(change.records) - 1} records has {title} changed?"
+    return f"Is {title} what it was when it was fitted to {count_noun(len(change.reference.traces), 'record')}?"
 
 
 def _evidence(change: ChangeDetection) -> Iterator[Block]:
@@ -79,22 +74,27 @@ def _evidence(change: ChangeDetection) -> Iterator[Block]:
     if change.constants:
         rows = [_unbroken(constant_row(name, c)) for name, c in change.constants.items()]
         yield PageTable(
-            phrase(PageText.CHANGED_CONSTANTS), [*CONSTANT_HEAD[:-1], "verdict"], rows, phrase(PageText.CHANGED_NOTE)
+            "The constants in the fit and today",
+            [*CONSTANT_HEAD[:-1], "verdict"],
+            rows,
+            "The intervals are those of the change and hold together; p is corrected for looking at all constants.",
         )
     if change.population:
         yield PageTable(
-            phrase(PageText.CHANGED_POPULATION), POPULATION_HEAD, [_unbroken(row) for row in population_rows(change)]
+            "What the machines have in common", POPULATION_HEAD, [_unbroken(row) for row in population_rows(change)]
         )
         names = list(change.population)
         rows = [_unbroken(machine_row(m, names)) for m in change.machines]
-        yield PageTable(phrase(PageText.CHANGED_MACHINES), machine_head(change), rows)
+        yield PageTable(
+            "The machines, each with the standard deviation that its records leave", machine_head(change), rows
+        )
     if change.change_points:
         rows = [
             [c.constant, str(c.number), c.record, *_unbroken(_before_and_after(c)), p_text(c.p)]
             for c in change.change_points
         ]
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
-        yield PageTable(phrase(PageText.CHANGED_POINTS), head, rows)
+        yield PageTable("Where constants jump; p is corrected for all constants", head, rows)
 
 
 def _before_and_after(point: ChangePoint) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import isinf
 
-from greybox.base.findings import Finding, Severity
+from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.result import Design
@@ -25,9 +25,7 @@ from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
 from greybox.show.pages.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, Tone, typeset_number
 from greybox.show.pages.provenance import hidden_states, provenance_section, signal_units
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import format_number, join_names
 from greybox.simulation.simulate import simulate
 
 
@@ -35,28 +33,39 @@ def build_design_page(design: Design, *, command: str = "") -> Page:
     """The page of a design; ``command`` is what was typed."""
     model = design.model
     sections = [
-        Section("input", list(_figures(design))),
-        Section("brings", list(_gains(design))),
+        Section("input", "The input", list(_figures(design))),
+        Section("brings", "What it brings", list(_gains(design))),
         Section(
-            "limits", [PageTable(phrase(PageText.DESIGN_LIMITS), ["signal", "limits", "predicted"], limit_rows(design))]
+            "limits",
+            "Limits",
+            [
+                PageTable(
+                    "Limits, and what is predicted under every explanation with a margin for what is not known",
+                    ["signal", "limits", "predicted"],
+                    limit_rows(design),
+                )
+            ],
         ),
-        Section("alternatives", [_alternatives(design)]),
-        Section("model", [typeset_equations(model)]),
+        Section("alternatives", "Alternatives", [_alternatives(design)]),
+        Section("model", "The model", [typeset_equations(model)]),
         provenance_section(command),
     ]
-    title, question = phrase(PageText.DESIGN_TITLE, model.title), phrase(PageText.DESIGN_QUESTION, model.title)
+    title, question = (
+        f"The next record of {model.title}",
+        f"Which record of {model.title} should be taken next, within what the rig allows?",
+    )
     return Page(title, question, _verdict(design), sections, "design")
 
 
 def _verdict(design: Design) -> Paragraphs:
     record = design.experiment
     step = record.sampling_time or 0.0
-    play = phrase(PageText.DESIGN_RECORD, kind=design.kind, duration=step * record.rows, sampling_time=step)
+    play = f"Play the {design.kind} input of input.csv: {step * record.rows:g} s, a row every {step:g} s. It begins and ends at rest."
     doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
     return Paragraphs([play, *_brings(design), *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
 
 
-def _brings(design: Design) -> Iterator[Finding]:
+def _brings(design: Design) -> Iterator[str]:
     """The one number that convinces: how far the explanations come apart, or how narrow the intervals become."""
     pair = min(design.separation, key=design.separation.__getitem__, default="")
     cost = design.separation.get(pair)
@@ -66,8 +75,15 @@ def _brings(design: Design) -> Iterator[Finding]:
     if len(relative) < len(design.predicted) and not shares:  # one of them stays open, as a finding says
         relative = {}
     least = max(relative, key=relative.__getitem__, default="")
-    if pair or shares or least:
-        yield phrase(PageText.DESIGN_BRINGS, least, pair=pair, cost=cost, shares=shares, largest=relative.get(least))
+    if pair:
+        yield f"With it, the wrong explanation of the pair hardest to tell apart, {pair}, loses by {cost:.3g} in the cost."
+    elif shares:
+        sizes = sorted(shares.values())
+        size = f"{sizes[0]:.2g}" if len(sizes) == 1 else f"{sizes[0]:.2g} to {sizes[-1]:.2g}"
+        yield f"With it, the intervals of {join_names(list(shares))} shrink to {size} of what they are."
+    elif least:
+        known_to = f"With it, every constant is known to {100 * relative[least]:.2g} % or better"
+        yield f"{known_to} (standard deviation); {least} is the least certain."
 
 
 def _figures(design: Design) -> Iterator[Block]:
@@ -76,33 +92,44 @@ def _figures(design: Design) -> Iterator[Block]:
     run = simulate(model, record)
     units = signal_units(model) | {s.name: s.unit for s in model.all_states}
     groups = (
-        ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
-        ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
-        ("states", hidden_states(run), FigureText.SIMULATED_STATES, Role.STATE),
+        ("inputs", run.inputs, "Inputs.", Role.INPUT),
+        ("outputs", run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
+        ("states", hidden_states(run), "States.", Role.STATE),
     )
     stretches = PAGE.stretches(sum(len(signals) for _, signals, _, _ in groups))
     for name, signals, caption, role in groups:
         if signals:
             held = role is Role.INPUT and record.hold == "zero"
-            figure = plot_signals(name, run.time, signals, units, role, phrase(caption), held=held)
+            figure = plot_signals(name, run.time, signals, units, role, caption, held=held)
             yield FigureBlock(figure, stretches, group="designed")
 
 
 def _gains(design: Design) -> Iterator[Block]:
     if design.separation:
         rows = [[pair, f"{cost:.3g}"] for pair, cost in design.separation.items()]
-        yield PageTable(phrase(PageText.DESIGN_SEPARATION), ["explanations", "cost"], rows)
+        yield PageTable(
+            "Cost by which the wrong explanation of each pair would lose, after a refit", ["explanations", "cost"], rows
+        )
     if design.detection:
         head = ["effect", "amount", "now", "then"]
-        yield PageTable(phrase(PageText.DESIGN_DETECTION), head, detection_rows(design.detection))
+        yield PageTable(
+            "Smallest amount of each effect that is seen now, and with this record",
+            head,
+            detection_rows(design.detection),
+        )
     head = ["parameter", "value", "now", "then"]
     rows = [[name, *map(typeset_number, cells)] for name, *cells in constant_rows(design.predicted)]
-    yield PageTable(phrase(PageText.DESIGN_CONSTANTS), head, rows)
+    yield PageTable("Standard deviation of each parameter now, and with this record", head, rows)
 
 
 def _alternatives(design: Design) -> PageTable:
     rows = [[name_alternative(a), gain_text(a)] for a in design.alternatives]
-    return PageTable(phrase(PageText.DESIGN_ALTERNATIVES), ["instead", "brings"], rows, phrase(PageText.DESIGN_SCALE))
+    return PageTable(
+        "What could be done instead",
+        ["instead", "brings"],
+        rows,
+        "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
+    )
 
 
 # The page of a campaign: how it stands, and its experiments in their order.
@@ -123,16 +150,16 @@ def build_campaign_page(campaign: Campaign, *, command: str = "") -> Page:
     rows = [step_row(step) for step in campaign.steps]
     for name in campaign.steps[-1].effects if campaign.steps else ():
         model = model + effect(name)
-    tables = [PageTable(phrase(PageText.CAMPAIGN_STEPS), CAMPAIGN_HEAD, rows), _widths(campaign), _files(campaign)]
+    tables = [PageTable("The experiments, in their order", CAMPAIGN_HEAD, rows), _widths(campaign), _files(campaign)]
     sections = [
-        Section("steps", [table for table in tables if table is not None]),
-        Section("model", [typeset_equations(model)]),
+        Section("steps", "Experiments", [table for table in tables if table is not None]),
+        Section("model", "The model", [typeset_equations(model)]),
         provenance_section(command),
     ]
     verdict = Paragraphs(list(campaign.findings), TONES[campaign.status])
-    title, question = (
-        phrase(text, campaign.plan.model.title) for text in (PageText.CAMPAIGN_TITLE, PageText.CAMPAIGN_QUESTION)
-    )
+    machine = campaign.plan.model.title
+    title = f"Campaign on {machine}"
+    question = f"Which effects does the rig of {machine} have, and how precisely are its parameters known?"
     return Page(title, question, verdict, sections, "campaign")
 
 
@@ -146,8 +173,16 @@ def _widths(campaign: Campaign) -> PageTable | None:
         widths = [step.widths.get(name) for step in measured]
         shares = ("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)
         rows.append([name, *shares, values.get(name, "")])
-    head = ["parameter", *(str(phrase(PageText.CAMPAIGN_STEP, str(step.number))) for step in measured), "value"]
-    return PageTable(phrase(PageText.CAMPAIGN_WIDTHS), head, rows) if rows else None
+    head = ["parameter", *(f"experiment {step.number}" for step in measured), "value"]
+    return (
+        PageTable(
+            "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now",
+            head,
+            rows,
+        )
+        if rows
+        else None
+    )
 
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
@@ -171,7 +206,11 @@ def _files(campaign: Campaign) -> PageTable:
         folder = f"{step.number:02d}"
         present = [name for name in FILES if (campaign.folder / folder / name).exists()]
         rows.append([folder, ", ".join(present)])
-    return PageTable(phrase(PageText.CAMPAIGN_FILES), ["folder", "files"], rows)
+    return PageTable(
+        "What the folder of each experiment holds: the input and why, the record, what was learnt from it",
+        ["folder", "files"],
+        rows,
+    )
 
 
 PAGES = {"Design": build_design_page, "Campaign": build_campaign_page}

@@ -14,8 +14,7 @@ from greybox.show.pages.fit_page import fit_verdict, parameters_table
 from greybox.show.pages.linearisation_page import linear_question, linear_sections, linear_verdict
 from greybox.show.pages.page import Block, CodeBlock, Details, Page, PageTable, Paragraphs, Section, Tone
 from greybox.show.pages.provenance import provenance_section
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import count_noun
 
 READABLE = (".c", ".h", ".py", ".mo", ".json")
 
@@ -36,24 +35,29 @@ def build_export_page(export: Export, *, command: str = "") -> Page:
     fit, linear = export.fit, export.linear
     sections = [
         *(linear_sections(linear, export.family) if linear is not None else []),
-        Section("files", list(_files(export))),
-        Section("fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)]),
+        Section("files", "Files", list(_files(export))),
+        Section("fit", "The fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)]),
         provenance_section(command, fit.provenance.versions),
     ]
-    title = phrase(PageText.EXPORT_TITLE, fit.model.title, kind=export.kind)
-    question = linear_question(linear) if linear is not None else phrase(PageText.EXPORT_QUESTION, fit.model.title)
+    title = f"{fit.model.title} as {export.kind}"
+    question = (
+        linear_question(linear)
+        if linear is not None
+        else f"The fitted model {fit.model.title}, for use outside this program."
+    )
     return Page(title, question, _verdict(export), sections, "export")
 
 
 def _verdict(export: Export) -> Paragraphs:
-    written = phrase(PageText.EXPORT_WRITTEN, files=[f.name for f in export.files])
+    names = [f.name for f in export.files]
+    written = f"{count_noun(len(names), 'file')} written: {', '.join(names)}."
     if export.linear is not None:
         verdict = linear_verdict(export.linear)
         return Paragraphs([*verdict.items, written], verdict.tone)
-    items = [phrase(PageText.EXPORT_VERDICT, kind=export.kind), written]
+    items = [f"The nonlinear model with the fitted parameters, as {export.kind}.", written]
     if export.fit.success:
         return Paragraphs(items, Tone.GOOD)
-    return Paragraphs([*items, phrase(PageText.EXPORT_OF_FAILED_FIT)], Tone.BAD)
+    return Paragraphs([*items, "The fit did not succeed: do not use this export."], Tone.BAD)
 
 
 # Letters of a file that an export's page shows.
@@ -62,10 +66,10 @@ REPORT_LISTING = 60000
 
 def _files(export: Export) -> Iterator[Block]:
     rows = [[f.name, f"{f.stat().st_size:,} bytes".replace(",", " ")] for f in export.files]
-    yield PageTable(phrase(PageText.EXPORT_FILES), ["file", "size"], rows)
+    yield PageTable("Files", ["file", "size"], rows)
     for file in export.files:
         if file.suffix in READABLE and file.stat().st_size <= REPORT_LISTING:
-            yield Details(phrase(PageText.EXPORT_CONTENT, file.name), [CodeBlock(file.read_text(encoding="utf-8"))])
+            yield Details(f"Content of {file.name}", [CodeBlock(file.read_text(encoding="utf-8"))])
 
 
 PAGES = {"Export": build_export_page}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
 from greybox.show.figures.figure import (
     MODELS,
@@ -26,8 +26,7 @@ from greybox.show.figures.figure import (
     size_axis,
 )
 from greybox.show.figures.records import TIME
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import capitalise, record_text, value_with_unit
 
 
 def model_roles(entries: Sequence[ComparisonEntry]) -> dict[str, Role]:
@@ -80,8 +79,13 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
         series = (ahead, *sizes) if is_on_log else (*sizes, ahead)
         panels.append(Panel(output, series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY))
         errors = dict(zip(ranked, free_run.tolist(), strict=True))
-        description.append(phrase(FigureText.MODEL_ERROR_RANKING, output, errors=errors, unit=text))
-    return Figure("errors", tuple(panels), phrase(FigureText.MODEL_ERRORS), tuple(description))
+        description.append(f"{output}, free run, best first: {_model_list(errors, text)}")
+    return Figure(
+        "errors",
+        tuple(panels),
+        "Rms error of the free run (filled, with the best fit in percent) and one sample ahead (hollow): smaller is better.",
+        tuple(description),
+    )
 
 
 def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
@@ -107,7 +111,12 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
                 listing=("measured", *runs),
             )
         )
-    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RUNS, record), _error_sizes(comparison, record))
+    return Figure(
+        name,
+        tuple(panels),
+        f"{capitalise(record_text(record))}: measured outputs and the free run of every model.",
+        _error_sizes(comparison, record),
+    )
 
 
 # An axis of errors ends at so many times the largest root mean square: one model that grows away hides no other.
@@ -134,7 +143,12 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
         reach = TYPICAL_ERRORS * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0
         axis = Axis(f"error of {output}", unit, limits=(-reach, reach))
         panels.append(Panel(output, tuple(curves), TIME, axis, listing=tuple(runs)))
-    return Figure(name, tuple(panels), phrase(FigureText.MODEL_RESIDUALS, record), _error_sizes(comparison, record))
+    return Figure(
+        name,
+        tuple(panels),
+        f"{capitalise(record_text(record))}: measured minus simulated.",
+        _error_sizes(comparison, record),
+    )
 
 
 def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[ComparisonRun, ...]:
@@ -166,13 +180,20 @@ def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, 
     return {output: by_model for output, by_model in runs.items() if by_model}
 
 
-def _error_sizes(comparison: Comparison, record: str) -> tuple[Finding, ...]:
+def _model_list(errors: Mapping[str, float], unit: str) -> str:
+    return ", ".join(
+        f"{name} {value_with_unit(error, unit)}" if math.isfinite(error) else f"{name} diverges"
+        for name, error in errors.items()
+    )
+
+
+def _error_sizes(comparison: Comparison, record: str) -> tuple[str, ...]:
     description = []
     for output, runs in _runs_by_output(comparison, record).items():
         sizes = {n: _error_size(run) for n, run in runs.items()}
         factor, unit = scale_to_prefix(comparison.outputs[output], np.array(list(sizes.values())))
         errors = {n: factor * size for n, size in sizes.items()}
-        description.append(phrase(FigureText.MODEL_RESIDUAL_SIZES, output, errors=errors, unit=unit))
+        description.append(f"Rms error of {output}: {_model_list(errors, unit)}")
     return tuple(description)
 
 

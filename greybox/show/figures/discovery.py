@@ -34,8 +34,7 @@ from greybox.show.figures.figure import (
 )
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import capitalise, change_text, value_with_unit
 
 
 def plot_holdout_error(discovery: Discovery) -> Figure:
@@ -61,16 +60,14 @@ def plot_holdout_error(discovery: Discovery) -> Figure:
         panels.append(Panel(output, series, x, y, height=Height.PER_CATEGORY))
         judged = errors_to_judge(discovery)[output]
         description.append(
-            phrase(
-                FigureText.ERROR_BEFORE_AFTER,
-                output,
-                before=error.before,
-                after=judged.after,
-                unit=error.unit,
-                explained=judged.share,
-            )
+            f"{output}: the error falls from {change_text(error.before, judged.after, error.unit)} ({100 * judged.share:.0f} % less)"
         )
-    return Figure("gap", tuple(panels), phrase(FigureText.ERRORS_BEFORE_AFTER), tuple(description))
+    return Figure(
+        "gap",
+        tuple(panels),
+        "Rms error of the free run on the validation records, before and after.",
+        tuple(description),
+    )
 
 
 def errors_to_judge(discovery: Discovery) -> Mapping[str, HoldoutError]:
@@ -127,16 +124,12 @@ def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:
         axis,
         height=Height.TALL,
     )
-    description = phrase(
-        FigureText.EFFECT_SIGNAL_SIZE,
-        signal.effect,
-        site=signal.site,
-        rms=y * signal.rms,
-        unit=unit,
-        explained=signal.explained,
-        dependence=str(signal.dependence) if signal.dependence.is_relevant else None,
+    dependence = str(signal.dependence) if signal.dependence.is_relevant else "a function of no single variable"
+    description = (
+        f"Beside the other constants of the extended model a signal of {value_with_unit(y * signal.rms, unit)} rms is missing at"
+        f" the {signal.site}. {signal.effect} explains {100 * signal.explained:.1f} % of its variance. The signal is {dependence}"
     )
-    caption = phrase(FigureText.EFFECT_SIGNAL, signal.effect, site=signal.site)
+    caption = f"The signal that the plain model lacks at the {signal.site}, estimated from the records, and the signal of {signal.effect}."
     return Figure(name, (against, in_time), caption, (description,))
 
 
@@ -153,8 +146,12 @@ def plot_surrogate(surrogate: Surrogate) -> Figure:
     series.append(Curve(x * surrogate.values, y * surrogate.curve, Role.SURROGATE, label, 2.4))
     axes = Axis(surrogate.variable, across), Axis(f"missing at the {surrogate.site}", unit)
     panel = Panel(surrogate.variable, tuple(series), *axes, height=Height.TALL)
-    caption = phrase(FigureText.SURROGATE, surrogate.site, tone=surrogate.tone is not None)
-    description = phrase(FigureText.SURROGATE_STATEMENT, statement=str(surrogate))
+    caption = (
+        "A tone represents the unknown effect."
+        if surrogate.tone is not None
+        else "A smooth curve represents the unknown effect."
+    )
+    description = f"{surrogate!s}"
     return Figure("surrogate", (panel,), caption, (description,))
 
 
@@ -173,8 +170,22 @@ def plot_unexplained_signal(localisation: ResidualLocalisation) -> Figure | None
             Panel(variable, (points,), Axis(variable, across), Axis(f"unexplained at the {signal.site}", unit))
         )
     statements = [str(d) for d in localisation.dependences if d.is_relevant][:3]
-    caption = phrase(FigureText.UNEXPLAINED, signal.site)
-    return Figure("unexplained", tuple(panels), caption, (phrase(FigureText.DEPENDENCES, statements=statements),))
+    caption = (
+        f"The signal that the fitted plain model does not explain at the {signal.site}, against each variable."
+        " Its parameters have absorbed part of the effect."
+    )
+    return Figure(
+        "unexplained",
+        tuple(panels),
+        caption,
+        (
+            (
+                "The signal is " + "; ".join(statements)
+                if statements
+                else "The signal is a function of no single variable"
+            ),
+        ),
+    )
 
 
 def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
@@ -194,8 +205,8 @@ def plot_misfit_windows(localisation: ResidualLocalisation) -> Figure | None:
         )
         panels.append(Panel(record, (bars,), TIME, Axis("misfit / noise"), height=Height.LOW))
     worst = max(windows, key=lambda w: w.share)
-    description = phrase(FigureText.WORST_WINDOW, worst.record, share=worst.share, start=worst.start, end=worst.end)
-    return Figure("when", tuple(panels), phrase(FigureText.MISFIT_WINDOWS), (description,))
+    description = f"{100 * worst.share:.0f} % of the misfit lies between {worst.start:.4g} s and {worst.end:.4g} s of {worst.record}"
+    return Figure("when", tuple(panels), "Misfit of the plain model along each record.", (description,))
 
 
 # Best candidates of a discovery that are drawn.
@@ -207,24 +218,42 @@ def plot_candidates(discovery: Discovery) -> Figure | None:
     shown = discovery.ranking[:DRAWING_CANDIDATES]
     if not shown:
         return None
-    chosen = {effect.name for effect in discovery.best.model.effects}
-    rivals = [set(names) for names in discovery.alternatives]
-    roles = [
-        Role.EXTENDED if set(c.effects) == chosen else Role.RIVAL if set(c.effects) in rivals else Role.OTHER
-        for c in shown
-    ]
+    roles = _candidate_roles(discovery)
     names, misfits = [" + ".join(c.effects) for c in shown], np.array([c.misfit for c in shown])
     texts = [typeset_exponents(f"+{c.behind:.3g}") if c.behind else "best" for c in shown]
     x = size_axis("misfit / noise on the estimation records", "", misfits)
     marks = draw_sizes(names, misfits, roles, x, texts=texts)
     series = (Reference(1.0, upright=True, dash=Dash.DOTTED), *marks)
     panel = Panel("candidates", series, x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
-    description = phrase(FigureText.CANDIDATE_MISFITS, misfits=dict(zip(names, misfits.tolist(), strict=True)))
+    sizes = dict(zip(names, misfits.tolist(), strict=True))
+    description = "Misfit over noise: " + "; ".join(f"{name} {misfit:.3g}" for name, misfit in sizes.items())
     return Figure(
         "candidates",
         (panel,),
-        phrase(FigureText.CANDIDATES, chosen=Role.EXTENDED in roles, rivals=Role.RIVAL in roles),
+        f"Candidates, best first by Schwarz's criterion. {describe_candidates(discovery)}.",
         (description,),
+    )
+
+
+def _candidate_roles(discovery: Discovery) -> list[Role]:
+    """How each candidate that is drawn is coloured: the chosen one, its rivals, the others."""
+    chosen = {effect.name for effect in discovery.best.model.effects}
+    rivals = [set(names) for names in discovery.alternatives]
+    return [
+        Role.EXTENDED if set(c.effects) == chosen else Role.RIVAL if set(c.effects) in rivals else Role.OTHER
+        for c in discovery.ranking[:DRAWING_CANDIDATES]
+    ]
+
+
+def describe_candidates(discovery: Discovery) -> str:
+    """What the colours and numbers of the drawn candidates say."""
+    meaning = {Role.EXTENDED: "green: chosen", Role.RIVAL: "orange: explains the records as well"}
+    roles = _candidate_roles(discovery)
+    colours = capitalise("; ".join(text for role, text in meaning.items() if role in roles))
+    return (
+        f"{colours}. Numbers: difference of the criterion from the best"
+        if colours
+        else "Numbers: difference of the criterion from the best"
     )
 
 
@@ -243,7 +272,9 @@ def plot_average_spectra(discovery: Discovery) -> Figure:
             Curve(before.frequency, factor * before.floor, Role.REFERENCE, "noise", 1.3, Dash.DOTTED),
         )
         panels.append(Panel(output, series, FREQUENCY, Axis("amplitude per line", unit, Scale.LOG)))
-    return Figure("average-spectra", tuple(panels), phrase(FigureText.AVERAGE_SPECTRA))
+    return Figure(
+        "average-spectra", tuple(panels), "Averaged spectra of the error on the validation records, before and after."
+    )
 
 
 def _bins(dependence: Dependence, x: float, y: float, mean: float) -> Points:

@@ -2,7 +2,7 @@
 
 A figure is built once, from results, by a function of this package. `greybox.show.figures.matplotlib_backend` draws it as PNG and SVG,
 `greybox.show.figures.plotly_backend` for a page; neither adds anything to what is shown. Colours are given by the role that a series
-plays, texts as codes with values: `greybox.show.figures.sheet` and `greybox.show.sentences.figures` turn them into colours and sentences.
+plays, `greybox.show.figures.sheet` turns roles into colours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.show.sentences.wording import choose_prefix
 
@@ -273,7 +272,9 @@ class Panel:
     x, y
         The axes.
     titles
-        What is to be read above it in a picture; warnings stand out.
+        What is to be read above it in a picture.
+    alarm
+        The titles tell of an alarm: they stand out.
     equal_scales
         A unit is as long on one axis as on the other.
     listing
@@ -284,7 +285,8 @@ class Panel:
     series: tuple[Series, ...]
     x: Axis
     y: Axis
-    titles: tuple[Finding, ...] = ()
+    titles: tuple[str, ...] = ()
+    alarm: bool = False
     height: Height = Height.MEDIUM
     equal_scales: bool = False
     listing: tuple[str, ...] = ()
@@ -338,8 +340,8 @@ class Figure:
 
     name: str
     panels: tuple[Panel, ...]
-    caption: Finding
-    description: tuple[Finding, ...] = ()
+    caption: str
+    description: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Panel:
         """The panel of this name."""

@@ -22,8 +22,7 @@ from greybox.show.figures.figure import (
     typeset_unit,
 )
 from greybox.show.figures.records import FREQUENCY
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import value_with_unit
 
 # Of a frequency response.
 DRAWING_FREQUENCIES = 500
@@ -66,19 +65,17 @@ def plot_bode(linear: Linearisation, family: ModelFamily | None) -> tuple[Figure
             phases.append(Panel(channel, (phase,), FREQUENCY, Axis("phase", "°", spacing=90.0), height=Height.LOW))
             top = int(np.argmax(size))
             description.append(
-                phrase(
-                    FigureText.GAIN_RANGE,
-                    channel,
-                    unit=unit,
-                    gain=float(size[0]),
-                    frequency=float(hertz[0]),
-                    largest=float(size[top]),
-                    peak=float(hertz[top]),
-                )
+                f"{channel}: gain {value_with_unit(size[0], unit, 4)} at {hertz[0]:.3g} Hz, largest"
+                f" {value_with_unit(size[top], unit, 4)} at {hertz[top]:.4g} Hz"
             )
     return (
-        Figure("gain", tuple(gains), phrase(FigureText.GAIN, family=family is not None), tuple(description)),
-        Figure("phase", tuple(phases), phrase(FigureText.PHASE), tuple(description)),
+        Figure(
+            "gain",
+            tuple(gains),
+            ("Gain over frequency" + ("; the band contains 95 % of the drawn models." if family is not None else ".")),
+            tuple(description),
+        ),
+        Figure("phase", tuple(phases), "Phase over frequency.", tuple(description)),
     )
 
 
@@ -104,5 +101,11 @@ def plot_poles(linear: Linearisation, family: ModelFamily | None) -> Figure | No
         height=Height.TALL,
         equal_scales=bool(linear.dt),
     )
-    description = phrase(FigureText.POLE_PLACES, real=poles.real.tolist(), imaginary=poles.imag.tolist())
-    return Figure("poles", (panel,), phrase(FigureText.POLES, sampled=bool(linear.dt)), (description,))
+    places = (f"{p.real:.5g} {'+' if p.imag >= 0 else '-'} {abs(p.imag):.5g} j" for p in poles)
+    description = f"Poles at {'; '.join(places)}"
+    return Figure(
+        "poles",
+        (panel,),
+        f"Poles in the complex plane. Modes decay {'inside the unit circle' if linear.dt else 'left of the imaginary axis'}.",
+        (description,),
+    )

@@ -19,7 +19,6 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from greybox.base.files import write_file
-from greybox.base.findings import Severity
 from greybox.base.texts import to_line
 from greybox.show.figures.figure import (
     Area,
@@ -41,7 +40,6 @@ from greybox.show.figures.figure import (
     write_cell,
 )
 from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
-from greybox.show.sentences.registry import sentence
 
 MARKERS = {Symbol.CIRCLE: "o", Symbol.DIAMOND: "D", Symbol.SQUARE: "s", Symbol.CROSS: "x"}
 LINES = {Dash.SOLID: "-", Dash.DASHED: "--", Dash.DOTTED: ":"}
@@ -77,7 +75,7 @@ def _as_lines(text: str) -> str:
 def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
     picture = Picture(figsize=sheet.size, dpi=style.dots_per_inch, layout="constrained")
     FigureCanvasAgg(picture)
-    picture.suptitle(sentence(sheet.heading), fontsize=style.heading)
+    picture.suptitle(sheet.heading, fontsize=style.heading)
     grid = picture.add_gridspec(
         len(sheet.heights), len(sheet.widths), height_ratios=sheet.heights, width_ratios=sheet.widths
     )
@@ -120,9 +118,8 @@ def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
         axes.tick_params(labelbottom=False)
     titles = cell.titles or panel.titles
     if titles:
-        loud = any(title.severity is not Severity.NOTE for title in titles)
-        text = "\n".join(fill(sentence(title), style.title_width) for title in titles)
-        colour = _colour(Role.SIMULATED if loud else Role.REFERENCE)
+        text = "\n".join(fill(title, style.title_width) for title in titles)
+        colour = _colour(Role.SIMULATED if panel.alarm else Role.REFERENCE)
         axes.set_title(text, loc="left", fontsize=style.names, color=colour)
 
 

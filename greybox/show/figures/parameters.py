@@ -7,15 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.figures.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
 
 
-def plot_intervals(percent: Mapping[str, float], caption: Finding) -> Figure | None:
+def plot_intervals(percent: Mapping[str, float], caption: str) -> Figure | None:
     """A mark for each parameter at half the width of its 95 % interval, in ``percent`` of the value; None for fewer than two."""
     if len(percent) < 2:
         return None
@@ -25,7 +22,9 @@ def plot_intervals(percent: Mapping[str, float], caption: Finding) -> Figure | N
     limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
     x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits)
     panel = Panel("intervals", (marks,), x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
-    return Figure("intervals", (panel,), caption, (phrase(FigureText.INTERVAL_WIDTHS, percent=ranked),))
+    return Figure(
+        "intervals", (panel,), caption, ("; ".join(f"{name} {width:.3g} %" for name, width in ranked.items()),)
+    )
 
 
 def relative_half_widths(fit: Fit) -> dict[str, float]:
@@ -54,8 +53,13 @@ def plot_correlation(fit: Fit) -> Figure | None:
     panel = Panel(
         "correlation", (heatmap,), category, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY
     )
-    description = strongly_correlated_pairs(fit) or (phrase(FigureText.NO_CORRELATION, limit=DRAWING_CORRELATED),)
-    return Figure("correlation", (panel,), phrase(FigureText.CORRELATION), tuple(description))
+    description = strongly_correlated_pairs(fit) or (f"No correlation exceeds {DRAWING_CORRELATED}",)
+    return Figure(
+        "correlation",
+        (panel,),
+        "Correlation of the fitted parameters. Near 1 or -1 the records determine a combination of two parameters, not each of them.",
+        tuple(description),
+    )
 
 
 def parameter_correlation(fit: Fit) -> np.ndarray:
@@ -65,7 +69,7 @@ def parameter_correlation(fit: Fit) -> np.ndarray:
         return np.asarray(fit.uncertainty.covariance / np.outer(std, std))
 
 
-def strongly_correlated_pairs(fit: Fit) -> tuple[Finding, ...]:
+def strongly_correlated_pairs(fit: Fit) -> tuple[str, ...]:
     """Pairs of parameters that the records hardly tell apart, the closest first."""
     rho, names = parameter_correlation(fit), fit.uncertainty.free
     pairs = [
@@ -75,6 +79,7 @@ def strongly_correlated_pairs(fit: Fit) -> tuple[Finding, ...]:
         if np.isfinite(rho[i, j]) and abs(rho[i, j]) > DRAWING_CORRELATED
     ]
     return tuple(
-        phrase(FigureText.CORRELATED, first=names[j], second=names[i], correlation=float(rho[i, j]))
+        f"{names[j]} and {names[i]} have a correlation of {rho[i, j]:.3f}: the records determine their"
+        f" {'ratio' if rho[i, j] > 0 else 'product'} better than either"
         for _, i, j in sorted(pairs, reverse=True)
     )

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.comparison.result import Comparison
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.result import Discovery
@@ -19,6 +18,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import (
+    describe_candidates,
     errors_to_judge,
     explained_share,
     plot_average_spectra,
@@ -38,8 +38,7 @@ from greybox.show.figures.records import (
 from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import record_text
 
 
 def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
@@ -159,12 +158,12 @@ def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
             Cell(bottom, 2 * k + 1),
         ]
         if window is not None:
-            closer = (phrase(FigureText.CLOSER_LOOK),)
+            closer = ("detail",)
             cells += [
                 Cell(top, 2 * k, 1, window=window, titles=closer, above_another=True),
                 Cell(bottom, 2 * k + 1, 1, window=window),
             ]
-    heading = phrase(FigureText.FIT_HEADING, trace.name, model=fit.model.title, validation=kind == "validation")
+    heading = f"{fit.model.title}: free run over {('validation' if kind == 'validation' else 'estimation')} {record_text(trace.name)}"
     return Sheet(
         f"{kind}-{trace.name}",
         tuple(cells),
@@ -175,9 +174,9 @@ def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
     )
 
 
-def _misfit_title(output: str, m: Misfit) -> Finding:
-    ratio = m.noise_ratio if np.isfinite(m.noise_ratio) else None
-    return phrase(FigureText.MISFIT_TITLE, output, noise_ratio=ratio, best_fit_percent=m.best_fit_percent)
+def _misfit_title(output: str, m: Misfit) -> str:
+    misfit = f"misfit {m.noise_ratio:.3g} × noise, " if np.isfinite(m.noise_ratio) else ""
+    return f"{output}: {misfit}best fit {m.best_fit_percent:.2f} %"
 
 
 def residual_test_sheet(tests: ResidualTests, output: str, title: str = "") -> Sheet:
@@ -187,7 +186,7 @@ def residual_test_sheet(tests: ResidualTests, output: str, title: str = "") -> S
     return Sheet(
         f"residual-{output}",
         tuple(Cell(panel, k // 2, k % 2) for k, panel in enumerate(panels)),
-        phrase(FigureText.RESIDUAL_TESTS_HEADING, output, model=title),
+        f"{title}: residual of {output}" if title else f"Residual of {output}",
         size=(11.0, 3.4 * rows),
         widths=(1.0, 1.0),
         heights=(1.0,) * rows,
@@ -202,16 +201,16 @@ def comparison_sheet(comparison: Comparison, record: str) -> Sheet:
     for k, (run, residual) in enumerate(zip(runs.panels, residuals.panels, strict=True)):
         measured = run.series[0]
         window = liveliest_window(measured.x, measured.y) if isinstance(measured, Curve) else None
-        title = phrase(FigureText.CLOSER_LOOK) if window else phrase(FigureText.FREE_RUN)
+        title = "detail" if window else "free run"
         cells += [
             Cell(run, 2 * k, window=window, titles=(title,)),
             Cell(_named_by_title(residual, "error"), 2 * k + 1),
-            Cell(errors[run.name], 2 * k, 1, rows=2, titles=(phrase(FigureText.ERROR_BARS),)),
+            Cell(errors[run.name], 2 * k, 1, rows=2, titles=("filled: free run, with best fit",)),
         ]
     return Sheet(
         f"comparison-{record}",
         tuple(cells),
-        phrase(FigureText.COMPARISON_HEADING, record, validation=bool(comparison.validation)),
+        f"{('Validation' if bool(comparison.validation) else 'Estimation')} {record_text(record)}: free run of every model",
         size=(12.0, 0.8 + 4.2 * len(runs.panels)),
         widths=(2.1, 1.0),
         heights=(1.6, 1.0) * len(runs.panels),
@@ -223,21 +222,13 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
     sheets = [_effect_signal_sheet(signal) for signal in discovery.effect_signals]
     if discovery.surrogate is not None:
         figure = plot_surrogate(discovery.surrogate)
-        heading = phrase(
-            FigureText.SURROGATE_HEADING,
-            surrogate_title(discovery.surrogate).removeprefix("a "),
-            explained=discovery.surrogate.share,
-        )
+        shape, share = surrogate_title(discovery.surrogate), min(discovery.surrogate.share, 1.0)
+        heading = f"Unknown effect: a {shape.removeprefix('a ')} takes {100 * share:.0f} % of the error"
         sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
     sheets.append(_before_after_sheet(discovery))
     candidates = plot_candidates(discovery)
     if candidates is not None:
-        heading = phrase(
-            FigureText.CANDIDATES_HEADING,
-            verdict=discovery.verdict,
-            chosen=bool(discovery.best.model.effects),
-            rivals=bool(discovery.alternatives),
-        )
+        heading = f"Candidates ({discovery.verdict}). {describe_candidates(discovery)}"
         height = 1.5 + 0.3 * len(candidates.panels[0].categories)
         sheets.append(Sheet("candidates", (Cell(candidates.panels[0], 0),), heading, (8.5, height)))
     return [*sheets, _holdout_error_sheet(discovery)]
@@ -251,7 +242,7 @@ def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
     against, in_time = plot_effect_signal(signal, "missing").panels
     shown = min(len(signal.time), SIGNAL_IN_TIME)
     window = (float(signal.time[0]), float(signal.time[shown - 1]))
-    heading = phrase(FigureText.EFFECT_SIGNAL_HEADING, signal.effect, explained=signal.explained, record=signal.record)
+    heading = f"{signal.effect} explains {100 * signal.explained:.1f} % of the missing signal in {signal.record}"
     cells = (Cell(against, 0), Cell(in_time, 0, 1, window=window))
     return Sheet(f"missing-{signal.effect}", cells, heading, (10.0, 4.4), widths=(1.1, 1.0))
 
@@ -268,7 +259,7 @@ def _before_after_sheet(discovery: Discovery) -> Sheet:
             _only(before, output), _only(after, output), units, base.noise.levels, "residuals", "extended model"
         )
         cells += [Cell(run[output], k), Cell(spectra[output], k, 1)]
-    heading = phrase(FigureText.BEFORE_AFTER_HEADING, base.model.name, extended=extended.model.title)
+    heading = f"{base.model.name}: error on the validation records; extended: {extended.model.title}"
     rows = len(discovery.holdout)
     return Sheet("residuals", tuple(cells), heading, (11.0, 0.8 + 3.0 * rows), widths=(1.5, 1.0), heights=(1.0,) * rows)
 
@@ -276,13 +267,18 @@ def _before_after_sheet(discovery: Discovery) -> Sheet:
 def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     figure = plot_holdout_error(discovery)
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
-    titles = {
-        output: phrase(FigureText.EXPLAINED_TITLE, output, explained=explained_share(error))
-        for output, error in errors_to_judge(discovery).items()
-    }
+    titles = {}
+    for output, error in errors_to_judge(discovery).items():
+        share = explained_share(error)
+        taken = (
+            "the residual of the plain model is noise"
+            if share is None
+            else f"{100 * share:.0f} % of the error taken away"
+        )
+        titles[output] = f"{output}: {taken}"
     cells = tuple(Cell(panel, k, titles=(titles[panel.name],)) for k, panel in enumerate(figure.panels))
     size = (8.5, 0.6 + rows * (1.0 + 0.3 * bars))
-    return Sheet("gap", cells, phrase(FigureText.HOLDOUT_HEADING), size, heights=(1.0,) * rows)
+    return Sheet("gap", cells, "Rms error of the free run on the validation records", size, heights=(1.0,) * rows)
 
 
 def gap_sheet(
@@ -300,11 +296,11 @@ def gap_sheet(
     run = plot_runs_before_after(*pair, units, "run", names)[output]
     residual = plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
     cells = (
-        Cell(run, 0, titles=(phrase(FigureText.UNSEEN_RUN, output),), above_another=True),
-        Cell(_without_labels(residual), 1, titles=(phrase(FigureText.WHAT_IS_LEFT),)),
-        Cell(_ratio_marks(ratios, names), 0, 1, rows=2, titles=(phrase(FigureText.MISFIT_OF_EACH),)),
+        Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
+        Cell(_without_labels(residual), 1, titles=("residual",)),
+        Cell(_ratio_marks(ratios, names), 0, 1, rows=2, titles=("misfit / noise (1: noise only)",)),
     )
-    heading = phrase(FigureText.GAP_HEADING, output)
+    heading = f"Error of the model in {output}, without and with the effect"
     return Sheet(name, cells, heading, (10.5, 4.6), widths=(1.6, 1.0), heights=(1.0, 1.25))
 
 

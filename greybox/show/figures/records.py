@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
 from greybox.estimation.result_parts import Trace
 from greybox.show.figures.figure import (
@@ -26,8 +26,7 @@ from greybox.show.figures.figure import (
     scale_to_prefix,
     value_range,
 )
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import capitalise, range_with_unit, record_text, value_with_unit
 
 # The spectrum of a residual, as pages draw it and take it anew over the stretch that a reader zooms into.
 
@@ -80,7 +79,7 @@ def plot_signals(
     signals: Mapping[str, np.ndarray],
     units: Mapping[str, str],
     role: Role,
-    caption: Finding,
+    caption: str,
     *,
     held: bool = False,
 ) -> Figure:
@@ -93,7 +92,9 @@ def plot_signals(
         panels.append(Panel(signal, (curve,), TIME, Axis(signal, unit), height=Height.LOW))
         low, high = value_range(factor * values)
         missing = int((~np.isfinite(values)).sum())
-        description.append(phrase(FigureText.SIGNAL_RANGE, signal, low=low, high=high, unit=unit, missing=missing))
+        gaps = f"; {missing} values are missing" if missing else ""
+        verb = "ranges from" if math.isfinite(low) else "has"
+        description.append(f"{signal} {verb} {range_with_unit(low, high, unit)}{gaps}")
     return Figure(name, tuple(panels), caption, tuple(description))
 
 
@@ -101,7 +102,7 @@ def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str)
     """What drove a record, a panel for each input; None where nothing did."""
     if not record.inputs:
         return None
-    caption = phrase(FigureText.INPUTS, record.name)
+    caption = f"Inputs of {record_text(record.name)}."
     return plot_signals(name, record.time, record.inputs, units, Role.INPUT, caption, held=record.hold == "zero")
 
 
@@ -109,7 +110,7 @@ def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> Fig
     """What the sensors show, a panel for each output; None where nothing was measured."""
     if not record.outputs:
         return None
-    caption = phrase(FigureText.OUTPUTS, record.name)
+    caption = f"Measured outputs of {record_text(record.name)}."
     return plot_signals(name, record.time, record.outputs, units, Role.OUTPUT, caption)
 
 
@@ -124,25 +125,18 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
             _over_time(trace.time, factor * simulated, Role.SIMULATED, "simulated", 1.2),
         )
         panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
-        (low, high), (simulated_low, simulated_high) = (
-            value_range(factor * measured),
-            value_range(factor * simulated),
-        )
+        missing = int(np.isnan(measured).sum())
+        gaps = f"; {missing} of {len(measured)} values are missing" if missing else ""
+        ranges = (range_with_unit(*value_range(factor * values), unit) for values in (measured, simulated))
         description.append(
-            phrase(
-                FigureText.RUN_RANGE,
-                output,
-                duration=float(trace.time[-1] - trace.time[0]),
-                low=low,
-                high=high,
-                simulated_low=simulated_low,
-                simulated_high=simulated_high,
-                unit=unit,
-                missing=int(np.isnan(measured).sum()),
-                rows=len(measured),
-            )
+            f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured {', simulated '.join(ranges)}{gaps}"
         )
-    return Figure(name, tuple(panels), phrase(FigureText.RUN, trace.name), tuple(description))
+    return Figure(
+        name,
+        tuple(panels),
+        f"{capitalise(record_text(trace.name))}: measured outputs and the model's free run from the first row.",
+        tuple(description),
+    )
 
 
 def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str) -> Figure:
@@ -156,18 +150,14 @@ def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, fl
         axis = Axis(f"residual of {output}", unit, still_limits=_robust_limits(factor * residual, band))
         panels.append(Panel(output, (*_noise_band(band), curve), TIME, axis))
         known = residual[np.isfinite(residual)]
-        inside = float(np.mean(np.abs(known) <= 2 * std)) if std > 0 and len(known) else None
-        description.append(
-            phrase(
-                FigureText.RESIDUAL_SIZE,
-                output,
-                rms=factor * root_mean_square(residual),
-                unit=unit,
-                inside=inside,
-                band=band,
-            )
-        )
-    caption = phrase(FigureText.RESIDUAL, trace.name, band=any(map(known_noise, noise.values())))
+        text = f"Residual of {output}: rms {value_with_unit(factor * root_mean_square(residual), unit)}"
+        if std > 0 and len(known):
+            inside = 100 * np.mean(np.abs(known) <= 2 * std)
+            text += f", {inside:.0f} % of it within two standard deviations of the noise, {value_with_unit(band, unit)}"
+        description.append(text)
+    caption = f"Residual (measured minus simulated) of {record_text(trace.name)}" + (
+        "; the band is two standard deviations of the noise." if any(map(known_noise, noise.values())) else "."
+    )
     return Figure(name, tuple(panels), caption, tuple(description))
 
 
@@ -188,8 +178,12 @@ def plot_spectrum(
         panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
         if len(curve.x):
             peak = float(curve.x[int(np.argmax(curve.y))])
-            description.append(phrase(FigureText.SPECTRUM_PEAK, output, frequency=peak))
-    caption = phrase(FigureText.SPECTRUM, trace.name, line=any(map(known_noise, noise.values())))
+            description.append(f"The residual of {output} is strongest at {peak:.4g} Hz")
+    level = "; the dashed line is white noise of the same standard deviation as the sensor noise"
+    caption = (
+        f"Spectrum of the residual of {record_text(trace.name)}{level * any(map(known_noise, noise.values()))}."
+        " Zoom into the residual over time to see the spectrum of that interval."
+    )
     return Figure(name, tuple(panels), caption, tuple(description))
 
 
@@ -207,14 +201,15 @@ def plot_residuals_before_after(
         )
         series = (*_noise_band(2 * factor * std), *curves)
         panels.append(Panel(output, series, TIME, Axis(f"residual of {output}", unit)))
-        rms_before, rms_after = (factor * root_mean_square(r) for r in pair)
-        description.append(
-            phrase(FigureText.RESIDUAL_BEFORE_AFTER, output, before=rms_before, after=rms_after, unit=unit)
-        )
+        before_text, after_text = (value_with_unit(factor * root_mean_square(r), unit) for r in pair)
+        description.append(f"Residual of {output}: rms {before_text} before, {after_text} after")
     return Figure(
         name,
         tuple(panels),
-        phrase(FigureText.RESIDUALS_BEFORE_AFTER, before.name, band=any(map(known_noise, noise.values()))),
+        (
+            f"Residual of {record_text(before.name)} with the plain and with the extended model"
+            + ("; the band is two standard deviations of the noise." if any(map(known_noise, noise.values())) else ".")
+        ),
         tuple(description),
     )
 
@@ -241,11 +236,14 @@ def plot_spectra_before_after(
         )
         series = (*curves, *_noise_floor(curves[0].x, factor * std * np.sqrt(2 * step)))
         panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
-        rms_before, rms_after = (factor * root_mean_square(r) for r in pair)
-        description.append(
-            phrase(FigureText.RESIDUAL_BEFORE_AFTER, output, before=rms_before, after=rms_after, unit=unit)
-        )
-    return Figure(name, tuple(panels), phrase(FigureText.SPECTRA_BEFORE_AFTER, before.name), tuple(description))
+        before_text, after_text = (value_with_unit(factor * root_mean_square(r), unit) for r in pair)
+        description.append(f"Residual of {output}: rms {before_text} before, {after_text} after")
+    return Figure(
+        name,
+        tuple(panels),
+        f"Spectra of both residuals of {record_text(before.name)}. Zoom into the residuals over time to see the spectra of that interval.",
+        tuple(description),
+    )
 
 
 def plot_runs_before_after(
@@ -261,7 +259,11 @@ def plot_runs_before_after(
             _over_time(after.time, factor * after.simulated[output], Role.EXTENDED, labels[1], 1.3),
         )
         panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
-    return Figure(name, tuple(panels), phrase(FigureText.RUNS_BEFORE_AFTER, before.name))
+    return Figure(
+        name,
+        tuple(panels),
+        f"{capitalise(record_text(before.name))}: measured outputs and the free runs of both models.",
+    )
 
 
 # Rows of the closer look at a record's liveliest stretch.

@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.base.findings import Finding, Severity
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
 from greybox.show.figures.figure import (
@@ -28,8 +27,6 @@ from greybox.show.figures.figure import (
     choose_evenly,
 )
 from greybox.show.sentences.estimation import name_test
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
 
 
 def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
@@ -56,7 +53,7 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
     return Figure(
         name,
         panels,
-        phrase(FigureText.RESIDUAL_TESTS, output),
+        f"Tests of the residual of {output}.",
         tuple(title for panel in panels for title in panel.titles),
     )
 
@@ -123,7 +120,7 @@ def _correlation_panel(
     reach = 1.15 * max(float(np.abs(values).max(initial=0.0)), 2 * band)
     bars = Bars(lags, values, [Role.RESIDUAL] * len(lags), name, width=0.3)
     series = (Band(-band, band, label="95 % of white noise"), Reference(0.0, width=0.6), bars)
-    return Panel(name, series, x, Axis(name, limits=(-reach, reach)), _titles(tests))
+    return Panel(name, series, x, Axis(name, limits=(-reach, reach)), _titles(tests), any(t.alarm for t in tests))
 
 
 # Points of a plot against the normal distribution.
@@ -141,7 +138,7 @@ def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel
         Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
     )
     axes = Axis("quantile of a normal distribution"), Axis("residual / noise")
-    return Panel("normal distribution", drawn, *axes, _titles(tests))
+    return Panel("normal distribution", drawn, *axes, _titles(tests), any(t.alarm for t in tests))
 
 
 # Stretches of all records whose mean and spread are drawn.
@@ -176,22 +173,16 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
     reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING_RESIDUAL_SHARE)), total)
     time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
     axis = Axis("residual / noise", limits=(-reach, reach))
-    return Panel("mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests))
+    return Panel(
+        "mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests), any(t.alarm for t in tests)
+    )
 
 
-def _titles(tests: Sequence[ResidualTest]) -> tuple[Finding, ...]:
+def _titles(tests: Sequence[ResidualTest]) -> tuple[str, ...]:
     """What the tests say: of those that raise an alarm the clearest of each kind, else the least comfortable one."""
     ordered = sorted(tests, key=lambda t: t.p_value)
     alarms = list({(t.kind, t.input): t for t in reversed(ordered) if t.alarm}.values())
-    return tuple(
-        Finding(
-            FigureText.RESIDUAL_TEST,
-            Severity.WARNING if t.alarm else Severity.NOTE,
-            t.output,
-            {"test": name_test(t), "p_value": t.p_value, "statement": str(t)},
-        )
-        for t in alarms or ordered[:1]
-    )
+    return tuple(f"{name_test(t)} (p = {t.p_value:.2g}): {t}" for t in alarms or ordered[:1])
 
 
 # Lags that the band of a correlation with an input allows for.

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from greybox.base.findings import Finding
 from greybox.show.figures.figure import Height, Panel, Role
 
 
@@ -23,7 +22,7 @@ class Cell:
     column: int = 0
     rows: int = 1
     window: tuple[float, float] | None = None
-    titles: tuple[Finding, ...] = ()
+    titles: tuple[str, ...] = ()
     above_another: bool = False
 
 
@@ -47,7 +46,7 @@ class Sheet:
 
     name: str
     cells: tuple[Cell, ...]
-    heading: Finding
+    heading: str
     size: tuple[float, float]
     widths: tuple[float, ...] = (1.0,)
     heights: tuple[float, ...] = (1.0,)

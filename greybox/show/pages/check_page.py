@@ -14,7 +14,7 @@ from greybox.show.figures.parameters import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import OPEN_RECORDS, statements
+from greybox.show.pages.fit_page import OPEN_RECORDS
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -31,23 +31,22 @@ from greybox.show.pages.page import (
 )
 from greybox.show.pages.provenance import format_sampling_time, provenance_section, signal_units
 from greybox.show.sentences.check import describe_noise_source
-from greybox.show.sentences.figures import FigureText
 from greybox.show.sentences.identifiability import describe_verdict
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import capitalise, format_number, join_names, record_text
 
 
 def build_check_page(check: ModelCheck, *, command: str = "") -> Page:
     """The page of a check; ``command`` is what was typed."""
     sections = [
-        Section("expected", list(_precision(check))),
-        Section("structure", list(_structure(check))),
-        Section("model", [_computation(check), typeset_equations(check.model)]),
-        Section("data", list(_data(check))),
+        Section("expected", "What the records can determine", list(_precision(check))),
+        Section("structure", "What any record could determine", list(_structure(check))),
+        Section("model", "The model", [_computation(check), typeset_equations(check.model)]),
+        Section("data", "Data", list(_data(check))),
         provenance_section(command),
     ]
-    question = phrase(PageText.CHECK_QUESTION, free=[q.name for q in check.model.free_parameters])
-    title = phrase(PageText.CHECK_TITLE, check.model.title)
+    names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
+    question = f"Can {names} be determined? This is checked before the fit."
+    title = f"Check of {check.model.title}"
     return Page(title, question, _verdict(check), sections, "check")
 
 
@@ -61,40 +60,48 @@ def _verdict(check: ModelCheck) -> Paragraphs:
 
 def _answer(check: ModelCheck) -> Paragraphs:
     if check.doubt:
-        return Paragraphs([phrase(PageText.CHECK_DOUBT, reason=check.doubt)], Tone.BAD)
+        return Paragraphs([f"The check has no answer: {check.doubt}"], Tone.BAD)
     if check.failure:
-        return Paragraphs(statements([check.failure]), Tone.CAUTION)
+        return Paragraphs([check.failure], Tone.CAUTION)
     assumed = bool(check.assumed)
     if check.complete:
-        return Paragraphs([phrase(PageText.CHECK_COMPLETE, assumed=assumed)], Tone.GOOD)
+        return Paragraphs(
+            [
+                f"{'A record such as this one determines' if assumed else 'These records determine'} every free parameter, if the"
+                " model is right."
+            ],
+            Tone.GOOD,
+        )
     answer: list[Text] = []
     if check.structure is not None and not check.structure.complete:
-        answer += statements([describe_verdict(check.structure)])
+        answer += [describe_verdict(check.structure)]
     undetermined = [name for name, c in check.constants.items() if not c.determined]
     if undetermined:
-        answer.append(phrase(PageText.CHECK_OPEN, open=undetermined, assumed=assumed))
+        answer.append(
+            f"{'A record such as this one does' if assumed else 'These records do'} not determine {join_names(undetermined)}."
+        )
     if check.structure is not None and check.structure.recommendations:
-        answer.append(phrase(PageText.CHECK_REMEDY, text=str(check.structure.recommendations[0])))
+        answer.append(f"Remedy: {check.structure.recommendations[0]}")
     return Paragraphs(answer, Tone.CAUTION)
 
 
 def _precision(check: ModelCheck) -> Iterator[Block]:
     if check.failure:
-        yield Paragraphs(statements([check.failure]), Tone.CAUTION)
+        yield Paragraphs([check.failure], Tone.CAUTION)
         return
     head = ["parameter", "start value", "expected std", "of the value", "unit", "remark"]
     rows = [[name, *_expected(c)] for name, c in check.constants.items()]
-    yield PageTable(phrase(PageText.CHECK_PRECISION), head, rows)
+    yield PageTable("Expected standard deviations of a fit near the start values, if the model is right", head, rows)
     percent = {name: 196 * c.std / abs(c.value) for name, c in check.constants.items() if c.std and c.value}
-    figure = plot_intervals(percent, phrase(FigureText.EXPECTED_INTERVALS))
+    figure = plot_intervals(percent, "Expected half width of each 95 % interval: smaller is better.")
     if figure is not None:
         yield FigureBlock(figure)
     practical = check.practical
     if not check.complete and practical.combinations:
         rows = [[text, typeset_number(f"{100 * std:.2g} %")] for text, std in practical.combinations.items()]
-        yield PageTable(phrase(PageText.CHECK_COMBINATIONS), ["combination", "expected std"], rows)
+        yield PageTable("Combinations that the records determine", ["combination", "expected std"], rows)
     if practical.findings:
-        yield BulletList(statements(practical.findings))
+        yield BulletList(practical.findings)
 
 
 def _expected(c: ExpectedPrecision) -> list[str]:
@@ -110,19 +117,19 @@ def _expected(c: ExpectedPrecision) -> list[str]:
 def _structure(check: ModelCheck) -> Iterator[Block]:
     structure = check.structure
     if structure is None:
-        yield Paragraphs(statements([check.doubt]), Tone.BAD)
+        yield Paragraphs([check.doubt], Tone.BAD)
         return
-    yield Paragraphs(statements([describe_verdict(structure)]), Tone.GOOD if structure.complete else Tone.CAUTION)
+    yield Paragraphs([describe_verdict(structure)], Tone.GOOD if structure.complete else Tone.CAUTION)
     if structure.complete:
         return
     if structure.determined:
         rows = [[text] for text in structure.determined]
-        yield PageTable(phrase(PageText.CHECK_DETERMINED), ["combination"], rows)
-    yield Subheading(phrase(PageText.CHECK_UNDETERMINED))
-    yield BulletList(statements(map(str, structure.directions)))
+        yield PageTable("Determined by any record", ["combination"], rows)
+    yield Subheading("Not determined by any record")
+    yield BulletList([*map(str, structure.directions)])
     if structure.recommendations:
-        yield Subheading(phrase(PageText.CHECK_REMEDIES))
-        yield BulletList(statements(structure.recommendations))
+        yield Subheading("Remedies")
+        yield BulletList(structure.recommendations)
 
 
 def _computation(check: ModelCheck) -> PageTable:
@@ -132,7 +139,7 @@ def _computation(check: ModelCheck) -> PageTable:
         ["discretisation", check.discretisation],
         ["kernel", f"{check.kernel} ({check.kernel_reason})"],
     ]
-    return PageTable(phrase(PageText.COMPUTATION), ["what", "how"], rows)
+    return PageTable("How it was computed", ["what", "how"], rows)
 
 
 # The same of a check.
@@ -141,28 +148,28 @@ RECORDS_OF_CHECK = 10
 
 def _data(check: ModelCheck) -> Iterator[Block]:
     if check.assumed:
-        yield Paragraphs([phrase(PageText.CHECK_ASSUMED, text=str(check.assumed))])
+        yield Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     rows = [_record(e) for e in check.experiments]
-    yield PageTable(phrase(PageText.RECORDS), head, rows, "" if check.assumed else _noise(check))
+    yield PageTable("Records", head, rows, "" if check.assumed else _noise(check))
     # Sensor faults stand in the verdict.
     findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
     if findings:
         yield BulletList(list(map(_about_record, findings)))
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
-        yield BulletList(statements(lines))
+        yield BulletList(list(lines))
     units = signal_units(check.model)
     drawn = check.experiments[:RECORDS_OF_CHECK]
     stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
         figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
         blocks = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
-        yield from blocks if k < OPEN_RECORDS else [Details(phrase(PageText.RECORD, e.name), blocks)]
+        yield from blocks if k < OPEN_RECORDS else [Details(capitalise(record_text(e.name)), blocks)]
 
 
-def _about_record(finding: Finding) -> Finding:
-    return phrase(PageText.RECORD_FINDING, text=str(finding))
+def _about_record(finding: Finding) -> str:
+    return f"Record {finding}"
 
 
 def _record(e: Experiment) -> list[str]:
@@ -172,4 +179,4 @@ def _record(e: Experiment) -> list[str]:
 def _noise(check: ModelCheck) -> Text:
     units = {o.name: o.unit for o in check.model.outputs}
     sizes = [f"{n} {format_number(std, 3)} {typeset_unit(units[n])}".rstrip() for n, std in check.noise.items()]
-    return phrase(PageText.CHECK_NOISE, sizes=sizes, source=describe_noise_source(check))
+    return f"Noise: {join_names(sizes)}; {describe_noise_source(check)}"

@@ -13,7 +13,7 @@ from greybox.show.figures.comparison import judging_records, plot_model_errors, 
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table
+from greybox.show.pages.fit_page import OPEN_RECORDS, not_drawn, parameters_table
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -29,9 +29,8 @@ from greybox.show.pages.page import (
     typeset_number,
 )
 from greybox.show.pages.provenance import provenance_section
-from greybox.show.sentences.pages import PageText
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
 
 
 def build_comparison_page(
@@ -58,20 +57,19 @@ def build_comparison_page(
         What is to be known of the records.
     """
     sections = [
-        Section("errors", list(_error_tables(comparison))),
-        Section("runs", list(_runs(comparison))),
-        Section("models", [models_table(comparison), *_findings(comparison)]),
+        Section("errors", "Errors", list(_error_tables(comparison))),
+        Section("runs", "Runs", list(_runs(comparison))),
+        Section("models", "Models", [models_table(comparison), *_findings(comparison)]),
     ]
     if fits:
-        sections.append(Section("physics", list(_physics(fits))))
+        sections.append(Section("physics", "The physical models", list(_physics(fits))))
     sections += [_data(comparison, data or {}, known), provenance_section(command)]
-    question = phrase(
-        PageText.COMPARISON_QUESTION,
-        models=len(comparison.entries),
-        outputs=list(comparison.outputs),
-        validation=bool(comparison.validation),
+    records = "records that no model was fitted to" if comparison.validation else "the records that they were fitted to"
+    question = (
+        f"Which model of {join_names(list(comparison.outputs))} is best? {count_noun(len(comparison.entries), 'model')},"
+        f" compared on the same rows of {records}."
     )
-    title = phrase(PageText.COMPARISON_TITLE)
+    title = "Comparison of grey-box and black-box models"
     evidence = FigureBlock(plot_model_errors(comparison))
     return Page(title, question, comparison_verdict(comparison), sections, "comparison", evidence)
 
@@ -105,7 +103,7 @@ def _error_tables(comparison: Comparison) -> Iterator[Block]:
         yield from (_error_table(comparison, output, validation=True) for output in comparison.outputs)
     if comparison.training:
         tables = [_error_table(comparison, output, validation=False) for output in comparison.outputs]
-        yield from [Details(phrase(PageText.COMPARISON_TRAINING), tables)] if comparison.validation else tables
+        yield from [Details("On the estimation records", tables)] if comparison.validation else tables
 
 
 def _error_table(comparison: Comparison, output: str, *, validation: bool) -> PageTable:
@@ -129,9 +127,9 @@ def _error_table(comparison: Comparison, output: str, *, validation: bool) -> Pa
         for name, s in ranked
     ]
     ahead = ["one sample ahead (rms)", *(f"{k} samples ahead (rms)" for k in steps)]
-    title = phrase(
-        PageText.COMPARISON_ERRORS, output, validation=validation, rows=sorted({s.samples for s in scores.values()})
-    )
+    counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
+    unequal = ": not the same for every model" if len(counts) != 1 else ""
+    title = f"{output}, {'validation' if validation else 'estimation'} records, {join_names(counts)} rows{unequal}"
     return PageTable(title, ["model", "box", "free run (rms)", "best fit", *ahead], rows)
 
 
@@ -151,16 +149,16 @@ def _runs(comparison: Comparison) -> Iterator[Block]:
     drawn = records[:RECORDS_OF_COMPARISON]
     curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
     stretches = PAGE.stretches(len(drawn) * curves)
-    yield Paragraphs([phrase(PageText.COMPARISON_LEGEND)])
+    yield Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
     for k, record in enumerate(drawn):
         figures: list[Block] = [
             FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
             for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
         ]
-        title = phrase(PageText.RECORD, record)
+        title = capitalise(record_text(record))
         yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
     if len(records) > len(drawn):
-        yield Paragraphs([phrase(PageText.NOT_DRAWN, records=len(records) - len(drawn))])
+        yield Paragraphs([not_drawn(len(records) - len(drawn))])
 
 
 def models_table(comparison: Comparison) -> PageTable:
@@ -179,13 +177,16 @@ def models_table(comparison: Comparison) -> PageTable:
         for e in comparison.entries
     ]
     head = ["model", "box", "structure", "numbers", "BIC", "stable", "feed-through", "time"]
-    return PageTable(phrase(PageText.COMPARISON_MODELS), head, rows, phrase(PageText.COMPARISON_MODELS_NOTE))
+    return PageTable(
+        "Models",
+        head,
+        rows,
+        "Numbers: fitted parameters or coefficients. BIC: of the free run on the estimation records; lower is better.",
+    )
 
 
 def _findings(comparison: Comparison) -> Iterator[Block]:
-    of_models = [
-        phrase(PageText.ABOUT, e.name, text=sentence(finding)) for e in comparison.entries for finding in e.findings
-    ]
+    of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
     items: list[Text] = [*comparison.findings, *of_models]
     if items:
         yield BulletList(items)
@@ -205,9 +206,10 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
             run = next((r for r in runs if r.record == record), None)
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
-    note = phrase(PageText.COMPARISON_SKIP, rows=comparison.skip) if comparison.skip else ""
-    table = PageTable(phrase(PageText.RECORDS), ["record", "use", "rows", "duration", "fingerprint"], rows, note)
+    note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
+    table = PageTable("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
     return Section(
         "data",
-        [table, *([BulletList([phrase(PageText.RECORD_FINDING, text=str(text)) for text in known])] if known else [])],
+        "Data",
+        [table, *([BulletList([f"Record {text}" for text in known])] if known else [])],
     )

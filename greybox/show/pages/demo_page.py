@@ -15,8 +15,7 @@ from greybox.show.pages.fit_page import fit_verdict, misfit_table
 from greybox.show.pages.linearisation_page import linear_sections
 from greybox.show.pages.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, typeset_number
 from greybox.show.pages.provenance import fit_provenance_section, records_section
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import format_number, join_names
 
 if TYPE_CHECKING:
     from greybox.shell.demonstration import Demo
@@ -28,22 +27,29 @@ def build_demo_page(demo: Demo, *, command: str = "") -> Page:
     sections = [
         Section(
             "plain",
+            "The plain model",
             [
                 fit_verdict(demo.plain),
-                misfit_table(phrase(PageText.MISFIT_FITTED), demo.plain.misfit, demo.plain.noise),
+                misfit_table("Free run on the estimation records", demo.plain.misfit, demo.plain.noise),
             ],
         ),
         *discovery_sections(demo.discovery, beside_verdict=True),
-        Section("truth", [_parameters(demo)]),
-        Section("extended", [typeset_equations(best.model)]),
-        Section("errors", list(_comparison(demo))),
+        Section("truth", "Parameters and true values", [_parameters(demo)]),
+        Section("extended", "The extended model", [typeset_equations(best.model)]),
+        Section("errors", "Errors", list(_comparison(demo))),
         *linear_sections(demo.plant, None),
         records_section([*best.traces], [*best.validation.traces], best),
         fit_provenance_section(best, command),
     ]
     evidence = FigureBlock(plot_holdout_error(demo.discovery))
     return Page(
-        phrase(PageText.DEMO_TITLE), phrase(PageText.DEMO_QUESTION), _verdict(demo), sections, "demonstration", evidence
+        "Demonstration: from the first fit to the controller",
+        "A simulated micro-motion actuator has an effect that its model lacks. Does the program detect and identify the effect, and"
+        " does the extended model have smaller errors?",
+        _verdict(demo),
+        sections,
+        "demonstration",
+        evidence,
     )
 
 
@@ -53,9 +59,9 @@ def _verdict(demo: Demo) -> Paragraphs:
     names = [name for name in demo.truth if name in demo.deviations]
     deviation = max((abs(demo.deviations[name]) for name in names), default=0.0)
     items = [
-        phrase(PageText.DEMO_PLAIN, output, ratio=worst.noise_ratio),
+        f"In {output}, the residual of the plain model is {worst.noise_ratio:.3g} times the noise.",
         *answer.items,
-        phrase(PageText.DEMO_TRUTH, deviation=deviation, names=names),
+        f"Every fitted parameter is within {deviation:.1f} standard deviations of its true value: {join_names(names)}.",
         *demo.comparison.verdict[:1],
     ]
     return Paragraphs(items, answer.tone)
@@ -76,7 +82,7 @@ def _parameters(demo: Demo) -> PageTable:
         cells = [format_number(truth), start, _value(plain), _value(e), deviation]
         rows.append([name, *map(typeset_number, cells), typeset_unit(e.unit) if e is not None else ""])
     head = ["parameter", "true", "start", "plain model", extended_name(demo.discovery), "deviation", "unit"]
-    return PageTable(phrase(PageText.DEMO_PARAMETERS), head, rows)
+    return PageTable("Start values, estimates and true values", head, rows)
 
 
 def _value(e: Estimate | None) -> str:

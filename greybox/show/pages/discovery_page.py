@@ -25,7 +25,7 @@ from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.figures.sheet import PAGE
 from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table, statements
+from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -43,9 +43,8 @@ from greybox.show.pages.page import (
 from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
 from greybox.show.sentences.discovery import refinement_text, surrogate_title
 from greybox.show.sentences.estimation import to_constant_cells
-from greybox.show.sentences.pages import PageText
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
 
 TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
 """How the answer is marked; every other verdict asks for caution."""
@@ -56,34 +55,32 @@ def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
     best, plain = discovery.best, discovery.base.model.title
     sections = [
         *discovery_sections(discovery, beside_verdict=True),
-        Section("parameters-before-after", [_parameters_before_after(discovery)]),
-        Section("extended" if best.model.effects else "model", [typeset_equations(best.model)]),
+        Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)]),
+        Section("extended", "The extended model", [typeset_equations(best.model)])
+        if best.model.effects
+        else Section("model", "The model", [typeset_equations(best.model)]),
         records_section([*best.traces], [*best.validation.traces], best),
         fit_provenance_section(best, command),
     ]
-    title, question = phrase(PageText.DISCOVERY_TITLE, plain), phrase(PageText.DISCOVERY_QUESTION, plain)
+    title, question = f"Effects that {plain} lacks", f"Which effect, if any, does {plain} lack?"
     evidence = FigureBlock(plot_holdout_error(discovery))
     return Page(title, question, discovery_verdict(discovery), sections, "discovery", evidence)
 
 
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
     """The answer, the summary, the effects with their parameters, the next steps and the findings."""
-    items: list[Text] = [*statements(sentences(discovery.conclusion))]
+    items: list[Text] = [*sentences(discovery.conclusion)]
     for effect in discovery.effects if discovery.verdict != "complete" else []:
         values = [
             f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
             for name, c in effect["parameters"].items()
         ]
-        look_alike = effect["grade"] == Grade.STAND_IN
-        items.append(
-            phrase(
-                PageText.DISCOVERY_EFFECT, effect["name"], site=effect["site"], parameters=values, look_alike=look_alike
-            )
-        )
-        items += statements(str(e) for e in discovery.evidence if e.effect == effect["name"])
-    items += [phrase(PageText.DISCOVERY_NEXT, text=str(step)) for step in discovery.next_steps]
+        look_alike = "The nearest look-alike is " if effect["grade"] == Grade.STAND_IN else ""
+        items.append(f"{look_alike}{effect['name']} ({effect['site']}): {join_names(values)}.")
+        items += (str(e) for e in discovery.evidence if e.effect == effect["name"])
+    items += [f"Next step: {step}" for step in discovery.next_steps]
     tone = TONES.get(discovery.verdict, Tone.CAUTION)
-    return Paragraphs([*items, *statements(discovery.findings)], tone)
+    return Paragraphs([*items, *discovery.findings], tone)
 
 
 def _std(std: float | None) -> str:
@@ -93,23 +90,23 @@ def _std(std: float | None) -> str:
 def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
     """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
     figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
-    yield Section("gap", [*figure, *_holdout(discovery)])
+    yield Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
     signals: list[Block] = [
         FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
     if discovery.surrogate is not None:
         signals += [
-            Paragraphs(statements([str(discovery.surrogate)])),
+            Paragraphs([str(discovery.surrogate)]),
             FigureBlock(plot_surrogate(discovery.surrogate)),
         ]
     if signals:
-        yield Section("missing", signals)
+        yield Section("missing", "The missing signal", signals)
     if discovery.refinement is not None:
-        yield Section("further", list(_refinement(discovery.refinement)))
+        yield Section("further", "Further effects", list(_refinement(discovery.refinement)))
     if discovery.localisation.is_missing:
-        yield Section("localisation", list(_localisation(discovery)))
+        yield Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
     if discovery.ranking:
-        yield Section("candidates", list(_candidates(discovery)))
+        yield Section("candidates", "Candidates", list(_candidates(discovery)))
 
 
 # The same of a discovery, on its validation records.
@@ -128,11 +125,11 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
         for output, e in errors.items()
     ]
     head = ["output", "plain model", name, "noise", "error taken away"]
-    yield PageTable(phrase(PageText.DISCOVERY_ERRORS), head, rows)
+    yield PageTable("Rms error of the free run on the validation records", head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
         steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
-        yield PageTable(phrase(PageText.DISCOVERY_PATH), ["model", "misfit"], steps)
+        yield PageTable("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[:RECORDS_OF_DISCOVERY]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
@@ -145,7 +142,7 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
             FigureBlock(residuals, stretches, group=together, switch=together),
             FigureBlock(spectra, stretches, switch=together),
         ]
-        title = phrase(PageText.RECORD, before.name)
+        title = capitalise(record_text(before.name))
         yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
 
 
@@ -188,7 +185,7 @@ def extended_name(discovery: Discovery) -> str:
 
 def _refinement(refinement: Refinement) -> Iterator[Block]:
     """The effects beyond the answer, and what they leave."""
-    yield Paragraphs(statements([refinement_text(refinement)]))
+    yield Paragraphs([refinement_text(refinement)])
     if not refinement.steps:
         return
     rows = [
@@ -201,7 +198,7 @@ def _refinement(refinement: Refinement) -> Iterator[Block]:
         for s in refinement.steps
     ]
     head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
-    yield PageTable(phrase(PageText.DISCOVERY_REFINEMENT), head, rows)
+    yield PageTable("Further effects, each with the share of the rms misfit that it removes", head, rows)
     yield parameters_table(refinement.fit)
 
 
@@ -211,7 +208,7 @@ def _percent(share: float) -> str:
 
 def _localisation(discovery: Discovery) -> Iterator[Block]:
     localisation = discovery.localisation
-    yield BulletList(statements(line.strip() for line in str(localisation).splitlines()))
+    yield BulletList([line.strip() for line in str(localisation).splitlines()])
     unexplained = plot_unexplained_signal(localisation)
     if unexplained is not None:
         yield FigureBlock(unexplained)
@@ -227,7 +224,12 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
     ]
     if rows:
         head = ["site", "set", "gain", "signal (rms)"]
-        yield PageTable(phrase(PageText.DISCOVERY_SITES), head, rows, phrase(PageText.DISCOVERY_SITES_NOTE))
+        yield PageTable(
+            "Sites, likeliest first",
+            head,
+            rows,
+            "These sensors cannot distinguish the sites of one set. Gain: how much the signal raises the log-likelihood.",
+        )
     windows = plot_misfit_windows(localisation)
     if windows is not None:
         yield FigureBlock(windows)
@@ -238,14 +240,14 @@ def _candidates(discovery: Discovery) -> Iterator[Block]:
     if figure is not None:
         yield FigureBlock(figure)
     if discovery.alternatives:
-        yield BulletList([phrase(PageText.DISCOVERY_RIVAL, " + ".join(names)) for names in discovery.alternatives])
+        yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
     rows = [
         [" + ".join(r.effects), typeset_number(f"{r.misfit:.4g} × noise"), typeset_number(f"{r.behind:.4g}")]
         for r in discovery.ranking
     ]
-    note = phrase(PageText.DISCOVERY_CANDIDATES_NOTE)
-    table = PageTable(phrase(PageText.DISCOVERY_CANDIDATES), ["effects", "misfit", "behind"], rows, note)
-    yield Details(phrase(PageText.DISCOVERY_ALL_CANDIDATES, count=len(rows)), [table])
+    note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
+    table = PageTable("Candidates", ["effects", "misfit", "behind"], rows, note)
+    yield Details(f"All {count_noun(len(rows), 'candidate')}", [table])
 
 
 def _parameters_before_after(discovery: Discovery) -> PageTable:
@@ -259,4 +261,4 @@ def _parameters_before_after(discovery: Discovery) -> PageTable:
         before = typeset_number(to_constant_cells(name, plain)[1]) if plain is not None else "–"
         rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
     head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
-    return PageTable(phrase(PageText.DISCOVERY_PARAMETERS), head, rows)
+    return PageTable("Parameters: those of the plain model absorb part of the missing effect", head, rows)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from greybox.base.findings import Finding
 from greybox.estimation.findings import EstimationCode
@@ -43,9 +42,7 @@ from greybox.show.pages.page import (
 )
 from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
 from greybox.show.sentences.estimation import MISFIT_HEADS, name_test, to_constant_rows, to_misfit_cells
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import count_noun, join_names, record_text
 
 # What several pages say of a fit: whether to believe it, and its parameters.
 
@@ -63,8 +60,8 @@ def fit_verdict(fit: Fit) -> Paragraphs:
     leading = LEADING_FINDINGS
     if not fit.success:
         failure = (
-            phrase(PageText.FIT_FAILED, reason=fit.solver.status_message),
-            phrase(PageText.FIT_NUMBERS_OF_FAILURE),
+            f"The fit did not succeed: {fit.solver.status_message}.",
+            "The numbers below are those of the last point of the search. Use them only for diagnosis.",
         )
         return Paragraphs([*failure, *fit.findings[:leading]], Tone.BAD)
     free = [name for name in fit.uncertainty.free if name in fit.parameters]
@@ -72,7 +69,7 @@ def fit_verdict(fit: Fit) -> Paragraphs:
     known = [m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)]
     is_good = bool(known) and max(known) <= GOOD_MISFIT and not undetermined
     return Paragraphs(
-        [_misfit_note(fit), _determined(fit, undetermined), *_validated(fit), *_further(fit)[:leading]],
+        [_misfit_note(fit), _determined(fit, undetermined), _validated(fit), *_further(fit)[:leading]],
         Tone.GOOD if is_good else Tone.CAUTION,
     )
 
@@ -85,53 +82,62 @@ def findings_below(fit: Fit) -> list[Finding]:
 
 def _further(fit: Fit) -> list[Finding]:
     """Findings that say something else than sentences of the page: what is above the noise, open, or widened stands there once."""
-    known = {EstimationCode.MISFIT_ABOVE_NOISE} if _misfit_note(fit).code is PageText.RESIDUAL_EXCEEDS_NOISE else set()
+    worst = _worst_misfit(fit)
+    known = {EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
         known.add(EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
     return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
 
 
-def statements(texts: Iterable[Text]) -> list[Text]:
-    """Sentences of other packages, findings or strings, as texts of a page."""
-    return [text if isinstance(text, Finding) else phrase(PageText.STATEMENT, text=text) for text in texts]
+def _worst_misfit(fit: Fit) -> float | None:
+    """The largest residual over noise of an output; None where no noise is known."""
+    return max((ratio for m in fit.misfit.values() if math.isfinite(ratio := m.noise_ratio)), default=None)
 
 
-def _misfit_note(fit: Fit) -> Finding:
-    known = [ratio for m in fit.misfit.values() if math.isfinite(ratio := m.noise_ratio)]
-    if not known:
-        return phrase(PageText.NOISE_UNKNOWN)
-    good = max(known) <= GOOD_MISFIT
-    return phrase(
-        PageText.RESIDUAL_IS_NOISE if good else PageText.RESIDUAL_EXCEEDS_NOISE, **_over_noise(fit, fit.misfit)
+def _misfit_note(fit: Fit) -> str:
+    worst = _worst_misfit(fit)
+    if worst is None:
+        return "The noise is not known, so the misfit cannot be judged."
+    size = _over_noise(fit, fit.misfit)
+    if worst <= GOOD_MISFIT:
+        return f"The model explains the estimation records: the residual is {size}."
+    return (
+        f"The model does not explain the estimation records: the residual is {size}. Either the model lacks an effect, which"
+        " greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
     )
 
 
-def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, Any]:
-    """Residual over noise by output, and the outputs whose noise is only bounded: there it is at least that."""
+def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> str:
+    """``1.02 times the noise in x and 0.98 times the noise in i``; ``at least`` where the noise is only bounded."""
     ceilings = {
         name: bound.level
         for name in misfit
         if (bound := fit.noise.bound(name)) is not None and bound.floor is None and bound.ceiling
     }
     ratios = {name: m.rmse / ceilings[name] if name in ceilings else m.noise_ratio for name, m in misfit.items()}
-    return {"ratios": ratios, "at_least": list(ceilings)}
+    return join_names(
+        [f"{'at least ' * (name in ceilings)}{r:.3g} times the noise in {name}" for name, r in ratios.items()]
+    )
 
 
-def _determined(fit: Fit, undetermined: list[str]) -> Finding:
+def _determined(fit: Fit, undetermined: list[str]) -> str:
     free = list(fit.uncertainty.free)
     if not free:
-        return phrase(PageText.NOTHING_FITTED)
+        return "No parameter was fitted."
     if undetermined:
-        return phrase(PageText.PARAMETERS_OPEN, open=undetermined)
+        return f"The records do not determine {join_names(undetermined)}: the 95 % interval exceeds half the value."
     widths = [half for name in free if (half := relative_half_width(fit.parameters[name])) is not None]
-    return phrase(PageText.PARAMETERS_DETERMINED, free=free, widest=max(widths, default=None))
+    reaches = f" 95 % interval reaches {max(widths):.2g} % to either side" if widths else ""
+    if len(free) == 1:
+        return f"{free[0]} is determined{reaches and f'; its{reaches}'}."
+    return f"All {len(free)} fitted parameters are determined{reaches and f'; the widest{reaches}'}."
 
 
-def _validated(fit: Fit) -> list[Finding]:
+def _validated(fit: Fit) -> str:
     if not fit.validation:
-        return [phrase(PageText.NOT_VALIDATED)]
-    over_noise = _over_noise(fit, fit.validation.misfit)
-    return [phrase(PageText.VALIDATED, records=len(fit.validation.traces), **over_noise)]
+        return "The fit was not validated. Give a second record to validate the parameters."
+    records = count_noun(len(fit.validation.traces), "validation record")
+    return f"On {records} the residual is {_over_noise(fit, fit.validation.misfit)}."
 
 
 def parameters_table(fit: Fit, note: Text = "") -> PageTable:
@@ -140,7 +146,12 @@ def parameters_table(fit: Fit, note: Text = "") -> PageTable:
         [name, typeset_number(value), typeset_number(limits), typeset_unit(unit) if unit else "", remark]
         for name, value, limits, unit, remark in to_constant_rows(fit)
     ]
-    return PageTable(phrase(PageText.PARAMETERS), ["parameter", "value", "95 % interval", "unit", "remark"], rows, note)
+    return PageTable(
+        "Parameters with standard deviations and 95 % intervals",
+        ["parameter", "value", "95 % interval", "unit", "remark"],
+        rows,
+        note,
+    )
 
 
 @dataclass(frozen=True)
@@ -152,9 +163,9 @@ class RecordRun:
     skip: int = 0
 
     @property
-    def title(self) -> Finding:
+    def title(self) -> str:
         """``Validation record b``."""
-        return phrase(PageText.RECORD_USE, self.trace.name, validation=self.validation)
+        return f"{('Validation' if self.validation else 'Estimation')} {record_text(self.trace.name)}"
 
 
 def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
@@ -172,22 +183,26 @@ def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None =
         Rows at the start of validation records that do not count.
     """
     sections = [
-        Section("parameters", list(_parameters(fit))),
-        Section("misfit", list(_misfit(fit, skip))),
-        Section("residual", list(_residual(fit, tests))),
-        Section("model", [typeset_equations(fit.model)]),
+        Section("parameters", "Parameters", list(_parameters(fit))),
+        Section("misfit", "Measured and simulated", list(_misfit(fit, skip))),
+        Section("residual", "Tests of the residual", list(_residual(fit, tests))),
+        Section("model", "The model", [typeset_equations(fit.model)]),
         records_section([*fit.traces], [*fit.validation.traces], fit),
         fit_provenance_section(fit, command),
     ]
-    question = phrase(
-        PageText.FIT_QUESTION,
-        free=list(fit.uncertainty.free),
-        records=len(fit.traces),
-        rows=sum(len(t.time) for t in fit.traces),
-        fixed=[name for name, e in fit.parameters.items() if e.fixed],
-    )
-    title = phrase(PageText.FIT_TITLE, fit.model.title)
+    question = _question(fit)
+    title = f"Fit of {fit.model.title}"
     return Page(title, question, fit_verdict(fit), sections, "fit", _evidence(fit))
+
+
+def _question(fit: Fit) -> str:
+    free, fixed = fit.uncertainty.free, [name for name, e in fit.parameters.items() if e.fixed]
+    rows = sum(len(t.time) for t in fit.traces)
+    records = f"{count_noun(len(fit.traces), 'record')} ({count_noun(rows, 'row')})"
+    known = f" {join_names(fixed)} {'is' if len(fixed) == 1 else 'are'} fixed." if fixed else ""
+    if not free:
+        return f"How well does the model follow {records}?{known}"
+    return f"Which values of {join_names(free)} make the model follow {records}?{known}"
 
 
 def _evidence(fit: Fit) -> FigureBlock | None:
@@ -204,9 +219,9 @@ def _parameters(fit: Fit) -> Iterator[Block]:
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
-        yield Subheading(phrase(PageText.WOULD_DETERMINE))
-        yield BulletList(statements(recommendations))
-    intervals = plot_intervals(relative_half_widths(fit), phrase(FigureText.INTERVALS))
+        yield Subheading("How to determine the other parameters")
+        yield BulletList(recommendations)
+    intervals = plot_intervals(relative_half_widths(fit), "Half width of each 95 % interval: smaller is better.")
     if intervals is not None:
         yield FigureBlock(intervals)
     correlation = plot_correlation(fit)
@@ -214,16 +229,20 @@ def _parameters(fit: Fit) -> Iterator[Block]:
         pairs = strongly_correlated_pairs(fit)
         if pairs:
             yield BulletList(pairs)
-        yield Details(phrase(PageText.MOVE_TOGETHER), [FigureBlock(correlation)])
+        yield Details("Correlation of the fitted parameters", [FigureBlock(correlation)])
 
 
 def _interval_note(fit: Fit) -> Text:
     if not any(fit.parameters[name].interval for name in fit.uncertainty.free):
         return ""
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        return phrase(PageText.INTERVALS_SANDWICH, widening=fit.uncertainty.largest_inflation)
-    likelihood = bool(fit.prediction.process_noise)
-    return phrase(PageText.INTERVALS_LIKELIHOOD if likelihood else PageText.INTERVALS_GAUSS_NEWTON)
+        return (
+            "The residual is not white. The intervals allow for its colour, which widened them up to"
+            f" {fit.uncertainty.largest_inflation:.3g} times."
+        )
+    if fit.prediction.process_noise:
+        return "The intervals are from the information matrix of the likelihood; the innovations are white."
+    return "The intervals are from the Gauss-Newton covariance; the residual is white."
 
 
 # The same for all residuals of a page together.
@@ -235,11 +254,11 @@ RECORDS_OF_FIT = 20
 
 
 def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
-    yield misfit_table(phrase(PageText.MISFIT_FITTED), fit.misfit, fit.noise)
+    yield misfit_table("Free run on the estimation records", fit.misfit, fit.noise)
     if fit.prediction.one_step:
-        yield misfit_table(phrase(PageText.MISFIT_ONE_STEP), fit.prediction.one_step, fit.noise)
+        yield misfit_table("Prediction one sample ahead on the estimation records", fit.prediction.one_step, fit.noise)
     if fit.validation:
-        yield misfit_table(phrase(PageText.MISFIT_VALIDATION), fit.validation.misfit, fit.noise)
+        yield misfit_table("Free run on the validation records", fit.validation.misfit, fit.noise)
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
         yield _by_record(fit, runs)
@@ -255,7 +274,12 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
         else:
             yield Details(run.title, blocks)
     if len(runs) > len(drawn):
-        yield Paragraphs([phrase(PageText.NOT_DRAWN, records=len(runs) - len(drawn))])
+        yield Paragraphs([not_drawn(len(runs) - len(drawn))])
+
+
+def not_drawn(records: int) -> str:
+    """Why there are tables of so many records more than figures."""
+    return f"The tables include {count_noun(records, 'more record')} that {'is' if records == 1 else 'are'} not drawn."
 
 
 def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[Block]:
@@ -283,7 +307,7 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
         for run in runs
         for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]
-    return PageTable(phrase(PageText.MISFIT_BY_RECORD), ["record", "use", "output", *MISFIT_HEADS], rows)
+    return PageTable("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
 
 
 def misfit_table(title: Text, misfit: Mapping[str, Misfit], noise: FitNoise) -> PageTable:
@@ -297,17 +321,26 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
     if findings:
         yield BulletList(findings)
     if not fit.success:
-        yield Paragraphs([phrase(PageText.FIT_NOT_TESTED)], Tone.CAUTION)
+        yield Paragraphs(["The fit did not succeed, so its residual was not tested."], Tone.CAUTION)
         return
     if not (has_free_run(fit) or fit.prediction.process_noise):
-        yield Paragraphs([phrase(PageText.STATES_NOT_TESTED)], Tone.CAUTION)
+        yield Paragraphs(
+            ["The residual was not tested: states that are estimated along the record absorb the missing effects."],
+            Tone.CAUTION,
+        )
         return
     tests = tests or residual_tests(fit)
     if tests.alarms:
-        alarms = phrase(PageText.TESTS_ALARM, alarms=len(tests.alarms), tests=len(tests.tests))
+        count = len(tests.alarms)
+        alarms = (
+            f"{count} of {len(tests.tests)} tests {'raises' if count == 1 else 'raise'} an alarm: the residual contains more"
+            " than noise."
+        )
         yield Paragraphs([alarms], Tone.CAUTION)
     else:
-        yield Paragraphs([phrase(PageText.TESTS_CLEAR, tests=len(tests.tests))], Tone.GOOD)
+        yield Paragraphs(
+            [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], Tone.GOOD
+        )
     rows = [
         [
             f"{t.output}: {name_test(t)}",
@@ -318,6 +351,11 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
         for t in tests.tests
     ]
     head = ["test", "result", "p", "statistic"]
-    yield PageTable(phrase(PageText.TESTS), head, rows, phrase(PageText.TESTS_NOTE, level=ALARM_LEVEL))
+    yield PageTable(
+        "Tests of the residual",
+        head,
+        rows,
+        f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits.",
+    )
     for output in tests.residuals:
         yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -144,14 +144,13 @@ def embedded(block: FigureBlock) -> Markup:
 
 
 def say(texts: Text | Sequence[Text]) -> str:
-    """Texts as sentences, with numbers as print has them; strings as they are."""
-    group = [texts] if isinstance(texts, (Finding, str)) else texts
-    return " ".join(as_sentence(label(text)) if isinstance(text, Finding) else text for text in group)
+    """Texts as sentences, with numbers as print has them."""
+    return " ".join(as_sentence(label(text)) for text in ([texts] if isinstance(texts, (Finding, str)) else texts))
 
 
 def label(text: Text) -> str:
     """A text that is no sentence: a title, a caption of a table."""
-    return typeset_number(sentence(text)) if isinstance(text, Finding) else text
+    return typeset_number(sentence(text) if isinstance(text, Finding) else text)
 
 
 def page_style() -> Markup:

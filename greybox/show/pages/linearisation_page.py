@@ -6,14 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.base.findings import Finding
 from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.linear import plot_bode, plot_poles
-from greybox.show.pages.fit_page import statements
 from greybox.show.pages.page import (
     Block,
     BulletList,
@@ -29,8 +27,7 @@ from greybox.show.pages.page import (
 )
 from greybox.show.pages.provenance import provenance_section
 from greybox.show.sentences.linear import channel_lines, complex_text
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import phrase
+from greybox.show.sentences.wording import count_noun, join_names
 
 
 def build_linearisation_page(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Page:
@@ -46,26 +43,28 @@ def build_linearisation_page(linear: Linearisation, *, family: ModelFamily | Non
         What was typed, for repeating it.
     """
     sections = [*linear_sections(linear, family), provenance_section(command)]
-    return Page(
-        phrase(PageText.LINEAR_TITLE, linear.name), linear_question(linear), linear_verdict(linear), sections, "export"
-    )
+    return Page(f"{linear.name} as a linear model", linear_question(linear), linear_verdict(linear), sections, "export")
 
 
-def linear_question(linear: Linearisation) -> Finding:
+def linear_question(linear: Linearisation) -> str:
     """What a linear model is for."""
-    return phrase(PageText.LINEAR_QUESTION, inputs=list(linear.input_names), outputs=list(linear.output_names))
+    inputs, outputs = (join_names(names) or "the states" for names in (linear.input_names, linear.output_names))
+    return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
 
 
 def linear_verdict(linear: Linearisation) -> Paragraphs:
     """Whether it is stable, where it holds, and what to know before using it."""
     size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
     stability = "stable" if (size < 1).all() else "marginally stable" if (size <= 1).all() else "unstable"
+    states = count_noun(len(linear.A), "state")
     items = [
-        phrase(PageText.LINEAR_VERDICT, dt=linear.dt, method=linear.method, states=len(linear.A), stability=stability),
-        phrase(PageText.LINEAR_POINT, point=_point(linear)),
+        f"A linear model with {states}, sampled every {linear.dt:g} s ({linear.method}); it is {stability}."
+        if linear.dt
+        else f"A continuous linear model with {states}; it is {stability}.",
+        f"It holds for small deviations from {join_names(_point(linear))}.",
     ]
     cautious = bool(linear.findings) or stability != "stable"
-    return Paragraphs([*items, *statements(linear.findings)], Tone.CAUTION if cautious else Tone.GOOD)
+    return Paragraphs([*items, *linear.findings], Tone.CAUTION if cautious else Tone.GOOD)
 
 
 def _point(linear: Linearisation) -> list[str]:
@@ -80,9 +79,9 @@ def _point(linear: Linearisation) -> list[str]:
 def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[Section]:
     """Behaviour and matrices, with the family's spread where there is one."""
     return [
-        Section("behaviour", list(_behaviour(linear, family))),
-        Section("matrices", list(_matrices(linear))),
-        Section("point", list(_basis(linear))),
+        Section("behaviour", "Behaviour", list(_behaviour(linear, family))),
+        Section("matrices", "Matrices", list(_matrices(linear))),
+        Section("point", "Operating point and parameters", list(_basis(linear))),
     ]
 
 
@@ -98,18 +97,19 @@ def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[Bl
         for name in linear.input_names
         for line in channel_lines(extract_channel(linear, output, name))
     ]
-    yield CodeBlock("\n".join(lines), phrase(PageText.LINEAR_CHANNELS))
+    yield CodeBlock("\n".join(lines), "Channels")
     if family is not None:
-        yield Paragraphs([phrase(PageText.LINEAR_FAMILY, models=len(family.members), seed=family.seed)])
+        models = f"{count_noun(len(family.members), 'model')} drawn from the covariance of the parameters (seed {family.seed})"
+        yield Paragraphs([f"{models} show the uncertainty."])
         if family.findings:
-            yield BulletList(statements(family.findings))
+            yield BulletList(family.findings)
 
 
 def _poles(linear: Linearisation) -> PageTable:
     """Poles with natural frequency, damping and time constant."""
     rows = [list(map(typeset_number, _pole_cells(linear, pole))) for pole in linear.poles[linear.poles.imag >= 0]]
     head = ["pole" if linear.dt else "pole [1/s]", "natural frequency", "damping", "time constant"]
-    return PageTable(phrase(PageText.LINEAR_POLES, sampled=bool(linear.dt)), head, rows)
+    return PageTable("Poles (z)" if linear.dt else "Poles", head, rows)
 
 
 def _pole_cells(linear: Linearisation, pole: complex) -> list[str]:
@@ -147,7 +147,7 @@ def _matrices(linear: Linearisation) -> Iterator[Block]:
         f"{name} = {np.array2string(matrix, separator=', ', floatmode='unique')}"
         for name, (matrix, _, _) in named.items()
     ]
-    yield Details(phrase(PageText.LINEAR_DIGITS), [CodeBlock("\n".join(digits))])
+    yield Details("Matrices with all digits", [CodeBlock("\n".join(digits))])
 
 
 def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> PageTable:
@@ -155,7 +155,7 @@ def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequenc
         [row, *(typeset_number(f"{v:.6g}").replace("-", "−") for v in values)]
         for row, values in zip(rows, matrix, strict=True)
     ]
-    return PageTable(phrase(PageText.LINEAR_MATRIX, name), [name, *columns], cells)
+    return PageTable(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
 
 
 def _basis(linear: Linearisation) -> Iterator[Block]:
@@ -167,10 +167,10 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
         [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), typeset_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
-    yield PageTable(phrase(PageText.LINEAR_OPERATING_POINT), ["signal", "kind", "value", "unit"], rows)
+    yield PageTable("Operating point", ["signal", "kind", "value", "unit"], rows)
     delays = [[n, f"{s:.6g} s"] for n, s in zip(linear.input_names, linear.delay, strict=True) if s]
     if delays:
-        yield PageTable(phrase(PageText.LINEAR_DELAYS), ["input", "delay"], delays)
+        yield PageTable("Delays that the matrices do not include", ["input", "delay"], delays)
     parameters = [[name, typeset_number(f"{value:.7g}")] for name, value in linear.parameters.items()]
     head = ["parameter", "value (in the model's unit)"]
-    yield PageTable(phrase(PageText.LINEAR_PARAMETERS), head, parameters)
+    yield PageTable("Parameters of the model", head, parameters)

@@ -1,6 +1,7 @@
 """A page as a value: sections of text, tables, equations and figures, in the order in which they are read.
 
-Texts are findings, whose sentences stand in `greybox.rendering`, or strings that come from elsewhere.
+Texts are strings, or findings, whose sentences stand in `greybox.show.sentences`. Numbers in them are written as a terminal has
+them (``-5.01e-04 +- 3e-06``); the printer of the page typesets them.
 """
 
 from __future__ import annotations
@@ -122,15 +123,11 @@ Block: TypeAlias = "Paragraphs | Subheading | BulletList | PageTable | EquationL
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks below a heading. ``name`` is its address within the page; its title is the text of the code ``section_<name>``."""
+    """Blocks below a heading. ``name`` is its address within the page, ``title`` stands above it."""
 
     name: str
+    title: str
     blocks: Sequence[Block]
-
-    @property
-    def title(self) -> Finding:
-        """What stands above it."""
-        return Finding(f"section_{self.name}")
 
 
 @dataclass(frozen=True)

@@ -14,25 +14,24 @@ from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
 from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.pages.page import Block, CodeBlock, Details, PageTable, Section, Text, format_range
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import count_noun, join_names, phrase
+from greybox.show.sentences.wording import count_noun, join_names
 from greybox.simulation.simulate import Simulation
 
 
 def provenance_section(command: str, versions: Mapping[str, Any] | None = None) -> Section:
     """The command and the versions: those of now, or those that were noted."""
-    table = name_value_table(phrase(PageText.VERSIONS), read_versions() if versions is None else versions)
-    return Section("repeat", [*_command(command), table])
+    table = name_value_table("Versions", read_versions() if versions is None else versions)
+    return Section("repeat", "How to repeat it", [*_command(command), table])
 
 
 def fit_provenance_section(fit: Fit, command: str) -> Section:
     """What is needed to get the numbers of a fit again."""
-    return Section("repeat", list(_of_fit(fit, command)))
+    return Section("repeat", "How to repeat it", list(_of_fit(fit, command)))
 
 
 def _command(command: str) -> Iterator[Block]:
     if command:
-        yield CodeBlock(command, phrase(PageText.COMMAND))
+        yield CodeBlock(command, "In the shell")
 
 
 def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
@@ -45,12 +44,12 @@ def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
         ["search", "" if fit.solver.strategy is None else str(fit.solver.strategy)],
         ["ended", f"{fit.status.replace('_', ' ')} after {iterations}"],
     ]
-    yield PageTable(phrase(PageText.COMPUTATION), ["what", "how"], [row for row in rows if row[1]])
+    yield PageTable("How it was computed", ["what", "how"], [row for row in rows if row[1]])
     tables = [
         _options(fit),
-        name_value_table(phrase(PageText.VERSIONS), fit.provenance.versions),
+        name_value_table("Versions", fit.provenance.versions),
     ]
-    yield Details(phrase(PageText.OPTIONS_AND_VERSIONS), tables)
+    yield Details("Options and versions", tables)
 
 
 def name_value_table(title: Text, values: Mapping[str, Any]) -> PageTable:
@@ -66,7 +65,9 @@ def _options(fit: Fit) -> PageTable:
         for name, value in _flat(fit.provenance.options)
         if not (name.startswith("policy.") and usual.get(name) == value)
     ]
-    return PageTable(phrase(PageText.OPTIONS), ["name", "value"], rows, phrase(PageText.POLICY_NOTE))
+    return PageTable(
+        "Options", ["name", "value"], rows, "Numbers of the policy that are not listed have their default values."
+    )
 
 
 def _flat(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, str]]:
@@ -85,9 +86,9 @@ HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", 
 def records_section(fitted: Sequence[Trace], validation: Sequence[Trace], fit: Fit) -> Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "validation") for t in validation)]
-    note = phrase(PageText.NOISE_SOURCE, source=fit.noise.source)
-    records = PageTable(phrase(PageText.RECORDS), HEAD, rows, note)
-    return Section("data", [records, _signals([*fitted, *validation], fit)])
+    note = f"Noise: {fit.noise.source}"
+    records = PageTable("Records", HEAD, rows, note)
+    return Section("data", "Data", [records, _signals([*fitted, *validation], fit)])
 
 
 def hidden_states(run: Simulation) -> dict[str, np.ndarray]:
@@ -139,4 +140,4 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> PageTable:
             noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
             limits = f"{format_range(factor * every)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
-    return PageTable(phrase(PageText.SIGNALS), ["signal", "use", "from … to", "noise (std)"], rows)
+    return PageTable("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

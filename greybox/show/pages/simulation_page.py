@@ -22,9 +22,7 @@ from greybox.show.pages.page import (
     typeset_number,
 )
 from greybox.show.pages.provenance import format_sampling_time, hidden_states, provenance_section, signal_units
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.pages import PageText
-from greybox.show.sentences.wording import format_number, phrase
+from greybox.show.sentences.wording import count_noun, format_number, join_names
 from greybox.simulation.simulate import Simulation
 
 
@@ -53,13 +51,13 @@ def build_simulation_page(run: Simulation, *, model: Model | None = None, comman
     stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
     held = run.source.hold == "zero"
     groups = (
-        ("outputs", run.outputs, FigureText.SIMULATED_OUTPUTS, Role.OUTPUT),
-        ("inputs", run.inputs, FigureText.SIMULATED_INPUTS, Role.INPUT),
-        ("states", hidden_states(run), FigureText.SIMULATED_STATES, Role.STATE),
+        ("outputs", run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
+        ("inputs", run.inputs, "Inputs.", Role.INPUT),
+        ("states", hidden_states(run), "States.", Role.STATE),
     )
     figures: list[Block] = [
         FigureBlock(
-            plot_signals(name, run.time, signals, units, role, phrase(caption), held=role is Role.INPUT and held),
+            plot_signals(name, run.time, signals, units, role, caption, held=role is Role.INPUT and held),
             stretches,
             group="run",
         )
@@ -67,26 +65,25 @@ def build_simulation_page(run: Simulation, *, model: Model | None = None, comman
         if signals
     ]
     sections = [
-        Section("run", [*figures, _ranges(run, units)]),
-        Section("model", [_parameters(model), typeset_equations(model)]),
+        Section("run", "The run", [*figures, _ranges(run, units)]),
+        Section("model", "The model", [_parameters(model), typeset_equations(model)]),
         provenance_section(command),
     ]
-    question = phrase(PageText.SIMULATION_QUESTION, model.title, inputs=list(run.inputs))
-    title = phrase(PageText.SIMULATION_TITLE, model.title)
+    question = f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?"
+    title = f"Simulation of {model.title}"
     return Page(title, question, _verdict(run, noise), sections, "simulation")
 
 
 def _verdict(run: Simulation, noise: str) -> Paragraphs:
     if run.overflow is not None:
-        return Paragraphs([phrase(PageText.SIMULATION_OVERFLOW, time=run.overflow)], Tone.BAD)
-    free_run = phrase(
-        PageText.SIMULATION_RUN,
-        rows=len(run.time),
-        duration=float(run.time[-1] - run.time[0]),
-        sampling_time=format_sampling_time(run.time),
-        discretisation=run.discretisation,
+        return Paragraphs([f"The run overflows {run.overflow:.4g} s after its start and ends there."], Tone.BAD)
+    free_run = (
+        f"Free run over {count_noun(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, sampled every"
+        f" {format_sampling_time(run.time)}; integrated by {run.discretisation}."
     )
-    return Paragraphs([free_run, *([phrase(PageText.SIMULATION_NOISE, sizes=noise)] if noise else [])], Tone.GOOD)
+    return Paragraphs(
+        [free_run, *([f"The written outputs contain added white noise: {noise}."] if noise else [])], Tone.GOOD
+    )
 
 
 def _ranges(run: Simulation, units: dict[str, str]) -> PageTable:
@@ -95,9 +92,9 @@ def _ranges(run: Simulation, units: dict[str, str]) -> PageTable:
         for name, values in group.items():
             factor, unit = scale_to_prefix(units[name], np.asarray(values))
             rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
-    return PageTable(phrase(PageText.SIMULATION_RANGES), ["signal", "kind", "from … to"], rows)
+    return PageTable("Ranges of the signals", ["signal", "kind", "from … to"], rows)
 
 
 def _parameters(model: Model) -> PageTable:
     rows = [[q.name, typeset_number(format_number(q.value, 7)), typeset_unit(q.unit)] for q in model.all_parameters]
-    return PageTable(phrase(PageText.SIMULATION_PARAMETERS), ["parameter", "value", "unit"], rows)
+    return PageTable("Parameters of this run", ["parameter", "value", "unit"], rows)

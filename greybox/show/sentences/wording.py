@@ -15,6 +15,16 @@ PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
+def value_with_unit(value: float, unit: str, digits: int = 3) -> str:
+    """``0.31 mV`` as it is, without another prefix."""
+    return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def range_with_unit(low: float, high: float, unit: str) -> str:
+    """``-1 to 2.5 V``; ``no values`` where there are none."""
+    return f"{low:.4g} to {high:.4g} {unit}".rstrip() if math.isfinite(low) else "no values"
+
+
 def choose_prefix(unit: str, largest: float) -> tuple[float, str]:
     """Factor and prefix with which a ``largest`` value in ``unit`` has one to three digits: ``(1e6, "µ")``."""
     if unit not in PREFIXED or not (largest > 0 and math.isfinite(largest)):

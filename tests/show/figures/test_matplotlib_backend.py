@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 
-from greybox.base.findings import Finding, Severity
 from greybox.show.figures.figure import (
     Area,
     Axis,
@@ -28,10 +27,8 @@ from greybox.show.figures.figure import (
 )
 from greybox.show.figures.matplotlib_backend import draw_sheet, save_sheet
 from greybox.show.figures.sheet import PALETTE, Cell, Sheet
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
 
-HEADING = phrase(FigureText.COMPARISON_HEADING, "test", validation=True)
+HEADING = "Validation record test: free run of every model"
 
 
 def curve(x: list[float], y: list[float], label: str = "", **more) -> Curve:
@@ -138,11 +135,9 @@ def test_a_window_shows_its_rows_alone_and_long_curves_are_thinned() -> None:
 
 
 def test_a_warning_above_a_panel_stands_out() -> None:
-    values = {"test": "whiteness", "p_value": 1e-9, "statement": "memory over 20 samples"}
-    colours = []
-    for severity in (Severity.NOTE, Severity.WARNING):
-        title = Finding(FigureText.RESIDUAL_TEST, severity, "x", values)
-        axes = draw_sheet(sheet(Panel("p", (curve([0, 1], [0, 1]),), Axis("t"), Axis("y"), (title,)))).axes[0]
+    titles, colours = ("whiteness (p = 1e-09): memory over 20 samples",), []
+    for alarm in (False, True):
+        axes = draw_sheet(sheet(Panel("p", (curve([0, 1], [0, 1]),), Axis("t"), Axis("y"), titles, alarm))).axes[0]
         colours.append(axes._left_title.get_color())
     assert colours == [PALETTE[Role.REFERENCE].light, PALETTE[Role.SIMULATED].light]
 

@@ -28,15 +28,13 @@ from greybox.show.figures.figure import (
 )
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.figures.sheet import PAGE, PALETTE
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
 
 X = np.array([0.0, 1.0, 2.0])
 TIME, POSITION = Axis("time", "s"), Axis("x", "µm")
 
 
 def figure(*panels: Panel) -> Figure:
-    return Figure("f", panels, phrase(FigureText.PHASE))
+    return Figure("f", panels, "Phase over frequency.")
 
 
 def panel(*series, x: Axis = TIME, y: Axis = POSITION, name: str = "x", **more) -> Panel:

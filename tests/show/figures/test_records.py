@@ -24,8 +24,6 @@ from greybox.show.figures.records import (
     plot_spectrum,
     uniform_sampling_time,
 )
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
 UNITS = {"x": "m", "i": "A", "u": "V"}
@@ -57,8 +55,8 @@ def test_a_residual_has_a_band_of_two_standard_deviations_where_the_noise_is_kno
     assert isinstance(band, Band) and (band.low, band.high) == pytest.approx((-2.0, 2.0))  # mm
     np.testing.assert_allclose(curve.y, 3.0)
     assert [type(s) for s in figure["i"].series] == [Curve]
-    assert figure.description[0].values["inside"] == 0.0
-    assert figure.description[1].values["inside"] is None
+    assert "0 % of it within two standard deviations of the noise" in figure.description[0]
+    assert "within" not in figure.description[1]
     assert [type(s) for s in plot_residual(record, UNITS, {"x": np.nan}, "r")["x"].series] == [Curve]
 
 
@@ -91,10 +89,9 @@ def test_an_uneven_record_has_no_spectrum_that_follows() -> None:
 
 def test_signals_have_a_panel_each_and_say_what_is_missing() -> None:
     values = np.array([1.0, np.nan, 3.0])
-    caption = phrase(FigureText.INPUTS, "a")
-    figure = plot_signals("in", np.arange(3.0), {"u": values}, {"u": "V"}, Role.INPUT, caption)
+    figure = plot_signals("in", np.arange(3.0), {"u": values}, {"u": "V"}, Role.INPUT, "Inputs of record a.")
     assert [p.name for p in figure.panels] == ["u"]
-    assert dict(figure.description[0].values) == {"low": 1.0, "high": 3.0, "unit": "V", "missing": 1}
+    assert figure.description == ("u ranges from 1 to 3 V; 1 values are missing",)
     assert plot_inputs(replace(trace(x=0.1), inputs={}), UNITS, "in") is None
 
 
@@ -141,12 +138,8 @@ def test_a_sheet_for_each_record_has_its_misfit_above() -> None:
     sheets = fit_sheets(judged([trace("good", x=1e-7, i=0.005), trace("bad", rows=900, x=5e-7)], pooled))
     assert [s.name for s in sheets] == ["fit-train", "validation-good", "validation-bad"]
     titles = [cell.titles[0] for sheet in sheets for cell in sheet.cells if cell.titles]
-    ratios = [
-        (t.subject, t.values["noise_ratio"] and round(t.values["noise_ratio"], 6))
-        for t in titles
-        if t.code == FigureText.MISFIT_TITLE
-    ]
-    assert ratios == [("x", 1.0), ("x", 1.0), ("i", None), ("x", 5.0)]
+    misfits = [title.partition("best fit")[0] for title in titles if "best fit" in title]
+    assert misfits == ["x: misfit 1 × noise, ", "x: misfit 1 × noise, ", "i: ", "x: misfit 5 × noise, "]
     assert [len(sheet.cells) for sheet in sheets] == [2, 4, 4]
     assert [c.window is not None for c in sheets[2].cells] == [False, False, True, True]
 

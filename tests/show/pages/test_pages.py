@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import Finding
+from greybox.comparison.findings import ComparisonFinding
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.check import check
 from greybox.estimation.findings import EstimationCode
@@ -27,11 +28,9 @@ from greybox.shell.commands import app
 from greybox.show.figures.figure import Axis, Band, Curve, Figure, Panel, Role
 from greybox.show.figures.records import plot_residual
 from greybox.show.pages.fit_page import misfit_table
-from greybox.show.pages.html import LARGEST_PAGE, render_page, say, write_page
+from greybox.show.pages.html import LARGEST_PAGE, label, render_page, say, write_page
 from greybox.show.pages.page import BulletList, FigureBlock, Page, Paragraphs, Section, Subheading
 from greybox.show.pages.report import build_page
-from greybox.show.sentences.figures import FigureText
-from greybox.show.sentences.pages import PageText
 from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
@@ -54,9 +53,9 @@ def good() -> gb.Fit:
     return gb.fit(known, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
 
 
-def codes(page: Page) -> list[str]:
+def said(page: Page) -> list[str]:
     """What the verdict of a page says."""
-    return [item.code for item in page.verdict.items]
+    return [label(item) for item in page.verdict.items]
 
 
 class Outline(HTMLParser):
@@ -86,7 +85,13 @@ class Outline(HTMLParser):
 def test_the_verdict_of_a_good_fit_comes_first_and_in_plain_words(good: gb.Fit) -> None:
     page = build_page(good, command="greybox fit micro_actuator bench.csv")
     assert page.verdict.tone == "good"
-    assert codes(page) == [PageText.RESIDUAL_IS_NOISE, PageText.PARAMETERS_DETERMINED, PageText.NOT_VALIDATED]
+    explained, determined, validated = said(page)
+    assert re.fullmatch(
+        r"The model explains the estimation records: the residual is [01]\.?\d* times the noise in x and [01]\.?\d* times the noise in i",
+        explained.rstrip("."),
+    )
+    assert re.match(r"All \d fitted parameters are determined; the widest 95 % interval reaches ", determined)
+    assert validated == "The fit was not validated. Give a second record to validate the parameters."
     html = render_page(page)
     for text in ("40 of x", "N s/m", "± ", "greybox fit micro_actuator bench.csv", good.traces[0].fingerprint[:12]):
         assert text in html
@@ -99,10 +104,12 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     assert not failed.success
     page = build_page(failed)
     assert page.verdict.tone == "bad"
-    assert codes(page)[:2] == [PageText.FIT_FAILED, PageText.FIT_NUMBERS_OF_FAILURE]
+    failure, numbers = said(page)[:2]
+    assert failure.startswith("The fit did not succeed: ")
+    assert numbers == "The numbers below are those of the last point of the search. Use them only for diagnosis."
     (residual,) = (s for s in page.sections if s.name == "residual")
-    assert residual.blocks[-1].items[0].code == PageText.FIT_NOT_TESTED
-    findings = tuple(phrase(PageText.STATEMENT, text=f"remark number {k} of five") for k in range(5))
+    assert residual.blocks[-1].items == ["The fit did not succeed, so its residual was not tested."]
+    findings = tuple(phrase(ComparisonFinding.NO_BLACK_BOX, reason=f"remark number {k} of five") for k in range(5))
     html = render_page(build_page(replace(failed, findings=findings)))
     assert [html.count(f"emark number {k} of five") for k in range(5)] == [1] * 5
 
@@ -110,9 +117,9 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
 def test_what_would_determine_the_open_constants_stands_beside_them(good: gb.Fit) -> None:
     found = gb.fit(micro_actuator, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
     headings = [
-        [b.title.code for b in build_page(fit).sections[0].blocks if isinstance(b, Subheading)] for fit in (found, good)
+        [b.title for b in build_page(fit).sections[0].blocks if isinstance(b, Subheading)] for fit in (found, good)
     ]
-    assert headings == [[PageText.WOULD_DETERMINE], []]
+    assert headings == [["How to determine the other parameters"], []]
     assert "Fix one of M, B, K, Kf" in render_page(build_page(found))
 
 
@@ -148,8 +155,8 @@ def test_noise_that_is_only_bounded_is_no_band_and_no_yardstick() -> None:
 def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
     stiff = micro_actuator.fix("M", "Ra", "Kf", "Kv", K=7000.0)
     fit = gb.fit(stiff, bench(), noise={"x": 2e-7, "i": 5e-3}, options=gb.FitOptions(progressive=False))
-    said = {f.code for f in fit.findings}
-    assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= said
+    found = {f.code for f in fit.findings}
+    assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= found
     page = build_page(fit)
     shown = [
         i.code
@@ -159,8 +166,8 @@ def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
         for i in b.items
         if isinstance(i, Finding)
     ]
-    shown += codes(page)
-    assert shown.count(PageText.RESIDUAL_EXCEEDS_NOISE) == 1
+    shown += [item.code for item in page.verdict.items if isinstance(item, Finding)]
+    assert sum("does not explain the estimation records" in text for text in said(page)) == 1
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} & set(shown)
     assert len(shown) == len(set(shown))
     assert "widened them up to" in render_page(page)
@@ -174,7 +181,7 @@ def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
     found = check(micro_actuator.fix("M", "Ra"), record, noise={"x": 2e-7, "i": 5e-3})
     page = build_page(found)
     assert page.verdict.tone == "caution"
-    assert codes(page)[0] == PageText.RECORD_FINDING
+    assert said(page)[0].startswith("Record bench: ")
     html = render_page(page)
     assert html.count("stays at exactly") == 1
     assert "Record bench: output &#39;x&#39; has 40 gaps" in html
@@ -225,7 +232,7 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
     named = replace(
         good,
         traces=[replace(good.traces[0], name=HOSTILE)],
-        findings=(phrase(PageText.STATEMENT, text=HOSTILE),),
+        findings=(phrase(ComparisonFinding.NO_BLACK_BOX, reason=HOSTILE),),
         solver=replace(good.solver, status=HOSTILE),
     )
     html = write_page(build_page(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(
@@ -241,8 +248,8 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
 def test_text_in_figures_ends_no_script_and_is_no_markup() -> None:
     curve = Curve(np.arange(2.0), np.arange(2.0), Role.MEASURED, HOSTILE)
     panel = Panel(HOSTILE, (curve,), Axis(HOSTILE, HOSTILE), Axis(HOSTILE))
-    figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.RUN, HOSTILE), (phrase(FigureText.INPUTS, HOSTILE),)))
-    html = render_page(Page(HOSTILE, HOSTILE, Paragraphs([HOSTILE]), [Section("data", [figure])], HOSTILE))
+    figure = FigureBlock(Figure("a", (panel,), HOSTILE, (HOSTILE,)))
+    html = render_page(Page(HOSTILE, HOSTILE, Paragraphs([HOSTILE]), [Section("data", "Data", [figure])], HOSTILE))
     found = Outline(html)
     assert (found.tags["img"], found.tags["script"]) == (0, 3)
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', html)[1])
@@ -271,8 +278,8 @@ def test_many_long_records_make_a_page_that_can_be_mailed(good: gb.Fit) -> None:
 def test_numbers_travel_in_six_digits_and_gaps_as_gaps() -> None:
     given = np.array([0.1234567891, -1.987654321e-9, 12345678.9, 0.0, np.nan, np.inf])
     panel = Panel("x", (Curve(np.arange(6.0), given, Role.MEASURED),), Axis("time", "s"), Axis("x"))
-    figure = FigureBlock(Figure("a", (panel,), phrase(FigureText.PHASE)))
-    html = render_page(Page("t", "q", Paragraphs(["v"]), [Section("data", [figure])]))
+    figure = FigureBlock(Figure("a", (panel,), "Phase over frequency."))
+    html = render_page(Page("t", "q", Paragraphs(["v"]), [Section("data", "Data", [figure])]))
     assert '"y":[0.123457,-1.98765e-09,12345700.0,0.0,null,null]' in html
 
 
