@@ -32,6 +32,8 @@ def weigh_evidence(conclusion: Conclusion, evidence: Sequence[EffectEvidence]) -
     if verdict is Verdict.NAMED and not all(established):
         certain = [sure or _is_tied(e) for e, sure in zip(evidence, established, strict=True)]
         verdict = Verdict.AMBIGUOUS if all(certain) else Verdict.UNKNOWN
+    if verdict is Verdict.AMBIGUOUS and any(e.grade is Grade.STAND_IN for e in evidence):
+        verdict = Verdict.UNKNOWN
     if verdict is Verdict.UNKNOWN and any(established):
         verdict = Verdict.PARTLY
     return Conclusion(verdict, (*conclusion.checks, *checks))

@@ -252,7 +252,10 @@ def _weigh_effect(
     static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
     is_static = static_loss < EVIDENCE_SAME_ERROR * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves, inputs.fit)
-    output = max(errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
+    # Of an output that the plain model follows better an effect takes nothing, whatever the others need it for.
+    plain = inputs.scores.square_errors(inputs.baseline, EVIDENCE_BLOCKS)
+    reduced = [o for o in errors if not mean_error(plain.get(o)) <= mean_error(errors[o])] or list(errors)
+    output = max(reduced, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
     share, interval = _share_of_error(errors[output], without.get(output))
     measures = {
         "share": share,

@@ -333,13 +333,8 @@ class HoldoutScores:
         return {name: noise[name] ** 2 * run.rise / max(samples, 1) for name in run.residuals}
 
     def _free_residuals(self, candidate: CandidateFit) -> Residuals:
-        run, first = self.run(candidate), self.validation.uncounted
-        if run is None:
-            return {}
-        return {
-            name: [trace.residual(name)[first:] for trace in run.traces if name in trace.measured]
-            for name in run.misfit
-        }
+        run = self.run(candidate)
+        return {} if run is None else _counted_residuals(run, self.validation.uncounted)
 
     def measure_drift(self, candidate: CandidateFit) -> dict[str, float]:
         """By output the mean square error that goes when constants and first states move within their uncertainty."""
@@ -360,18 +355,34 @@ class HoldoutScores:
         run = self.adapt(candidate) if adapted else None
         if run is not None:
             every, charge = run.residuals, self.charge(run)
-        rows = sum(len(r) for r in next(iter(every.values()), []))
-        length = max(math.ceil(rows / blocks), 1)
-        errors: dict[str, list[float]] = {name: [] for name in every}
-        for name, residuals in every.items():
-            for residual in residuals:
-                parts = np.array_split(residual, max(round(len(residual) / length), 1))
-                errors[name] += [
-                    charge[name] + float(np.mean(part[np.isfinite(part)] ** 2))
-                    for part in parts
-                    if np.isfinite(part).any()
-                ]
-        return {name: np.array(values) for name, values in errors.items() if values}
+        return _square_in_blocks(every, charge, blocks)
+
+
+def block_errors(validation: Validation, uncounted: int, blocks: int) -> dict[str, np.ndarray]:
+    """By output the mean square error (B,) of a free run in about ``blocks`` blocks of equal length, without the ``uncounted`` first rows."""
+    every = _counted_residuals(validation, uncounted)
+    return _square_in_blocks(every, dict.fromkeys(every, 0.0), blocks)
+
+
+def _counted_residuals(validation: Validation, uncounted: int) -> Residuals:
+    return {
+        name: [trace.residual(name)[uncounted:] for trace in validation.traces if name in trace.measured]
+        for name in validation.misfit
+    }
+
+
+def _square_in_blocks(every: Residuals, charge: Mapping[str, float], blocks: int) -> dict[str, np.ndarray]:
+    """Mean square of residuals by output in about ``blocks`` blocks of equal length, the ``charge`` of each output added."""
+    rows = sum(len(r) for r in next(iter(every.values()), []))
+    length = max(math.ceil(rows / blocks), 1)
+    errors: dict[str, list[float]] = {name: [] for name in every}
+    for name, residuals in every.items():
+        for residual in residuals:
+            parts = np.array_split(residual, max(round(len(residual) / length), 1))
+            errors[name] += [
+                charge[name] + float(np.mean(part[np.isfinite(part)] ** 2)) for part in parts if np.isfinite(part).any()
+            ]
+    return {name: np.array(values) for name, values in errors.items() if values}
 
 
 def _key_of(candidate: CandidateFit) -> tuple[Any, ...]:

@@ -22,8 +22,17 @@ from greybox.data.experiment import Experiment, name_records
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
-from greybox.discovery.decision import Conclusion, Verdict, decide_verdict, judge_validation_only, visible_rms_limit
+from greybox.discovery.decision import (
+    Conclusion,
+    Decision,
+    Verdict,
+    decide_verdict,
+    judge_validation_only,
+    make_check,
+    visible_rms_limit,
+)
 from greybox.discovery.effect_signal import (
+    EVIDENCE_BLOCKS,
     EffectSignal,
     RemainingError,
     estimate_effect_signals,
@@ -37,6 +46,8 @@ from greybox.discovery.holdout import (
     HoldoutError,
     HoldoutScores,
     ValidationSet,
+    block_errors,
+    compare_errors,
     compare_holdout_errors,
     drop_on_validation,
     reject_on_validation,
@@ -54,7 +65,13 @@ from greybox.discovery.proposals import (
     propose_next_steps,
     propose_noise_check,
 )
-from greybox.discovery.refinement import VALIDATION_SHARE, Refinement, refine_candidate, with_residual_noise
+from greybox.discovery.refinement import (
+    REFINEMENT_LEAST_DEVIATIONS,
+    VALIDATION_SHARE,
+    Refinement,
+    refine_candidate,
+    with_residual_noise,
+)
 from greybox.discovery.residual_noise import (
     WHITE_CORRELATION,
     estimate_residual_noise,
@@ -531,6 +548,21 @@ def _conclude(
         judged = replace(judged, base=answer.base, best=best, holdout=holdout)
         if verdict is Verdict.COMPLETE:
             final, evidence = FinalModel(judged.scores, judged.baseline, best), ()
+    uncounted, rejected = judged.scores.validation.uncounted, ""
+    if _added_effects(judged):
+        better = judge_against_plain(judged.base, judged.best, uncounted, " + ".join(_added_effects(judged)))
+        if not better:
+            # What does no better than the plain model on the records that judge it is no answer: the plain model is.
+            rejected = " + ".join(_added_effects(judged))
+            holdout = compare_holdout_errors(judged.base, judged.base)
+            judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
+            selected, final = judged.baseline, FinalModel(judged.scores, judged.baseline, judged.base)
+            evidence, signals = (), ()
+            refinement = None if refinement is None else Refinement(judged.base, (), refinement.checks)
+            answer = None if answer is None else replace(answer, best=None)
+            decided = replace(_decide(judged), checks=decided.checks)
+            verdict = decided.verdict
+        decided = replace(decided, checks=(*decided.checks, *better.checks))
     location = _locate(judged.baseline, selection)
     surrogate: Surrogate | None = None
     next_steps: tuple[Finding, ...] = ()
@@ -547,6 +579,8 @@ def _conclude(
         )
         if verdict is Verdict.UNKNOWN and (answer is None or answer.best is None):
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
+            if surrogate is not None and not judge_against_plain(judged.base, surrogate.fit, uncounted):
+                surrogate = None
     left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
     left = measure_remaining_error(final.fit, holdout, left_location, judged.scores.validation.uncounted)
     is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
@@ -572,7 +606,7 @@ def _conclude(
     alternatives = [rival.effects for rival in judged.rivals]
     if verdict is Verdict.AMBIGUOUS and not alternatives:
         alternatives = list_tied_sets(evidence)
-    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate)
+    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate, rejected)
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
         findings = (*findings, *_law_ranges(search)) if has_law else findings
@@ -651,6 +685,37 @@ def _law_ranges(search: LawSearch) -> tuple[Finding, ...]:
         for law in search.laws
         if law.seen
     )
+
+
+def judge_against_plain(base: Fit, fit: Fit, uncounted: int, subject: str = "") -> Decision:
+    """Whether a model follows the records that judge it better than the plain one, beyond chance.
+
+    Its error there, all outputs together, is smaller by a share that counts, or smaller in most parts of the records.
+
+    Parameters
+    ----------
+    base, fit
+        The plain model and the other one, validated on the same records.
+    uncounted
+        Rows at the start of each record that do not count.
+    subject
+        What the checks are about.
+    """
+    holdout = compare_holdout_errors(base, fit).values()
+    # Rms over noise, all outputs together.
+    before, after = (
+        float(np.sqrt(np.mean([(error / e.floor) ** 2 for e, error in errors])))
+        for errors in ([(e, e.before) for e in holdout], [(e, e.after) for e in holdout])
+    )
+    errors, plain = (block_errors(each.validation, uncounted, EVIDENCE_BLOCKS) for each in (fit, base))
+    deviations = compare_errors(errors, plain)[1] if errors else 0.0
+    least = REFINEMENT_LEAST_DEVIATIONS
+    lasts = after < before and deviations >= least
+    checks = (
+        Check.at_most(DiscoveryRule.VALIDATION_DECREASE, after, (1 - VALIDATION_SHARE) * before, subject),
+        make_check(DiscoveryRule.CONSISTENT_DECREASE, deviations, least, lasts, subject),
+    )
+    return Decision(any(check.passed for check in checks), checks)
 
 
 @dataclass(frozen=True)
@@ -767,8 +832,12 @@ def _summarise(
     left: Mapping[str, RemainingError],
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
+    rejected: str = "",
 ) -> tuple[Finding, ...]:
-    """The conclusion as findings: the effects and how certain they are, the error they take, and what is left."""
+    """The conclusion as findings: the effects and how certain they are, the error they take, and what is left.
+
+    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others.
+    """
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
     effects = _physical_effects(judged)
@@ -799,8 +868,8 @@ def _summarise(
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
         return (Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
     look_alike: list[Finding] = []
-    if name and error.share <= 0:
-        look_alike.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=name))
+    if rejected:
+        look_alike.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=rejected))
     elif name:
         look_alike += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
     missing: list[Finding] = []

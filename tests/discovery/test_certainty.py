@@ -182,6 +182,8 @@ SURE, LIKELY, DOUBTFUL = Grade.ESTABLISHED, Grade.PROBABLE, Grade.STAND_IN
         (Verdict.UNKNOWN, [SURE, DOUBTFUL], Verdict.PARTLY),
         (Verdict.UNKNOWN, [DOUBTFUL], Verdict.UNKNOWN),
         (Verdict.AMBIGUOUS, [LIKELY], Verdict.AMBIGUOUS),
+        (Verdict.AMBIGUOUS, [LIKELY, DOUBTFUL], Verdict.UNKNOWN),  # what only stands in is not lacked
+        (Verdict.AMBIGUOUS, [SURE, DOUBTFUL], Verdict.PARTLY),
         (Verdict.COMPLETE, [], Verdict.COMPLETE),
     ],
 )

@@ -396,7 +396,7 @@ def _retest_baseline(search: _LawSelection, baseline: CandidateFit) -> Candidate
 
 # Laws whose error on the validation records is within this share of the least do as well.
 LAW_SAME_ERROR = 0.1
-# Share of the plain model's error on the validation records that a law must take away.
+# Share of the plain model's error above the noise on the validation records that a law must take away.
 LAW_LEAST_SHARE = 0.5
 # The same for a law that counts as established where it does not reach the noise.
 ESTABLISHED_SHARE = 0.9
@@ -411,12 +411,13 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     laws = [law for law in search.ranked() if np.isfinite(law.score)]
     if not laws or not _lacks_something(search, baseline):
         return replace(nothing, is_missing=_lacks_something(search, baseline))
-    before, least = search.scores.score(baseline), min(law.score for law in laws)
+    # Constants and first states of both move within their uncertainty: like is compared with like.
+    before, least = search.judge(baseline), min(law.score for law in laws)
     near = [law for law in laws if law.score <= (1 + LAW_SAME_ERROR) * max(least, 1.0)]
     best = near[0]
     subject = " + ".join(write_equation(best.candidate.model, best.terms))
     gain = baseline.criterion - best.criterion()
-    explained = (before - best.score) / max(before - 1, 1e-3) if np.isfinite(before) else 1.0
+    explained = _share_of_gap(before, best.score)
     checks = [
         make_check(
             DiscoveryRule.CRITERION_GAIN, gain, selection.criterion_gain, gain > selection.criterion_gain, subject
@@ -463,7 +464,12 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
         partial(validate_candidate, search.problem, best.candidate, search.scores.validation),
         None,
     )
-    if fit is None or not _is_better(search, baseline, fit):
+    if fit is None:
+        return replace(nothing, checks=tuple(checks))
+    # What a user sees is the free run of the finished fit: there too the law must take what makes it one.
+    taken = _share_of_gap(search.scores.score(baseline), _score_of(fit))
+    checks.append(Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, taken, LAW_LEAST_SHARE, subject))
+    if not checks[-1].passed:
         return replace(nothing, checks=tuple(checks))
     return LawSearch(
         _to_laws(best, fit, grade),
@@ -477,10 +483,18 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     )
 
 
-def _is_better(search: _LawSelection, baseline: CandidateFit, fit: Fit) -> bool:
-    """Whether the finished fit still follows the validation records better than the plain model."""
-    score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in fit.validation.misfit.values()])))
-    return score < search.scores.score(baseline)
+# Least error above the noise, over the noise, of which a share is taken: less is rounding.
+LEAST_GAP = 1e-3
+
+
+def _share_of_gap(before: float, after: float) -> float:
+    """Share of the gap between an rms error over noise and the noise that is gone; all of it where the plain model runs away."""
+    return (before - after) / max(before - 1, LEAST_GAP) if np.isfinite(before) else 1.0
+
+
+def _score_of(fit: Fit) -> float:
+    """Rms error over noise of a validated fit, all outputs together."""
+    return float(np.sqrt(np.mean([m.noise_ratio**2 for m in fit.validation.misfit.values()])))
 
 
 # Iterations of its refit.

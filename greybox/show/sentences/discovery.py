@@ -552,8 +552,8 @@ register(
         DiscoveryCode.EFFECTS_TIED: _effects_tied,
         DiscoveryCode.EFFECTS_PROBABLE: _effects_probable,
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
-        DiscoveryCode.NO_LOOK_ALIKE: "No effect improves on the plain model on the validation records; the best one on the estimation"
-        " records is {subject}.",
+        DiscoveryCode.NO_LOOK_ALIKE: "What follows the estimation records best, {subject}, does no better than the plain model on the"
+        " validation records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
         DiscoveryCode.HARDLY_VISIBLE: "The estimation records hardly show it: the misfit of the plain model there is {misfit:.3g}"
         " times the noise.",

@@ -1,6 +1,7 @@
 """From 'unknown' to a law: a plant without roles gets the term that it lacks, and a complete one none."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox import Balance, Experiment, Model, Output, Parameter, State
+from greybox.discovery.laws import search
 from greybox.discovery.result import load_discovery
 
 NOISE = 0.01
@@ -89,3 +91,27 @@ def test_nothing_is_claimed_of_a_complete_model():
         laws=True,
     )
     assert answer.verdict == "complete" and answer.effects == [] and answer.laws == ()
+
+
+def test_a_law_that_takes_next_to_nothing_of_the_error_is_none(found, monkeypatch):
+    """Its constants may drift in a free run: what counts is the error that is told."""
+    plain, validate = found.base.validation.misfit, search.validate_candidate
+
+    def drift(*given):
+        fit = validate(*given)
+        barely = {
+            name: replace(m, rmse=0.9993 * m.rmse, noise_ratio=0.9993 * m.noise_ratio) for name, m in plain.items()
+        }
+        return replace(fit, validation=replace(fit.validation, misfit=barely))
+
+    monkeypatch.setattr(search, "validate_candidate", drift)
+    answer = gb.discover(
+        hunters(False),
+        record("one", (3.0, 1.0), 1),
+        validation=record("two", (1.5, 2.0), 2),
+        noise={"a": NOISE, "b": NOISE},
+        effects=(),
+        laws=True,
+    )
+    assert answer.verdict == "unknown" and answer.laws == ()
+    assert answer.holdout["a"].after == answer.holdout["a"].before

@@ -62,7 +62,8 @@ FINDINGS = [
     (
         Code.NO_LOOK_ALIKE,
         *("cubic_stiffness", {}),
-        "No effect improves on the plain model on the validation records; the best one on the estimation records is cubic_stiffness.",
+        "What follows the estimation records best, cubic_stiffness, does no better than the plain model on the validation records: the"
+        " plain model is the answer.",
     ),
     (
         Code.NEAREST_LOOK_ALIKE,

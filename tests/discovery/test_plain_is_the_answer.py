@@ -1,0 +1,83 @@
+"""What does no better than the plain model on the record that judges it is no answer: the plain model is."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.base.findings import with_code
+from greybox.discovery.decision import Verdict
+from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.pipeline import judge_against_plain
+from greybox.estimation.result_parts import Misfit, Trace, Validation
+from tests.support.first_order import first_order
+
+SQUARES = np.random.default_rng(0).uniform(0.9, 1.1, 400)  # of a plain model whose error is about one
+
+
+def validated(**residuals):
+    """A fit of which only the run over a validation record is there; the noise of each output is a tenth."""
+    misfit = {
+        name: Misfit(rms := float(np.sqrt(np.mean(r**2))), "m", 0.0, rms / 0.1, len(r)) for name, r in residuals.items()
+    }
+    rows = len(next(iter(residuals.values())))
+    zeros = dict.fromkeys(residuals, np.zeros(rows))
+    trace = Trace("record", "", np.arange(rows), residuals, zeros, {})
+    return SimpleNamespace(validation=Validation(misfit, (trace,)), noise=SimpleNamespace(bound=lambda _: None))
+
+
+@pytest.mark.parametrize(
+    ("change", "is_better"),
+    [
+        (np.full(400, 0.5), True),
+        (np.full(400, 0.99), True),  # a hundredth everywhere is little, and no chance
+        (np.repeat([1.0, 0.2, 1.0], [300, 60, 40]), True),  # much in one place only: a stop that is reached once
+        (np.repeat([0.95, 1.05, 0.9995], [199, 199, 2]), False),  # now better, now worse
+        (np.ones(400), False),
+        (np.full(400, 85.0), False),
+        (np.repeat([0.5, 9.0], [380, 20]), False),  # better in most parts, and worse in all
+        (np.full(400, np.nan), False),  # it ran away
+    ],
+)
+def test_an_answer_is_better_than_the_plain_model_beyond_chance(change, is_better):
+    decision = judge_against_plain(validated(x=SQUARES), validated(x=change * SQUARES), 0)
+    assert decision.passed is is_better
+
+
+def test_all_outputs_count_by_their_noise_and_the_first_rows_do_not():
+    plain = validated(x=SQUARES, i=0.2 * SQUARES)
+    assert judge_against_plain(plain, validated(x=0.5 * SQUARES, i=0.3 * SQUARES), 0)
+    assert not judge_against_plain(plain, validated(x=0.9 * SQUARES, i=8 * SQUARES), 0)
+
+
+def lag_record(name, seed, disturbance):
+    """A first-order lag under a held random input: its exact answer, sensor noise, and what only this record has."""
+    rng = np.random.default_rng(seed)
+    step, u, y = 0.1, np.repeat(rng.normal(size=60), 5), np.zeros(300)
+    pole = np.exp(-step / 0.5)
+    for k in range(299):
+        y[k + 1] = pole * y[k] + (1 - pole) * 2.0 * u[k]
+    measured = y + 0.02 * rng.normal(size=300) + disturbance(np.arange(300) * step)
+    return gb.Experiment(name, np.arange(300) * step, {"u": u}, {"y": measured})
+
+
+def test_an_effect_of_the_estimation_record_alone_is_no_answer():
+    """Something drifted while the estimation record was taken, and not on the day of the other one."""
+    drifting, quiet = lag_record("drifting", 1, lambda t: 0.03 * t), lag_record("quiet", 2, lambda t: 0 * t)
+    found = gb.discover(
+        first_order().start(gain=1.5, lag=0.7),
+        drifting,
+        validation=quiet,
+        noise={"y": 0.02},
+        effects=[gb.effect("sensor_drift"), gb.effect("input_offset")],
+    )
+    assert found.verdict is Verdict.UNKNOWN
+    assert found.effects == [] and found.evidence == ()
+    assert found.best.parameters["gain"].value == found.base.parameters["gain"].value
+    error = found.holdout["y"]
+    assert error.after == error.before
+    (tried,) = with_code(found.conclusion, DiscoveryCode.NO_LOOK_ALIKE)
+    assert "sensor_drift" in tried.subject
+    assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
+    assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
