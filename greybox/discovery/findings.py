@@ -61,6 +61,7 @@ class DiscoveryCode(StrEnum):
     LEARNT_FROM_VALIDATION = "learnt_from_validation"
     TIME_OVER = "time_over"
     SHAPE_CORRECTED = "shape_corrected"
+    REFIT_ELSEWHERE = "refit_elsewhere"
     DISCRIMINATING_EXPERIMENT = "discriminating_experiment"
     NO_DISCRIMINATING_EXPERIMENT = "no_discriminating_experiment"
     DETECTION_LIMIT = "detection_limit"

@@ -50,6 +50,7 @@ from greybox.discovery.holdout import (
     compare_errors,
     compare_holdout_errors,
     drop_on_validation,
+    finish_fit,
     reject_on_validation,
     validate_candidate,
     worst_output,
@@ -57,7 +58,7 @@ from greybox.discovery.holdout import (
 from greybox.discovery.laws.search import LawSearch, search_laws
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem, UserFit
 from greybox.discovery.proposals import (
     explain_doubt,
     list_detection_limits,
@@ -283,6 +284,7 @@ def discover(
             refits,
             policy.budget,
             given=tuple(effect.name for effect in model.effects),
+            user_fit=UserFit(dict(noise or {}), _as_tuple(quiet), options),
         )
         scales = _estimate_scales(problem, policy)
         given = (
@@ -529,8 +531,8 @@ def _conclude(
         if problem.executor.skipped:  # neither all rivals nor all tests of its form were tried
             evidence = tuple(lower_grade(e) for e in evidence)
     decided = weigh_evidence(decided, evidence)
-    verdict, holdout = decided.verdict, compare_holdout_errors(judged.base, final.fit)
-    judged = replace(judged, best=final.fit, holdout=holdout)
+    verdict = decided.verdict
+    judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
     answer: LawAnswer | None = None
     is_open = verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
     if of_laws is not None and (is_open or not is_level_known(of_laws.noise_model)):
@@ -544,10 +546,16 @@ def _conclude(
             final = FinalModel(
                 HoldoutScores(of_laws or problem, judged.scores.validation), answer.search.candidate, best
             )
-        holdout = compare_holdout_errors(answer.base, best)
-        judged = replace(judged, base=answer.base, best=best, holdout=holdout)
+        judged = replace(judged, base=answer.base, best=best, holdout=compare_holdout_errors(answer.base, best))
         if verdict is Verdict.COMPLETE:
             final, evidence = FinalModel(judged.scores, judged.baseline, best), ()
+    # The answer is what a fit of one's own gives, of the plain model and of the one that is handed over.
+    base, doubts = _finish(judged, judged.base)
+    best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
+    findings, holdout = (*findings, *doubts, *more), compare_holdout_errors(base, best)
+    judged = replace(judged, base=base, best=best, holdout=holdout)
+    final = replace(final, fit=best)
+    refinement = None if refinement is None else replace(refinement, fit=best)
     uncounted, rejected = judged.scores.validation.uncounted, ""
     if _added_effects(judged):
         better = judge_against_plain(judged.base, judged.best, uncounted, " + ".join(_added_effects(judged)))
@@ -577,7 +585,9 @@ def _conclude(
             judged.base,
             policy,
         )
-        if verdict is Verdict.UNKNOWN and (answer is None or answer.best is None):
+        # A curve stands in for what has no name: not where a law or a probable effect is said.
+        named = (answer is not None and answer.best is not None) or any(e.grade is Grade.PROBABLE for e in evidence)
+        if verdict is Verdict.UNKNOWN and not named:
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
             if surrogate is not None and not judge_against_plain(judged.base, surrogate.fit, uncounted):
                 surrogate = None
@@ -632,6 +642,20 @@ def _conclude(
         options=problem.options,
         laws=search.laws if search is not None and has_law else (),
     )
+
+
+def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
+    """A fit of the answer as one's own would end; as it is, with a word on it, where that ends without success."""
+    problem, names = judged.selection.problem, tuple(e.name for e in fit.model.effects)
+    finish = partial(finish_fit, problem, fit, judged.scores.validation)
+    finished = problem.failures.attempt(SearchStage.HOLDOUT, names, finish, None)
+    if finished is None:
+        return fit, (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, fit.model.title, {"status": ""}),)
+    if finished.success or not fit.success:
+        return finished, ()
+    # Its constants are those of a search that did not end: the ones that were judged stay.
+    values = {"status": finished.solver.status}
+    return fit, (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, fit.model.title, values),)
 
 
 def _summarise_laws(

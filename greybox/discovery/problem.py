@@ -97,6 +97,24 @@ SEARCH_REFIT_STARTS = 2
 
 
 @dataclass(frozen=True)
+class UserFit:
+    """How a fit of one's own to the same records goes: with the noise and the options as they were given.
+
+    A search estimates the noise once and fits briefly. Its answer is fitted like this in the end, so that whoever fits the model that is
+    handed over gets what the search reported.
+
+    Parameters
+    ----------
+    noise, quiet, options
+        What was given to the search.
+    """
+
+    noise: Mapping[str, float]
+    quiet: tuple[Experiment, ...]
+    options: FitOptions
+
+
+@dataclass(frozen=True)
 class DiscoveryProblem:
     """Records, noise and the model in question; it fits candidate models to the records.
 
@@ -120,6 +138,8 @@ class DiscoveryProblem:
         What failed so far, and why.
     given
         Names of the effects that are the user's own: they count as a part of the plain model.
+    user_fit
+        How the answer is fitted in the end; None leaves it as the search fitted it.
     """
 
     model: Model
@@ -131,6 +151,7 @@ class DiscoveryProblem:
     budget: SearchBudget = field(default_factory=SearchBudget)
     failures: FailureLog = field(default_factory=FailureLog)
     given: tuple[str, ...] = ()
+    user_fit: UserFit | None = None
 
     @classmethod
     def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:

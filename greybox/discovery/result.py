@@ -261,6 +261,7 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "noise": d.best.noise.std,
         "noise_source": d.best.noise.source,
         "integration_error": d.best.discretisation.error,
+        "search": d.best.solver.strategy,
         "versions": d.best.provenance.versions,
     }
 

@@ -430,8 +430,6 @@ def _predict_curve(problem: DiscoveryProblem, candidate: CandidateFit, place: Cu
     return problem.predict_cost(model, starts, like=candidate)
 
 
-# Iterations of the last fit, which gives the intervals: many heights would go on for long without showing it.
-INTERVAL_ITERATIONS = 10
 # Points of the curve in the result.
 CURVE_POINTS = 101
 # Points of one period in the result.
@@ -453,13 +451,12 @@ def _to_curve_surrogate(
     brief = replace(
         problem.options,
         transcription="single",
-        iterations=INTERVAL_ITERATIONS,
         policy=replace(solver, step_refinement=limited),
     )
     fit = validate_candidate(replace(problem, options=brief), candidate, validation)
     holdout = compare_holdout_errors(base, fit)
-    names = candidate.model.names_of(CURVE)
-    values = {n: candidate.model.values[in_model] for n, in_model in names.items()}
+    names = fit.model.names_of(CURVE)
+    values = {n: fit.model.values[in_model] for n, in_model in names.items()}
     measured = signal.variables[dependence.variable]
     points = CURVE_POINTS
     if dependence.period is not None:

@@ -14,6 +14,7 @@ from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.discovery.proposals import InputKind
+from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 from greybox.show.sentences.wording import TEXT_LIMITS, change_text, quantity_text
 
@@ -577,6 +578,11 @@ register(
         " the validation records",
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
         " and nothing in it is established; repeat the command to continue with its finished refits, or give it more time",
+        DiscoveryCode.REFIT_ELSEWHERE: lambda f: (
+            f"{f.subject}: a fit of this model that begins at these constants does not end with success"
+            + (f" ({status_text(f.values['status'])})" if f.values["status"] else "")
+            + ". The constants are those of the search; another fit may end elsewhere."
+        ),
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
