@@ -86,9 +86,9 @@ class EffectEvidence(Printable, ReadOnly):
     rival, rival_error
         The best effect of another family in its place, and the rms error with that; "" and NaN where none could be fitted.
     alike
-        Effects of other families that do the same in its place, and `fitted_curve` where a curve does as well: one without memory in
-        the place of an effect with one, a power law in that of one of many constants, or a curve over another variable or at another
-        site. No record of this kind separates them. The probability is that of one of these being right.
+        Effects of other families that do the same in its place (those of more constants within chance), and `fitted_curve` where a curve
+        does as well: one without memory in the place of an effect with one, a power law in that of one of many constants, or a curve over
+        another variable or at another site. No record of this kind separates them. The probability is that of one of these being right.
     change
         Relative change of its constants from one half of the estimation records to the other; NaN where a half could not be fitted.
     survives_start
@@ -237,7 +237,11 @@ def _weigh_effect(
     form = square_errors(inputs.selected)
     behind = [compare_errors(form, square_errors(rival)) for rival in rivals]
     loss, loss_t = compare_errors(form, square_errors(rest) if rest is not None else {})
-    alike = [k for k in range(len(rivals)) if abs(behind[k][0]) < EVIDENCE_SAME_ERROR * min(loss, 1.0)]
+    alike = [
+        k
+        for k, rival in enumerate(rivals)
+        if abs(behind[k][0]) < EVIDENCE_SAME_ERROR * min(loss, 1.0) or _is_richer_equal(inputs, rival, behind[k])
+    ]
     others = [k for k in range(len(rivals)) if k not in alike]
     nearest = min(others, key=lambda k: behind[k][0], default=None)
     rival_loss, rival_t = (loss, loss_t) if nearest is None else behind[nearest]
@@ -307,6 +311,15 @@ def _weigh_effect(
         _helps_on_every_record(inputs, rest, output),
         measures,
     )
+
+
+def _is_richer_equal(inputs: EvidenceInputs, rival: CandidateFit, behind: tuple[float, float]) -> bool:
+    """Whether a rival does the same with more constants: nothing but chance lies between the two where they are judged, and where they
+    were fitted its constants have not paid. It is no objection to the simpler one, which it contains or imitates, but its equal.
+    """
+    selected = inputs.selected
+    is_chance = abs(behind[1]) < LEAST_RIVAL * MOST_DEVIATIONS
+    return is_chance and rival.free > selected.free and rival.criterion > selected.criterion - TIE_COST
 
 
 def _grade(measures: Mapping[str, float], has_equal: bool, policy: CertaintyPolicy) -> tuple[float, Grade]:
@@ -414,9 +427,11 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
 
 
 def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[CandidateFit]:
-    """The rivals that may still come near, refitted to the end; the best where none may: one shows how far behind they are."""
+    """The rivals that may still come near, refitted to the end, each once; the best where none may: one shows how far behind they are."""
     hopeful = [_converge(inputs, fit) for fit in rivals if _is_hopeful(inputs, fit)]
-    return hopeful or sorted(rivals, key=lambda fit: fit.cost)[:1]
+    # One that was fitted in the search and again here counts as the better of the two.
+    once = {frozenset(fit.effects): fit for fit in sorted(hopeful, key=lambda fit: -fit.cost)}
+    return list(once.values())[::-1] or sorted(rivals, key=lambda fit: fit.cost)[:1]
 
 
 # ...if its cost is still so many times that of the model in question: five times the rms error. Where an effect is left out that takes

@@ -390,7 +390,7 @@ class HoldoutScores:
 
 
 def block_errors(validation: Validation, uncounted: int, blocks: int) -> dict[str, np.ndarray]:
-    """By output the mean square error (B,) of a free run in about ``blocks`` blocks of equal length, without the ``uncounted`` first rows."""
+    """By output the mean square error (B,) of a free run in about ``blocks`` equal blocks, without the ``uncounted`` first rows."""
     every = _counted_residuals(validation, uncounted)
     return _square_in_blocks(every, dict.fromkeys(every, 0.0), blocks)
 

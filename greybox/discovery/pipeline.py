@@ -616,7 +616,8 @@ def _conclude(
     alternatives = [rival.effects for rival in judged.rivals]
     if verdict is Verdict.AMBIGUOUS and not alternatives:
         alternatives = list_tied_sets(evidence)
-    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate, rejected)
+    constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
+    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate, rejected, constants)
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
         findings = (*findings, *_law_ranges(search)) if has_law else findings
@@ -857,10 +858,12 @@ def _summarise(
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
     rejected: str = "",
+    constants: Mapping[str, int] | None = None,
 ) -> tuple[Finding, ...]:
     """The conclusion as findings: the effects and how certain they are, the error they take, and what is left.
 
-    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others.
+    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others, and
+    ``constants`` counts those of each candidate.
     """
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
@@ -882,7 +885,9 @@ def _summarise(
         return (Finding(DiscoveryCode.EFFECT_NAMED, subject=name), *reduced)
     if decided.verdict is Verdict.AMBIGUOUS:
         rivals = [" + ".join(names) for names in alternatives]
-        return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values={**explained, "rivals": rivals}), *reduced)
+        counts = [sum((constants or {}).get(e, 0) for e in names) for names in (effects, *alternatives)]
+        values = {**explained, "rivals": rivals, "is_simplest": counts[0] < min(counts[1:], default=0)}
+        return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values=values), *reduced)
     if decided.verdict is Verdict.PARTLY:
         others = {e: grades[e] for e in effects if e in grades and e not in established}
         values = {"established": established, "others": others}

@@ -101,7 +101,7 @@ class StepKind(StrEnum):
     SWAP = "swap"
     """An effect is replaced by a better one."""
     SIMPLIFY = "simplify"
-    """An effect is replaced by a simpler member of its family that does nearly as well."""
+    """An effect is replaced by a simpler one that does nearly as well: a member of its family, or another that does the same."""
 
 
 @dataclass(frozen=True)
@@ -226,7 +226,7 @@ class StepwiseSelection:
                 break
             selected = larger
             self._tell(DiscoveryCode.FURTHER_EFFECT, selected)
-        return self._swap(self._drop_needless(selected))
+        return self._choose_simplest_equal(self._swap(self._drop_needless(selected)))
 
     def select_first(self) -> CandidateFit:
         """The best model with a single effect, whether or not the data demand it."""
@@ -493,6 +493,16 @@ class StepwiseSelection:
         if best.per_sample <= clean_cost_limit(best.count) < simpler.per_sample:
             return CHILD_COST
         return max(CHILD_COST, CHILD_SHARE * (self.baseline.cost - best.cost))
+
+    def _choose_simplest_equal(self, best: CandidateFit) -> CandidateFit:
+        """Of the models that explain the records equally well, whatever their families, the one with the fewest constants."""
+        simpler = [fit for fit in self.find_rivals(best) if fit.free < best.free]
+        if not simpler:
+            return best
+        simplest = min(simpler, key=lambda fit: (fit.free, fit.criterion))
+        checks = self.tie_checks(best, [simplest])
+        self.steps.append(SelectionStep(StepKind.SIMPLIFY, simplest.effects, True, checks))
+        return simplest
 
     def _replace_by_child(self, fit: CandidateFit) -> CandidateFit:
         """With an effect replaced by its child, where the effect leaves structure and the child is better."""

@@ -86,6 +86,22 @@ def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, exp
     assert change == pytest.approx(expected, nan_ok=True)
 
 
+@pytest.mark.parametrize(
+    ("rival", "deviations", "is_equal"),
+    [
+        (candidate(995, "rich", free=9), 2.9, True),
+        (candidate(995, "rich", free=9), -2.9, True),  # it does a little better, and may by chance
+        (candidate(995, "rich", free=9), 3.1, False),  # clearly worse: it is behind
+        (candidate(995, "rich", free=9), -3.1, False),  # clearly better: an objection
+        (candidate(950, "rich", free=9), 0.0, False),  # where they were fitted its constants have paid
+        (candidate(1000, "other", free=6), 1.0, False),  # of as many constants: to be told apart by experiment
+    ],
+)
+def test_an_effect_of_more_constants_that_does_the_same_is_an_equal_and_no_objection(rival, deviations, is_equal):
+    inputs = SimpleNamespace(selected=candidate(1000, "simple", free=6))
+    assert evidence._is_richer_equal(inputs, rival, (0.05, deviations)) is is_equal
+
+
 TIME = np.linspace(0, 1, 200)
 
 
@@ -202,10 +218,12 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
 
 
 def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end(monkeypatch):
-    monkeypatch.setattr(evidence, "_converge", lambda inputs, fit: SimpleNamespace(cost=fit.cost - 1))
+    monkeypatch.setattr(evidence, "_converge", lambda inputs, fit: candidate(fit.cost - 1, *fit.effects))
     inputs = SimpleNamespace(selected=SimpleNamespace(cost=1.0))
-    rivals = [SimpleNamespace(cost=cost) for cost in (900.0, 20.0, 300.0)]
+    rivals = [candidate(cost, f"rival_{cost:g}") for cost in (900.0, 20.0, 300.0)]
     assert [fit.cost for fit in evidence._keep_hopeful(inputs, rivals)] == [19.0]
+    again = candidate(15.0, "rival_20")  # the same effect, fitted in the search and here: it is told once
+    assert [fit.cost for fit in evidence._keep_hopeful(inputs, [*rivals, again])] == [14.0]
     assert [fit.cost for fit in evidence._keep_hopeful(inputs, [rivals[0], rivals[2]])] == [300.0]
     assert evidence._keep_hopeful(inputs, []) == []
 

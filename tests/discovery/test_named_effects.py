@@ -1,18 +1,24 @@
 """The missing effect is named, and nothing is named that is not missing. The rigs are simulated without greybox."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from greybox.base.errors import DataError
 from greybox.base.findings import with_code
+from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.pipeline import discover
 from greybox.model.effects.catalogue import effect
+from greybox.model.signals import Output
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+from tests.support.pushed_mass import MASS
 
 
 def discover_hidden(rig, effects, noise, noise_given=True, colour=0.0, rows=0, among=()):
@@ -215,3 +221,38 @@ def test_nothing_to_judge_by_is_refused():
     train, _ = simulate_records(micro_actuator, {}, WELL, rows=100)
     with pytest.raises(DataError, match="no validation record"):
         discover(plain_model(micro_actuator), train, validation=[])
+
+
+def duffing_record(name, seed):
+    """A mass on a spring that hardens, under a held random force; integrated by scipy."""
+    rng = np.random.default_rng(seed)
+    step, force, x = 0.1, np.repeat(rng.normal(size=120), 5), np.zeros((600, 2))
+    for k in range(599):
+        run = solve_ivp(
+            lambda _, z, u: [z[1], u - 0.4 * z[1] - 4 * z[0] - z[0] ** 3],
+            (0, step),
+            x[k],
+            args=(force[k],),
+            rtol=1e-9,
+            atol=1e-12,
+        )
+        x[k + 1] = run.y[:, -1]
+    return Experiment(name, np.arange(600) * step, {"u": force}, {"x": x[:, 0] + 0.005 * rng.normal(size=600)})
+
+
+def test_of_what_does_the_same_the_simplest_is_the_answer():
+    """At such small motion a hysteresis of three constants follows a cubic spring: that is no reason to say nothing."""
+    mass = replace(MASS, outputs=(Output("x", "m"),)).start(B=0.6, K=3.0)
+    names = ("bouc_wen_hysteresis", "cubic_stiffness", "quadratic_stiffness")
+    found = discover(
+        mass,
+        duffing_record("one", 1),
+        validation=duffing_record("two", 2),
+        noise={"x": 0.005},
+        effects=[effect(name) for name in names],
+    )
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
+    assert found.effects[0]["parameters"]["K3"]["value"] == pytest.approx(1.0, rel=0.1)
+    assert found.alternatives == [("bouc_wen_hysteresis",)]
+    assert found.conclusion[0].code == DiscoveryCode.EFFECTS_TIED and found.conclusion[0].values["is_simplest"]

@@ -163,6 +163,25 @@ def test_rivals_are_of_the_same_size_within_the_tie_and_no_relatives():
     assert {check.subject for check in checks} == names
 
 
+@pytest.mark.parametrize(
+    ("cubic", "name"),
+    [
+        (NOISE + 20, "cubic"),  # ln(1000) = 6.9 for each constant: 6 behind, a tie
+        (NOISE + 30, "hysteresis"),  # 16 behind
+        (NOISE - 1, "cubic"),
+    ],
+)
+def test_of_equals_without_kinship_the_simplest_is_the_answer(cubic, name):
+    """A hysteresis of three constants follows whatever a cubic spring does; the other one is told as a rival."""
+    hysteresis = toy_effect("hysteresis", constants=3)
+    selection, best = select(costs(1e6, cubic=cubic, hysteresis=NOISE), [hysteresis, toy_effect("cubic")])
+    assert best.effects == (name,)
+    assert len(selection.find_rivals(best)) == (cubic == NOISE + 20)
+    if cubic == NOISE + 20:
+        assert path(selection)[-1] == (StepKind.SIMPLIFY, frozenset({"cubic"}), True)
+        assert selection.steps[-1].checks
+
+
 def test_a_baseline_stuck_in_a_wrong_place_is_no_false_alarm():
     class Stuck(FakeProblem):
         """Refitted from the constants of an extended model, the plain one is as good as that."""

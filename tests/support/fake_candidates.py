@@ -54,7 +54,8 @@ class FakeProblem:
     def _fit(self, model: Model) -> CandidateFit:
         names = frozenset(e.name for e in model.effects)
         self.refits.append(names)
-        return CandidateFit(model, self._cost(model), COUNT, 5 + len(names), None, CONVERGED, CONVERGED)
+        free = 5 + sum(len(e.parameters) for e in model.effects)
+        return CandidateFit(model, self._cost(model), COUNT, free, None, CONVERGED, CONVERGED)
 
     def _cost(self, model: Model) -> float:
         names = frozenset(e.name for e in model.effects)
@@ -66,13 +67,14 @@ def costs(plain: float, **others: float) -> dict[frozenset[str], float]:
     return {frozenset(): plain} | {frozenset(names.split("__")): cost for names, cost in others.items()}
 
 
-def toy_effect(name: str, *parents: str) -> Effect:
-    """An effect on the force balance with a constant of its own; nothing is ever simulated with it."""
+def toy_effect(name: str, *parents: str, constants: int = 1) -> Effect:
+    """An effect on the force balance with constants of its own; nothing is ever simulated with it."""
     size = f"{name}_size"
+    further = [f"{name}_{k}" for k in range(1, constants)]
     return Effect(
         name,
         "force",
-        [Parameter(size, "N", 0.0, source="a test")],
+        [Parameter(n, "N", 0.0, source="a test") for n in (size, *further)],
         terms=lambda x, u, p: p[size],
         parents=parents,
         amplitudes=(size,),

@@ -401,7 +401,8 @@ def _parameter(name: str, values: Mapping[str, Any]) -> str:
 
 def _effects_tied(finding: Finding) -> str:
     equals = "; ".join((finding.subject, *finding.values["rivals"]))
-    return f"The plain model lacks one of these effects: {equals}. The records cannot distinguish them."
+    simplest = f"; {finding.subject} is the simplest" if finding.values["is_simplest"] else ""
+    return f"The plain model lacks one of these effects: {equals}. The records cannot distinguish them{simplest}."
 
 
 def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:

@@ -55,8 +55,14 @@ FINDINGS = [
     ),
     (
         Code.EFFECTS_TIED,
-        *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"]}),
+        *("input_offset", {"share": 0.998, "output": "x", "rivals": ["constant_load"], "is_simplest": False}),
         "The plain model lacks one of these effects: input_offset; constant_load. The records cannot distinguish them.",
+    ),
+    (
+        Code.EFFECTS_TIED,
+        *("cubic_stiffness", {"share": 0.998, "output": "x", "rivals": ["bouc_wen_hysteresis"], "is_simplest": True}),
+        "The plain model lacks one of these effects: cubic_stiffness; bouc_wen_hysteresis. The records cannot distinguish them;"
+        " cubic_stiffness is the simplest.",
     ),
     (Code.UNKNOWN_EFFECT, *("", {}), "The model lacks an effect, and no effect of the catalogue is established."),
     (
