@@ -29,6 +29,7 @@ from greybox.data.noise.repeats import (
     deviations_between_periods,
     deviations_between_repeats,
     estimate_resolution,
+    estimate_written_step,
     find_flat_pieces,
 )
 from greybox.data.noise.spectrum import (
@@ -36,6 +37,7 @@ from greybox.data.noise.spectrum import (
     LeftoverSpectrum,
     estimate_noise_of_records,
     estimate_spread,
+    is_smooth,
     leftover_spectrum,
     spectral_level,
 )
@@ -157,10 +159,10 @@ def _estimate_level(
     measured = [e for e in experiments if name in e.outputs]
     columns = [e.outputs[name] for e in measured]
     movement = float(np.nanstd(np.concatenate(columns))) or float(np.nanmax(np.abs(np.concatenate(columns)))) or 1.0
-    rounding = estimate_resolution(columns) / np.sqrt(12)
+    rounding = (estimate_resolution(columns) or estimate_written_step(columns)) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
-        or _level_of_records(measured, name, inputs, robust, policy)
+        or _level_of_records(measured, name, inputs, rounding, robust, policy)
         or _Level(movement, NoiseSource.RESIDUAL)
     )
     least = policy.min_relative_level * movement
@@ -170,14 +172,20 @@ def _estimate_level(
 
 
 def _level_of_records(
-    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+    experiments: Sequence[Experiment],
+    name: str,
+    inputs: Sequence[str],
+    rounding: float,
+    robust: bool,
+    policy: NoisePolicy,
 ) -> _Level | None:
     """The noise from flat pieces or from the plant in motion; of two ceilings the lower one.
 
     A fit weighs with what differences show where that is less than the ceiling: of white noise on a slow signal they show it closely.
+    Of a filtered record they show what the filter left at high frequencies, and no weight follows from that.
     """
     flat = _flat_level(experiments, name, inputs, robust, policy)
-    moving = _moving_level(experiments, name, inputs, robust)
+    moving, is_filtered = _moving_level(experiments, name, inputs, rounding, robust)
     levels = [level for level in (flat, moving) if level is not None]
     if not levels:
         return None
@@ -188,10 +196,10 @@ def _level_of_records(
     if about:
         return about[0]
     lowest = min(levels, key=lambda level: level.std)
-    # The signal jumps across a gap in time: no difference may reach over it.
-    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
-    differences = estimate_noise_of_records(columns, robust=robust)
     at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE)
+    if is_filtered:
+        return at_most
+    differences = estimate_noise_of_records(_break_at_gaps(experiments, name), robust=robust)
     return replace(at_most, weight=differences) if np.isfinite(differences) else at_most
 
 
@@ -239,18 +247,31 @@ def _flat_level(
     return _Level(level, NoiseSource.FLAT_PIECES, colour, BoundDirection.ABOUT, samples)
 
 
-def _moving_level(experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool) -> _Level | None:
-    """The noise while the plant moves: from what is left of the spectrum, or from differences where records are short or broken."""
+def _moving_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], rounding: float, robust: bool
+) -> tuple[_Level | None, bool]:
+    """The noise while the plant moves, and whether the records were filtered.
+
+    From what is left of the spectrum, or from differences where records are short or broken; these say nothing of filtered ones.
+    """
     spectra = [] if robust else _leftover_spectra(experiments, name, inputs)
     if spectra:
-        level = spectral_level(spectra)
+        level = spectral_level(spectra, rounding)
         if level.is_noise:
-            return _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
-        return _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
-    # The signal jumps across a gap in time: no difference may reach over it.
-    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+            about = _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
+            return about, False
+        ceiling = _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
+        return ceiling, level.is_filtered
+    columns = _break_at_gaps(experiments, name)
+    if all(map(is_smooth, columns)):
+        return None, True
     differences = estimate_noise_of_records(columns, robust=robust)
-    return _Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None
+    return (_Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None), False
+
+
+def _break_at_gaps(experiments: Sequence[Experiment], name: str) -> list[np.ndarray]:
+    """An output of each record with NaN at the gaps in time: the signal jumps there, and no difference may reach over it."""
+    return [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
 
 
 def _leftover_spectra(experiments: Sequence[Experiment], name: str, inputs: Sequence[str]) -> list[LeftoverSpectrum]:
