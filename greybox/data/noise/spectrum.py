@@ -304,6 +304,16 @@ def is_smooth(values: np.ndarray) -> bool:
     return len(estimates) == MAX_DIFFERENCE_ORDER and estimates[-1] < LEAST_LAST_SHARE * estimates[-2]
 
 
+def most_behind_a_filter(records: Iterable[np.ndarray]) -> float:
+    """The largest standard deviation of noise behind a filter that the first differences of several records allow.
+
+    Noise below the corner ``c`` (a share of half the sampling rate) has the correlation ``sin(pi c) / (pi c)`` from sample to sample, and
+    differences of the variance ``2 sigma^2`` times what is missing to one.
+    """
+    steps = np.concatenate([np.diff(np.asarray(values, float)) for values in records])
+    return estimate_spread(steps) / float(np.sqrt(2 * (1 - np.sinc(LOWEST_CORNER))))
+
+
 def _estimate_by_order(values: np.ndarray, robust: bool) -> list[float]:
     """The standard deviation that the differences of order 1, 2, ... show."""
     estimates = []

@@ -270,7 +270,7 @@ _AT_MOST = {
     NoiseSource.FLAT_PIECES: "the loudest flat pieces of the records",
     NoiseSource.SPECTRUM: "what no linear response explains of the records, nonlinear motion included",
     NoiseSource.DIFFERENCES: "differences of the records, if the noise is white",
-    NoiseSource.RESIDUAL: "the residual of the fit, which holds what the model lacks (no other source shows it)",
+    NoiseSource.RESIDUAL: "the residual of the fit, which holds what the model lacks (too few samples for another source)",
 }
 
 

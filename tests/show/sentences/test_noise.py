@@ -27,7 +27,7 @@ GOLDEN = [
     (
         NoiseSource.RESIDUAL,
         WHITE,
-        "at most the residual of the fit, which holds what the model lacks (no other source shows it)",
+        "at most the residual of the fit, which holds what the model lacks (too few samples for another source)",
     ),
     (NoiseSource.INNOVATIONS, WHITE, "estimated from the innovations (white)"),
 ]
