@@ -8,15 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base.errors import DataError
-from greybox.base.linear_algebra import decompose_symmetric
 from greybox.data.experiment import Experiment
 from greybox.estimation.noise_loop import estimate_by_simulation_error
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.predictor import FIRST_ROWS
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.initial_rows import choose_initial_rows, cut_to_first_rows
 from greybox.estimation.transcription.options import Hessian, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
 from greybox.estimation.transcription.select import select_transcription
@@ -24,7 +23,6 @@ from greybox.estimation.transcription.single_shooting import refine_step, solve_
 from greybox.estimation.transcription.solution import Solution
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
-from greybox.simulation.kernel.record import Record
 
 
 def validate(
@@ -101,7 +99,7 @@ def validate(
         variables = problem.variables
         if variables.initial.free.any():
             rows = [initial_rows] * len(problem.records) if initial_rows else choose_initial_rows(problem, skip)
-            first = _cut_to_first_rows(problem, rows)
+            first = cut_to_first_rows(problem, rows)
             single = replace(options, transcription=Transcription.SINGLE, progressive=False)
             variables = estimate_by_simulation_error(first, single).variables
         problem = _refine_until_fine(problem, variables, options)
@@ -122,58 +120,3 @@ def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, op
     at_start = replace(problem, variables=variables)
     policy = options.policy.step_refinement
     return solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
-
-
-# Share of what a whole record tells of its initial state that its first rows hold at least, along every direction: what they leave
-# adds no more than twice its squares to the run.
-INITIAL_STATE_SHARE = 0.5
-
-
-def choose_initial_rows(problem: EstimationProblem, least: int = 0) -> list[int]:
-    """First rows of each record that determine its initial state: ``least``, or 50, doubled until they do.
-
-    A slow mode, or one that an output hardly shows, takes longer. The first rows are fitted with the error that the model has there,
-    ``r``; along a direction of which they hold the share ``s`` of the information the run then errs by ``r' r / s`` at most.
-    """
-    wanted = [min(least or FIRST_ROWS, _count_samples(r)) for r in problem.records]
-    every = [_count_samples(r) for r in problem.records]
-    whole = _initial_state_information(problem)
-    while True:
-        part = _initial_state_information(_cut_to_first_rows(problem, wanted))
-        more = [
-            min(2 * rows, most) if _least_share(known, all_of_it) < INITIAL_STATE_SHARE else rows
-            for rows, most, known, all_of_it in zip(wanted, every, part, whole, strict=True)
-        ]
-        if more == wanted:
-            return wanted
-        wanted = more
-
-
-def _initial_state_information(problem: EstimationProblem) -> list[np.ndarray]:
-    """Information (states, states) of each record on its initial state where it is guessed; the constants are known."""
-    variables = problem.variables
-    information = problem.shooting().evaluate(variables.here).hessian
-    columns = [variables.columns(e) for e in range(len(problem.records))]
-    return [information[np.ix_(c, c)] for c in columns]
-
-
-def _least_share(part: np.ndarray, whole: np.ndarray) -> float:
-    """Least share of the information ``whole`` (n, n) that ``part`` holds along any direction; zero where the run fails."""
-    if not (np.isfinite(whole).all() and np.isfinite(part).all()):
-        return 0.0
-    root = np.linalg.pinv(decompose_symmetric(whole).without_doubtful().root)
-    return float(np.linalg.eigvalsh(root @ part @ root.T).min(initial=1.0))
-
-
-def _count_samples(record: Record) -> int:
-    return len(record.samples(record.y))
-
-
-def _cut_to_first_rows(problem: EstimationProblem, rows: Sequence[int]) -> EstimationProblem:
-    """The same problem on so many first rows of each record, as many as there are unknown states at least."""
-    least = 2 * len(problem.model.system.state_names)
-    records = tuple(
-        r.first((min(max(n, least), _count_samples(r)) - 1) * r.rows_per_sample + 1)
-        for n, r in zip(rows, problem.records, strict=True)
-    )
-    return replace(problem, records=records, experiments=())
