@@ -20,6 +20,8 @@ from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
 from greybox.estimation.result import Fit
+from greybox.estimation.transcription.initial_rows import FIRST_ROWS, choose_initial_rows
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
@@ -62,9 +64,12 @@ def make_likelihood(
 ) -> PredictionErrorObjective:
     """The likelihood of records with nothing unknown but the first states, and the outputs' noise where that is neither given
     nor known from a quiet record."""
+    return PredictionErrorObjective.of(_prepare_known(given, experiments))
+
+
+def _prepare_known(given: FixedParameterModel, experiments: Experiment | Sequence[Experiment]) -> EstimationProblem:
     frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
-    problem = prepare_estimation(frozen, experiments, given.noise, options)
-    return PredictionErrorObjective.of(problem)
+    return prepare_estimation(frozen, experiments, given.noise, options)
 
 
 def estimate_initial_state(
@@ -196,10 +201,6 @@ class PredictingModel(Protocol):
         """Outputs by name (N,), each row from the measurements up to ``steps`` rows before it."""
 
 
-# Rows from which they are estimated where the rest of the record is to be predicted or judged.
-FIRST_ROWS = 50
-
-
 @dataclass(frozen=True)
 class Predictor:
     """A model with known constants and what corrects it at each sample (`PredictionCorrection`), ready for any record."""
@@ -219,7 +220,8 @@ class Predictor:
         steps
             How many samples ahead; the first ``steps`` rows are those of the free run.
         initial
-            First states by name; None estimates them from the first 50 rows (or takes the declared ones, with ``options.at_rest``).
+            First states by name; None estimates them from so many first rows that these determine them (or takes the declared ones,
+            with ``options.at_rest``).
 
         Returns
         -------
@@ -253,7 +255,10 @@ class Predictor:
         model = self.correction.model
         given = FixedParameterModel(model, self.correction.noise, self.options)
         if initial is None:
-            return estimate_initial_state(make_likelihood(given, experiment), self.options, FIRST_ROWS)
+            problem = _prepare_known(given, experiment)
+            # A filter forgets how it began; a free run carries its start along.
+            rows = FIRST_ROWS if model.noisy_states else choose_initial_rows(problem)[0]
+            return estimate_initial_state(PredictionErrorObjective.of(problem), self.options, rows)
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]
         if unknown:

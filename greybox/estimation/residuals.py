@@ -427,8 +427,8 @@ def score(
     """Root mean square errors of the free run and of predictions some samples ahead.
 
     What corrects a fit from sample to sample comes from its own records and never from those being judged; of a model that was not
-    fitted it comes from ``experiments`` (`greybox.estimation.predictor`). The first states of other records than the fit's own are
-    estimated from their first rows.
+    fitted it comes from ``experiments`` (`greybox.estimation.predictor`). The free run of a record that the fit was made of or validated
+    on is the one that the fit has; the first states of other records are estimated from their first rows.
 
     Parameters
     ----------
@@ -469,8 +469,9 @@ def score(
         if isinstance(model, Fit | Model)
         else model
     )
-    traces = model.traces if isinstance(model, Fit) and not group else [None] * len(judged)
-    runs = [_run_record(ready, e, steps, trace) for e, trace in zip(judged, traces, strict=True)]
+    traces = (model.validation.traces if group else model.traces) if isinstance(model, Fit) else ()
+    known = {t.fingerprint: t for t in traces}
+    runs = [_run_record(ready, e, steps, known.get(e.fingerprint)) for e in judged]
     correction = str(ready.correction) if isinstance(ready, Predictor) else "its own noise model"
     units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
     outputs = {}
@@ -505,7 +506,7 @@ def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> No
 def _run_record(
     model: Predictor, experiment: Experiment, steps: Sequence[int], trace: Trace | None
 ) -> tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]:
-    """Free run and predictions of one record by output; ``trace``: the free run of a record of the fit, whose first states are known."""
+    """Free run and predictions of one record by output; ``trace``: the free run that the fit has of it, whose first states are known."""
     if trace is None:
         return model.simulate(experiment), {k: model.predict(experiment, steps=k) for k in steps}
     return trace.simulated, {k: model.predict(experiment, steps=k, initial=trace.initial_state) for k in steps}

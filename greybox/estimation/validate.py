@@ -13,9 +13,9 @@ from greybox.estimation.noise_loop import estimate_by_simulation_error
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.predictor import FIRST_ROWS
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.initial_rows import choose_initial_rows, cut_to_first_rows
 from greybox.estimation.transcription.options import Hessian, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
 from greybox.estimation.transcription.select import select_transcription
@@ -36,7 +36,8 @@ def validate(
 ) -> Validation:
     """Run ``model`` freely over records that were not used to fit it and measure the error; the parameters are kept.
 
-    The initial state is the declared one (``options.at_rest``), or estimated from the first rows. An unstable model cannot run freely
+    The initial state is the declared one (``options.at_rest``), or estimated from so many first rows that they determine it: half of
+    what the whole record tells of it. An unstable model cannot run freely
     for long: there the initial state is estimated from the whole record, ``at_rest`` or not, and the run is that of segments that meet.
     With a robust ``options.loss`` outliers among the first rows do not spoil it.
 
@@ -51,7 +52,8 @@ def validate(
     skip
         Rows at the beginning of each record that the errors leave out.
     initial_rows
-        Rows from which the initial state is estimated; 0 takes the ``skip`` rows, or the first 50.
+        Rows from which the initial state is estimated; 0 takes the ``skip`` rows or the first 50, and more where they do not
+        determine it.
     options
         Options of the fit.
 
@@ -96,7 +98,8 @@ def validate(
     else:
         variables = problem.variables
         if variables.initial.free.any():
-            first = _cut_to_first_rows(problem, initial_rows or skip or FIRST_ROWS)
+            rows = [initial_rows] * len(problem.records) if initial_rows else choose_initial_rows(problem, skip)
+            first = cut_to_first_rows(problem, rows)
             single = replace(options, transcription=Transcription.SINGLE, progressive=False)
             variables = estimate_by_simulation_error(first, single).variables
         problem = _refine_until_fine(problem, variables, options)
@@ -117,9 +120,3 @@ def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, op
     at_start = replace(problem, variables=variables)
     policy = options.policy.step_refinement
     return solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
-
-
-def _cut_to_first_rows(problem: EstimationProblem, rows: int) -> EstimationProblem:
-    """The same problem on the first rows only, as many as there are unknown states at least."""
-    least = max(rows, 2 * len(problem.model.system.state_names))
-    return replace(problem, records=tuple(r.first(min(least, len(r.u))) for r in problem.records), experiments=())

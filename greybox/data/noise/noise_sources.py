@@ -29,6 +29,7 @@ from greybox.data.noise.repeats import (
     deviations_between_periods,
     deviations_between_repeats,
     estimate_resolution,
+    estimate_written_step,
     find_flat_pieces,
 )
 from greybox.data.noise.spectrum import (
@@ -36,7 +37,9 @@ from greybox.data.noise.spectrum import (
     LeftoverSpectrum,
     estimate_noise_of_records,
     estimate_spread,
+    is_smooth,
     leftover_spectrum,
+    most_behind_a_filter,
     spectral_level,
 )
 from greybox.data.problems import is_constant
@@ -53,6 +56,8 @@ class _Level:
     samples: float = np.inf
     weight: float = np.inf
     """Standard deviation to weigh with, where the level is only a ceiling and the noise most likely smaller."""
+    is_hidden: bool = False
+    """Whether the record was filtered, so that the weight is no more than a guess."""
 
     def to_bound(self, period: float) -> NoiseBound:
         """What it says, with samples ``period`` apart in s."""
@@ -115,8 +120,10 @@ def estimate_noise(
         columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
         if any(np.isfinite(c).any() for c in columns):
             level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
-            std[j], colour[j] = min(level.std, level.weight), level.colour
-            levels[output.name] = level
+            colour[j], levels[output.name] = level.colour, level
+    weights = _weigh_outputs(levels, experiments)
+    for j, output in enumerate(model.outputs):
+        std[j] = weights.get(output.name, 1.0)
     for name in _find_silent_outputs(levels, experiments):
         del levels[name]
     sources = {name: level.source for name, level in levels.items()}
@@ -124,6 +131,26 @@ def estimate_noise(
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
     return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds)
+
+
+def _weigh_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> dict[str, float]:
+    """The standard deviation that each output is weighed with.
+
+    What a filter left of a noise is no reason to follow one output more closely than the others: over its movement it weighs as the
+    output that is weighed least, unless its ceiling is lower.
+    """
+    weights = {name: min(level.std, level.weight) for name, level in levels.items()}
+    movement = {name: _measure_movement([e.outputs[name] for e in experiments if name in e.outputs]) for name in levels}
+    told = [name for name, level in levels.items() if level.source is not NoiseSource.RESIDUAL]
+    share = max((weights[name] / movement[name] for name in told), default=0.0)
+    hidden = {n: min(level.std, max(weights[n], share * movement[n])) for n, level in levels.items() if level.is_hidden}
+    return weights | hidden
+
+
+def _measure_movement(columns: Sequence[np.ndarray]) -> float:
+    """Standard deviation of an output over its records; of one that stands still its size, or one."""
+    values = np.concatenate(columns)
+    return float(np.nanstd(values)) or float(np.nanmax(np.abs(values))) or 1.0
 
 
 # Fewest samples of a quiet record from which the level is taken.
@@ -156,11 +183,11 @@ def _estimate_level(
         return _Level(given[name], NoiseSource.GIVEN, colour)
     measured = [e for e in experiments if name in e.outputs]
     columns = [e.outputs[name] for e in measured]
-    movement = float(np.nanstd(np.concatenate(columns))) or float(np.nanmax(np.abs(np.concatenate(columns)))) or 1.0
-    rounding = estimate_resolution(columns) / np.sqrt(12)
+    movement = _measure_movement(columns)
+    rounding = (estimate_resolution(columns) or estimate_written_step(columns)) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
-        or _level_of_records(measured, name, inputs, robust, policy)
+        or _level_of_records(measured, name, inputs, rounding, robust, policy)
         or _Level(movement, NoiseSource.RESIDUAL)
     )
     least = policy.min_relative_level * movement
@@ -170,14 +197,19 @@ def _estimate_level(
 
 
 def _level_of_records(
-    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
+    experiments: Sequence[Experiment],
+    name: str,
+    inputs: Sequence[str],
+    rounding: float,
+    robust: bool,
+    policy: NoisePolicy,
 ) -> _Level | None:
     """The noise from flat pieces or from the plant in motion; of two ceilings the lower one.
 
     A fit weighs with what differences show where that is less than the ceiling: of white noise on a slow signal they show it closely.
     """
     flat = _flat_level(experiments, name, inputs, robust, policy)
-    moving = _moving_level(experiments, name, inputs, robust)
+    moving = _moving_level(experiments, name, inputs, rounding, robust)
     levels = [level for level in (flat, moving) if level is not None]
     if not levels:
         return None
@@ -188,10 +220,10 @@ def _level_of_records(
     if about:
         return about[0]
     lowest = min(levels, key=lambda level: level.std)
-    # The signal jumps across a gap in time: no difference may reach over it.
-    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
-    differences = estimate_noise_of_records(columns, robust=robust)
-    at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE)
+    # Where the noise is hidden in motion, so are the differences.
+    is_hidden = moving is not None and moving.is_hidden
+    at_most = replace(lowest, direction=BoundDirection.AT_MOST, colour=WHITE, is_hidden=is_hidden)
+    differences = estimate_noise_of_records(_break_at_gaps(experiments, name), robust=robust)
     return replace(at_most, weight=differences) if np.isfinite(differences) else at_most
 
 
@@ -239,18 +271,30 @@ def _flat_level(
     return _Level(level, NoiseSource.FLAT_PIECES, colour, BoundDirection.ABOUT, samples)
 
 
-def _moving_level(experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool) -> _Level | None:
+def _moving_level(
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], rounding: float, robust: bool
+) -> _Level | None:
     """The noise while the plant moves: from what is left of the spectrum, or from differences where records are short or broken."""
     spectra = [] if robust else _leftover_spectra(experiments, name, inputs)
     if spectra:
-        level = spectral_level(spectra)
+        level = spectral_level(spectra, rounding)
         if level.is_noise:
             return _Level(level.std, NoiseSource.SPECTRUM, level.colour, BoundDirection.ABOUT, level.freedom / 2)
-        return _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
-    # The signal jumps across a gap in time: no difference may reach over it.
-    columns = [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
+        ceiling = _Level(level.most, NoiseSource.SPECTRUM, WHITE, BoundDirection.AT_MOST, level.freedom / 2)
+        return replace(ceiling, is_hidden=level.is_filtered)
+    columns = _break_at_gaps(experiments, name)
     differences = estimate_noise_of_records(columns, robust=robust)
-    return _Level(differences, NoiseSource.DIFFERENCES) if np.isfinite(differences) else None
+    if not np.isfinite(differences):
+        return None
+    if all(map(is_smooth, columns)):
+        most = min(most_behind_a_filter(columns), _measure_movement(columns))
+        return _Level(most, NoiseSource.DIFFERENCES, weight=differences, is_hidden=True)
+    return _Level(differences, NoiseSource.DIFFERENCES)
+
+
+def _break_at_gaps(experiments: Sequence[Experiment], name: str) -> list[np.ndarray]:
+    """An output of each record with NaN at the gaps in time: the signal jumps there, and no difference may reach over it."""
+    return [np.insert(e.outputs[name], find_time_gaps(e.time) + 1, np.nan) for e in experiments]
 
 
 def _leftover_spectra(experiments: Sequence[Experiment], name: str, inputs: Sequence[str]) -> list[LeftoverSpectrum]:

@@ -242,6 +242,24 @@ def estimate_resolution(columns: Sequence[np.ndarray]) -> float:
     return float(np.quantile(steps, CODE_STEP))
 
 
+# Fewest different readings that can show that all of them lie on a grid.
+FEWEST_ON_GRID = 20
+# Share of its step by which a reading may lie off the grid: the arithmetic of long numbers.
+OFF_GRID = 0.01
+
+
+def estimate_written_step(columns: Sequence[np.ndarray]) -> float:
+    """The last digit with which readings were written, or the codes of a sensor, where all lie on one grid; 0 where they do not."""
+    values = np.concatenate([c[np.isfinite(c)] for c in columns]) if columns else np.zeros(0)
+    steps = np.diff(np.unique(values))
+    # One reading computed in two ways differs in its last bits.
+    steps = steps[steps > 4 * np.spacing(np.abs(values).max(initial=0.0))]
+    if len(steps) < FEWEST_ON_GRID:
+        return 0.0
+    in_steps = steps / steps.min()
+    return float(steps.min()) if np.abs(in_steps - np.round(in_steps)).max() <= OFF_GRID else 0.0
+
+
 # Fewest rows of the settled end of a stretch with the input at rest.
 FLAT_MIN_ROWS = 10
 

@@ -6,7 +6,8 @@ explain is noise, and what the plant does nonlinearly (the local polynomial meth
 identification: a frequency domain approach, chapter 7). So the result is never less than the noise, however fast the signal is.
 
 What is left is noise alone where it has the spectrum of a sensor: flat, or that of one time constant. Such a band is looked for from
-the highest frequency down.
+the highest frequency down. A record that was filtered or sampled far above what its sensor follows has no such band: what is left
+falls off up to half the sampling rate, or down to the rounding of the numbers, and says nothing of the noise that was let through.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtr
 
-from greybox.base.numerics import MAD_TO_STD
+from greybox.base.numerics import MAD_TO_STD, TINY
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.data.problems import is_constant
 
@@ -61,6 +62,8 @@ class SpectralLevel:
         From sample to sample.
     freedom
         Degrees of freedom of the level.
+    is_filtered
+        Whether a filter took the noise at high frequencies away: then neither they nor differences of the record show its level.
     """
 
     std: float
@@ -68,6 +71,7 @@ class SpectralLevel:
     is_noise: bool
     correlation: float
     freedom: float
+    is_filtered: bool = False
 
     @property
     def colour(self) -> AutoRegression:
@@ -127,21 +131,55 @@ NOISE_BAND_BEGINS: tuple[float, ...] = (0.0, 0.1, 0.25, 0.4, 0.55, 0.7)
 SIGNAL_SHARE = 4.0
 
 
-def spectral_level(spectra: list[LeftoverSpectrum]) -> SpectralLevel:
-    """The noise of a sensor from what is left of its records."""
+def spectral_level(spectra: list[LeftoverSpectrum], rounding: float = 0.0) -> SpectralLevel:
+    """The noise of a sensor from what is left of its records, whose numbers have an error of rounding of this standard deviation."""
     frequency, power, freedom, measured = (
         np.concatenate([getattr(s, name) for s in spectra]) for name in ("frequency", "power", "freedom", "measured")
     )
+    is_filtered = _is_filtered(frequency, power, freedom, rounding)
     without_signal = measured <= SIGNAL_SHARE * power
     most = _most_of_a_sensor(frequency, power, freedom)
     for begin in NOISE_BAND_BEGINS:
+        if begin and is_filtered:  # the upper bands alone show what a filter left there
+            most = _most_of_a_filter(frequency, power, freedom)
+            break
         band = frequency >= begin * np.pi
         level = _fit_sensor(frequency[band], power[band], freedom[band])
         if level is not None and level.is_noise and without_signal[band].all():
             return level
         if level is not None:
             most = min(most, level.most)
-    return SpectralLevel(most, most, False, 0.0, float(freedom.sum()))
+    return SpectralLevel(most, most, False, 0.0, float(freedom.sum()), is_filtered)
+
+
+# Times the rounding of the numbers up to which the floor of the highest frequencies shows this rounding, and no sensor.
+ROUNDING_FLOOR = 2.0
+# Pairs of bands, as shares of half the sampling rate, the upper one directly above the lower one. In each the power left falls where
+# a filter acts; above the end of an excitation it does not in the second.
+END_BANDS: tuple[tuple[float, float], ...] = ((0.55, 0.85), (0.7, 0.9))
+# Probability that the power left by a sensor without a filter falls by so much.
+FALL_CHANCE = 0.001
+
+
+def _is_filtered(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, rounding: float) -> bool:
+    """Whether a filter took the noise away at high frequencies.
+
+    What is left then falls up to half the sampling rate by more than the noise of any sensor, or down to the rounding.
+    """
+    relative = power / sensor_shape(frequency, NOISE_LONGEST_CORRELATION)
+    pairs = [(frequency >= begin * np.pi, frequency >= end * np.pi) for begin, end in END_BANDS]
+    if not all(upper.any() and (above & ~upper).any() for above, upper in pairs):
+        return False
+    upper = pairs[0][1]
+    if np.average(power[upper], weights=freedom[upper]) <= (ROUNDING_FLOOR * rounding) ** 2:
+        return True
+    chances = []
+    for above, upper in pairs:
+        lower = above & ~upper
+        high, low = (float(np.average(relative[band], weights=freedom[band])) for band in (upper, lower))
+        # Two mean powers of the same noise have a ratio of Fisher's distribution.
+        chances.append(fdtr(freedom[upper].sum(), freedom[lower].sum(), high / low) if low > 0 else 1.0)
+    return max(chances) <= FALL_CHANCE
 
 
 def _join_bands(spectrum: LeftoverSpectrum, most: int) -> LeftoverSpectrum:
@@ -214,6 +252,26 @@ def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndar
     return float(np.sqrt(most))
 
 
+# Lowest corner of a filter, as a share of half the sampling rate: its noise remembers twenty samples, as the longest of a sensor does.
+LOWEST_CORNER = 0.05
+# Orders of the filters that are tried: from the gentlest to one that is as good as a cut.
+FILTER_ORDERS: tuple[int, ...] = (1, 2, 4, 8, 32)
+
+
+def _most_of_a_filter(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -> float:
+    """The largest standard deviation of white noise behind a filter whose spectrum nowhere exceeds what is left."""
+    corners = np.geomspace(LOWEST_CORNER, 1.0, CORRELATION_STEPS, endpoint=False)
+    most = 0.0
+    for corner in corners:
+        for order in FILTER_ORDERS:
+            # Butterworth's, sampled by the bilinear transform
+            above = np.tan(frequency / 2) / np.tan(np.pi * corner / 2)
+            shape = 1 / (1 + above ** (2 * order))
+            passed = float(np.average(shape, weights=freedom))
+            most = max(most, passed * float(np.min(power / np.maximum(shape, TINY))))
+    return float(np.sqrt(most))
+
+
 # The noise level of a sensor from the record itself, where it is not given.
 
 
@@ -221,6 +279,9 @@ def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndar
 MAX_DIFFERENCE_ORDER = 8
 # Fewest differences from which a standard deviation is computed.
 MIN_DIFFERENCES = 10
+# Share of the estimate from the order below that the highest order leaves at least of a sensor's noise: 0.99 of a correlated one. Of what
+# a filter made smooth it leaves less, however high the order.
+LEAST_LAST_SHARE = 0.9
 
 
 def estimate_noise_from_differences(values: np.ndarray, *, robust: bool = False) -> float:
@@ -231,6 +292,30 @@ def estimate_noise_from_differences(values: np.ndarray, *, robust: bool = False)
     may contain NaN (differences that touch a gap are left out). ``robust`` takes the median of the differences' sizes, which a few
     outliers do not move (each of them is in ``d + 1`` differences). Returns NaN with fewer than ten usable differences.
     """
+    return min(_estimate_by_order(values, robust), default=float("nan"))
+
+
+def is_smooth(values: np.ndarray) -> bool:
+    """Whether the differences of ``values`` (N,) still fall at the highest order: noise of a sensor would have stopped them.
+
+    Such a record was filtered, or has no noise at all.
+    """
+    estimates = _estimate_by_order(values, robust=False)
+    return len(estimates) == MAX_DIFFERENCE_ORDER and estimates[-1] < LEAST_LAST_SHARE * estimates[-2]
+
+
+def most_behind_a_filter(records: Iterable[np.ndarray]) -> float:
+    """The largest standard deviation of noise behind a filter that the first differences of several records allow.
+
+    Noise below the corner ``c`` (a share of half the sampling rate) has the correlation ``sin(pi c) / (pi c)`` from sample to sample, and
+    differences of the variance ``2 sigma^2`` times what is missing to one.
+    """
+    steps = np.concatenate([np.diff(np.asarray(values, float)) for values in records])
+    return estimate_spread(steps) / float(np.sqrt(2 * (1 - np.sinc(LOWEST_CORNER))))
+
+
+def _estimate_by_order(values: np.ndarray, robust: bool) -> list[float]:
+    """The standard deviation that the differences of order 1, 2, ... show."""
     estimates = []
     variance, difference = 1.0, np.asarray(values, float)
     for order in range(1, MAX_DIFFERENCE_ORDER + 1):
@@ -239,7 +324,7 @@ def estimate_noise_from_differences(values: np.ndarray, *, robust: bool = False)
         usable = difference[np.isfinite(difference)]
         if len(usable) >= MIN_DIFFERENCES:
             estimates.append(estimate_spread(usable, robust=robust) / float(np.sqrt(variance)))
-    return min(estimates, default=float("nan"))
+    return estimates
 
 
 def estimate_noise_of_records(records: Iterable[np.ndarray], *, robust: bool = False) -> float:

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.data.noise.noise_sources import estimate_noise
-from greybox.data.noise.repeats import estimate_resolution
+from greybox.data.noise.repeats import estimate_resolution, estimate_written_step
 from greybox.data.noise.spectrum import leftover_spectrum, spectral_level
 
 ROWS = 2500
@@ -130,6 +130,63 @@ def test_a_fit_weighs_with_differences_below_the_ceiling():
     assert estimate_noise(model(), [quick], {}).std[0] == pytest.approx(fast, rel=0.3)
 
 
+# Filters between a sensor and its record, corner over half the sampling rate.
+FILTERS = {
+    "first order": butter(1, 0.2),
+    "second order": butter(2, 0.1),
+    "fourth order": butter(4, 0.1),
+    "fourth order, high": butter(4, 0.4),
+}
+
+
+def filtered_noise(name, rng, rows=ROWS):
+    """White noise behind a filter, with a standard deviation of one."""
+    noise = lfilter(*FILTERS[name], rng.normal(size=rows + 500))[500:]
+    return noise / noise.std()
+
+
+@pytest.mark.parametrize("digits", [None, 4])
+@pytest.mark.parametrize("filter_name", FILTERS)
+@pytest.mark.parametrize("kind", ["slow multisine", "steps"])
+@pytest.mark.parametrize("plant", [resonance, hardening])
+def test_what_a_filter_took_away_says_nothing_of_what_it_let_through(plant, kind, filter_name, digits):
+    rng = np.random.default_rng(9)
+    make, top = SIGNALS[kind]
+    u = make(rng, top)
+    y = plant(u)
+    y = y / y.std() + 0.01 * filtered_noise(filter_name, rng)
+    record = Experiment("r", 0.01 * np.arange(ROWS), {"u": u}, {"y": y if digits is None else np.round(y, digits)})
+    assert estimate_noise(model(), [record], {}).bound("y").ceiling > 0.008
+
+
+def test_a_filtered_output_does_not_outweigh_an_unfiltered_one():
+    rng = np.random.default_rng(10)
+    u = multisine(rng, 0.05)
+    y = resonance(u) / resonance(u).std()
+    outputs = {"y": y + 0.01 * filtered_noise("fourth order", rng), "z": y + 0.01 * rng.normal(size=ROWS)}
+    record = Experiment("r", 0.01 * np.arange(ROWS), {"u": u}, outputs)
+    noise = estimate_noise(model(("y", "z")), [record], {})
+    assert 0.3 < noise.std[0] / noise.std[1] < 3
+
+
+def test_differences_of_a_short_record_bound_noise_that_was_filtered_too():
+    rng = np.random.default_rng(11)
+    slow = np.sin(0.03 * np.arange(100))
+    bounds = {}
+    for name, noise in ("filtered", filtered_noise("fourth order", rng, 100)), ("white", rng.normal(size=100)):
+        bounds[name] = bound_of(np.zeros(100), slow + 0.01 * noise)
+    assert {bound.source for bound in bounds.values()} == {NoiseSource.DIFFERENCES}
+    assert bounds["white"].level == pytest.approx(0.01, rel=0.2)
+    assert bounds["filtered"].level > 0.008
+
+
+def test_written_digits_are_a_grid():
+    rng = np.random.default_rng(12)
+    assert estimate_written_step([np.round(rng.normal(size=500), 4)]) == pytest.approx(1e-4)
+    assert estimate_written_step([rng.normal(size=500)]) == 0.0
+    assert estimate_written_step([np.array([0.0, 1.0])]) == 0.0
+
+
 def test_drift_is_no_noise():
     rng = np.random.default_rng(4)
     u = np.repeat([0.0, 1.0, 0.0, 2.0], 500)
@@ -176,13 +233,16 @@ def test_a_hysteresis_without_noise_is_not_called_noise():
     level = spectral_level([leftover_spectrum(force[::fine][:, None], y)])
     linear_misfit = np.sqrt(leftover_spectrum(force[::fine][:, None], y).power.mean())
     assert not level.is_noise
-    assert level.most < 0.2 * linear_misfit
+    # A record without noise is one of which a filter took all.
+    assert level.is_filtered and level.most < linear_misfit
 
 
 @pytest.mark.parametrize(
     ("file", "inputs", "output", "low", "high"),
     [
-        ("silverbox/train_multisine.csv", [1], 2, 1e-6, 2.4e-4),
+        # Both were filtered: the best models leave 2.3e-4 V of the one; the encoder of the other has steps of some 1e-7 m.
+        ("silverbox/train_multisine.csv", [1], 2, 2.3e-4, 1e-3),
+        ("emps/train.csv", [1], 2, 1e-7, 1e-5),
         ("cascaded_tanks/train.csv", [1], 2, 1e-3, 0.2),
         ("hydraulic_motor/train.csv", [1], 2, 1e-3, 0.03),
         ("hanging_load/train.csv", [3], 2, 5e-4, 0.01),

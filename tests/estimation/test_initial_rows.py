@@ -1,0 +1,115 @@
+"""From how many rows the initial state of a judged run is estimated: as many as determine it."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
+from greybox.estimation.options import prepare_estimation
+from greybox.estimation.residuals import score
+from greybox.estimation.transcription.initial_rows import FIRST_ROWS, choose_initial_rows
+from greybox.estimation.validate import validate
+
+STEP = 5e-4
+
+
+def linear_run(a, b, x, u, step=STEP):
+    """States (N, nx) of ``x' = a x + b u`` with a held input, by the matrix exponential."""
+    n = len(a)
+    whole = expm(step * np.block([[a, b[:, None]], [np.zeros((1, n + 1))]]))
+    rows = []
+    for value in u:
+        rows.append(x)
+        x = whole[:n, :n] @ x + whole[:n, n] * value
+    return np.array(rows)
+
+
+# A drive on a spring, and behind it two slow states that only push: seconds beside milliseconds.
+DRIVE = {"g": 50.0, "d": 20.0, "k": 400.0, "a": 300.0, "b": 2.0, "s": 2.0, "c": 5.0, "t": 1.0}
+DRIVE_UNITS = ("m/(A*s^2)", "1/s", "1/s^2", "1/s", "1/s", "1/s", "m/(A*s^3)", "1/s")
+
+
+def drive():
+    def balances(x, u, p):
+        return [
+            Balance("position", "m/s", 1, "x", motion=x.v),
+            Balance("force", "m/s^2", 1, "v", drive=p.g * x.i, drag=-p.d * x.v, spring=-p.k * x.x, load=x.w),
+            Balance("current", "A/s", 1, "i", supply=p.a * u.u, loss=-p.a * x.i),
+            Balance("slow", "m/s^3", 1, "w", fed=p.b * x.q, decay=-p.s * x.w),
+            Balance("slower", "m/s^3", 1, "q", fed=p.c * u.u, decay=-p.t * x.q),
+        ]
+
+    states = [State("x", "m"), State("v", "m/s"), State("i", "A"), State("w", "m/s^2"), State("q", "m/s^2")]
+    parameters = [Parameter(n, unit, v) for (n, v), unit in zip(DRIVE.items(), DRIVE_UNITS, strict=True)]
+    return Model("drive", states, [Input("u", "A")], [Output("x", "m")], parameters, balances)
+
+
+def drive_record(seed=0, rows=12000, noise=1e-4):
+    rng = np.random.default_rng(seed)
+    p = DRIVE
+    u = np.repeat(rng.normal(size=rows // 200), 200)
+    a = np.zeros((5, 5))
+    a[0, 1] = 1.0
+    a[1] = -p["k"], -p["d"], p["g"], 1.0, 0.0
+    a[2, 2] = -p["a"]
+    a[3, 3:] = -p["s"], p["b"]
+    a[4, 4] = -p["t"]
+    x = linear_run(a, np.array([0, 0, p["a"], 0, p["c"]]), np.array([0.02, 0.1, 0.3, 1.0, 2.0]), u)[:, 0]
+    return Experiment.from_arrays(
+        STEP * np.arange(rows), inputs={"u": u}, outputs={"x": x + noise * rng.normal(size=rows)}
+    )
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_a_state_that_a_few_rows_do_not_show_is_estimated_from_more(noise):
+    # 25 ms determine neither of the two slow states: from these the error is some thousand times the noise
+    judged = validate(drive(), drive_record(noise=noise), noise={"x": noise})
+    assert judged.misfit["x"].noise_ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_rows_that_were_asked_for_are_taken():
+    judged = validate(drive(), drive_record(), noise={"x": 1e-4}, initial_rows=50)
+    assert judged.misfit["x"].noise_ratio > 100
+
+
+def first_order(rate):
+    def balances(x, u, p):
+        return [Balance("storage", "V/s", 1, "y", decay=-p.a * x.y, input=p.a * u.u)]
+
+    return Model(
+        "lag", [State("y", "V")], [Input("u", "V")], [Output("y", "V")], [Parameter("a", "1/s", rate)], balances
+    )
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0, 200.0])
+def test_the_rows_follow_from_the_time_constant(rate):
+    # y = exp(-a t): the rows up to t hold the share 1 - exp(-2 a t) of the information
+    rows = 4000
+    record = Experiment.from_arrays(
+        STEP * np.arange(rows),
+        inputs={"u": np.zeros(rows)},
+        outputs={"y": np.exp(-rate * STEP * np.arange(rows))},
+        allow_constant_input=True,
+    )
+    model = first_order(rate)
+    problem = prepare_estimation(model.fix("a"), record, {"y": 1e-3}, FitOptions())
+    every = 1 - np.exp(-2 * rate * STEP * rows)
+    half = -np.log(1 - 0.5 * every) / (2 * rate * STEP)
+    (chosen,) = choose_initial_rows(problem)
+    assert max(half, FIRST_ROWS) <= chosen <= max(2 * half + 1, FIRST_ROWS)
+
+
+def test_one_free_run_has_one_error():
+    rng = np.random.default_rng(3)
+    rate, rows = 5.0, 3000
+    records = []
+    for _ in range(2):
+        u = np.repeat(rng.normal(size=rows // 100), 100)
+        y = linear_run(np.array([[-rate]]), np.array([rate]), np.array([1.0]), u)[:, 0]
+        # what the model lacks is no noise
+        y = y + 0.2 * y**2 + 1e-3 * rng.normal(size=rows)
+        records.append(Experiment.from_arrays(STEP * np.arange(rows), inputs={"u": u}, outputs={"y": y}))
+    found = fit(first_order(3.0), records[0], noise={"y": 1e-3}, validation=records[1])
+    table = score(found, records[1], steps=(1,)).outputs["y"]
+    assert table.free_run == found.validation.misfit["y"].rmse
+    assert table.prediction[1] < table.free_run
