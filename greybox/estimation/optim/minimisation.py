@@ -133,6 +133,7 @@ class Termination:
 
     def test(self, z: np.ndarray, value: QuadraticModel) -> TerminationStatus | None:
         """How the search ends at ``z`` (n,), where the minimised function is ``value``; None where it goes on."""
+        # Within bounds: a constant pressed against its bound has a slope for ever, and gains nothing by it.
         if self.is_negligible(value.predicted_decrease(*measure_room(z, self.low, self.high)), value.cost):
             return TerminationStatus.CONVERGED
         return TerminationStatus.ACCEPTABLE if self.is_flat(value.cost) else None
@@ -144,6 +145,8 @@ class Termination:
     def is_flat(self, cost: float) -> bool:
         """Whether the last iterations gained next to nothing, ``cost`` being that of the newest."""
         self.costs.append(cost)
+        # A share of the cost for a sum of squares; a likelihood may be any number, zero included, and counts in
+        # units of one.
         patience, whole = self.policy.patience, 1.0 if self.count is None else cost
         return len(self.costs) > patience and self.costs[-1 - patience] - cost <= self.policy.little_gain * whole
 
@@ -258,6 +261,7 @@ class Minimisation:
         """Whether the last iteration gained what the quadratic model predicted before it (``predicts_well`` keeps the answer)."""
         before, predicted = self._predicted
         self._predicted = self.best_cost, self.predict_decrease(low, high)
+        # Compared at the best points, not at trials: IPOPT may have shortened its step in between.
         self.predicts_well = before - self.best_cost >= GOOD_SHARE * predicted
         return self.predicts_well
 
@@ -284,6 +288,7 @@ def stop_on_interrupt(search: Stoppable) -> Iterator[None]:
         return
 
     def request_stop(*_: object) -> None:
+        # A second Ctrl-C does not wait for the iteration.
         if search.stop:
             raise KeyboardInterrupt
         search.stop = True
