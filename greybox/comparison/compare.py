@@ -226,6 +226,7 @@ def compare_named(
     training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
     if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
+    # Rows that determine the initial state are not judged as well.
     skip = max(skip, beginning)
     shortest = min((e.rows for e in validation), default=skip + COMPARISON_FEWEST_ROWS)
     if skip < 0 or shortest - skip < COMPARISON_FEWEST_ROWS:
@@ -393,6 +394,7 @@ def _compute_bic(training: Mapping[str, ComparisonScore], parameters: int) -> fl
     if not count:
         return np.nan
     with np.errstate(divide="ignore"):
+        # Outputs have their own noise: N ln V each, one price for all parameters.
         fit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
     return float(fit + parameters * np.log(count))
 
