@@ -179,12 +179,15 @@ def bootstrap(
     for e, (r, slopes) in enumerate(residuals.rows):
         loudness = residuals.log_variance[e] if residuals.log_variance else None
         gradient[:, v.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
+    # Fitted residuals are too small by the unknowns: N / (N - p) of the variance is given back.
     gradient *= np.sqrt(count / max(count - size, 1))
+    # A prior is one more measurement: in each replicate it has an error of its own.
     gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
     inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
     information = residuals.compute_information(v) + np.diag(prior)
+    # z* = -(J'J + P)^-1 J'r*
     steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(information[np.ix_(inside, inside)])
     return _summarise(v, steps[:, : len(v.which)], block, policy)
 
@@ -245,6 +248,7 @@ def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: Bootstr
         samples[:, k] = place(steps[:, k])
         std[name] = float(samples[:, k].std(ddof=1))
         upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
+        # Basic interval: the error of the estimate is that of the replicates, so that the quantiles change sides.
         ends = place(np.array([-lower, -upper]))
         interval[name] = (float(ends[0]), float(ends[1]))
     return Bootstrap(v.names, samples, std, interval, block, policy)
