@@ -10,12 +10,13 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import (
+    DEFAULT_COMPARISON,
     BlackBoxModel,
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonPolicy,
     ComparisonRun,
     ComparisonScore,
     compute_score,

@@ -10,8 +10,7 @@ import numpy as np
 
 from greybox.estimation.objective import Objective, PredictionErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import TerminationPolicy
+from greybox.estimation.optim.minimisation import Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback

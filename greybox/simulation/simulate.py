@@ -22,8 +22,7 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import choose_substeps, discretise
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record

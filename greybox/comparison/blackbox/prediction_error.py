@@ -40,8 +40,7 @@ from greybox.comparison.blackbox.polynomial import (
 )
 from greybox.comparison.blackbox.responses import compute_initial_responses, predict_ahead
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import MinimisationPolicy
+from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 HistoryTreatment = Literal["estimated", "zero"]

@@ -7,8 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from greybox.base.numerics import LOST_IN_ROUNDING, SUM_TO_ONE_WEIGHT, TINY
-from greybox.estimation.optim.minimisation import Minimisation, TerminationStatus
-from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy
+from greybox.estimation.optim.minimisation import (
+    GaussNewtonPolicy,
+    GradientSamplingPolicy,
+    Minimisation,
+    TerminationStatus,
+)
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 # Least factor on the damping after a step that gains what its quadratic model predicts (Nielsen 1999).

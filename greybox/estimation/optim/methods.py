@@ -11,15 +11,16 @@ import numpy as np
 from greybox.estimation.optim.gauss_newton import run_gauss_newton, run_gradient_sampling
 from greybox.estimation.optim.ipopt import run_ipopt
 from greybox.estimation.optim.minimisation import (
+    DEFAULT_POLICY,
     IterationCallback,
     Minimisation,
+    MinimisationPolicy,
     MinimisationResult,
     SolverName,
     TerminationStatus,
     TerminationTest,
     stop_on_interrupt,
 )
-from greybox.estimation.optim.policy import DEFAULT_POLICY, MinimisationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 

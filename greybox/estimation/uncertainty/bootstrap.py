@@ -18,7 +18,21 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import iterate_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
+
+
+@dataclass(frozen=True)
+class BootstrapPolicy:
+    """How long the blocks of a bootstrap are."""
+
+    correlation_times: float = 5.0
+    """A block covers so many correlation times of the residual, and at least the cube root of the record (Kunsch 1989)."""
+
+    least_blocks: int = 5
+    """Blocks in a record at least: fewer cannot be drawn in enough different orders."""
+
+
+DEFAULT_BOOTSTRAP_POLICY = BootstrapPolicy()
+
 
 # Profiles and bootstraps as JSON files that are written and read without loss.
 

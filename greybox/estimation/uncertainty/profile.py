@@ -23,7 +23,17 @@ from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.uncertainty.bootstrap import IntervalFile, read_intervals, restore_interval, restore_policy
-from greybox.estimation.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
+
+
+@dataclass(frozen=True)
+class ProfilePolicy:
+    """How a profile is followed to where it crosses its threshold."""
+
+    tolerance: float = 0.01
+    """The crossing is found to this share of the threshold, which is half a per cent of the interval's length."""
+
+
+DEFAULT_PROFILE_POLICY = ProfilePolicy()
 
 
 @dataclass(frozen=True, eq=False)

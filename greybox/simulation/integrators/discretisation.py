@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -13,9 +14,24 @@ from greybox.model.system import System
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.implicit import midpoint, radau
 from greybox.simulation.integrators.input_delay import add_input_history, require_history
-from greybox.simulation.integrators.policy import DEFAULT_POLICY, DiscretisationPolicy
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate, find_fast_relaxing_states, mixed, rk4
 from greybox.simulation.integrators.step import InputHistory, Step
+
+
+@dataclass(frozen=True)
+class DiscretisationPolicy:
+    """How a model is divided in steps."""
+
+    eigenvalue_step: float = 0.5
+    """Largest ``|h lambda|`` of an explicit substep. RK4 is stable up to 2.785; at 0.5 it follows a fast mode to a few parts in ten
+    thousand."""
+
+    max_substeps: int = 1000
+    """Substeps in one sampling interval; a model that asks for more is stiff and wants an implicit method."""
+
+
+DEFAULT_POLICY = DiscretisationPolicy()
+
 
 # How many substeps: from the fastest eigenvalue as a first guess, and from the error measured by halving.
 

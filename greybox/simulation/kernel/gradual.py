@@ -11,6 +11,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -23,8 +24,31 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import CompilerError, find_library, load_library
 from greybox.simulation.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
 from greybox.simulation.kernel.llvm_routine import has_llvm
-from greybox.simulation.kernel.policy import GRADUAL_POLICY, GradualPolicy
 from greybox.simulation.kernel.tape_machine import TapeMachine, block_width, load_machine
+
+
+@dataclass(frozen=True)
+class GradualPolicy:
+    """When a structure that the tape machine runs has earned a library of its own."""
+
+    earned_seconds: float = 0.1
+    """Seconds that the machine spends on a library's work before the library is compiled, quickly: half of what that takes, on another
+    core if there is one. Most structures of a search never spend so much."""
+    translated_seconds: float = 0.02
+    """The same where LLVM is installed, which takes 30 to 100 ms."""
+    most_translated: int = 64
+    """Steps whose translated routines a process keeps for a kernel that comes again; beyond, those that were used longest ago go. Each
+    takes about 1 MB, a search makes twenty to fifty, and without a limit a process that searches all day fills the memory."""
+    full_seconds: float = 0.5
+    """Seconds in what was compiled quickly before it is compiled with all optimisation, in the background: half a second, for code that
+    takes a tenth to a half less time and is there when the same model comes again."""
+    most_instructions: float = 1e8
+    """Instructions of one pass from which the compiler is waited for: the machine would take a quarter of a second, the
+    compiler no longer."""
+
+
+GRADUAL_POLICY = GradualPolicy()
+
 
 # One compilation at a time in a process: a second one would take the core on which the search runs.
 _compiler_is_busy = threading.Lock()
