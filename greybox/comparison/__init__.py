@@ -3,11 +3,11 @@
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import ComparisonPolicy
 from greybox.comparison.result import (
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonPolicy,
     ComparisonRun,
     ComparisonScore,
     load_comparison,

@@ -16,8 +16,7 @@ from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
-from greybox.comparison.result import BlackBoxModel
+from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonPolicy
 from greybox.comparison.runs import match_sampling_time
 from greybox.data.experiment import Experiment
 

@@ -10,12 +10,13 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
 from greybox.comparison.result import (
+    DEFAULT_COMPARISON,
     BlackBoxModel,
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonPolicy,
     ComparisonRun,
     ComparisonScore,
     compute_score,
@@ -226,6 +227,7 @@ def compare_named(
     training = training or (tuple(t.experiment for t in fits[0].traces) if fits else ())
     if not validation and not training:
         raise DataError("no record to compare on; give experiments, or the training records")
+    # Rows that determine the initial state are not judged as well.
     skip = max(skip, beginning)
     shortest = min((e.rows for e in validation), default=skip + COMPARISON_FEWEST_ROWS)
     if skip < 0 or shortest - skip < COMPARISON_FEWEST_ROWS:
@@ -393,6 +395,7 @@ def _compute_bic(training: Mapping[str, ComparisonScore], parameters: int) -> fl
     if not count:
         return np.nan
     with np.errstate(divide="ignore"):
+        # Outputs have their own noise: N ln V each, one price for all parameters.
         fit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
     return float(fit + parameters * np.log(count))
 

@@ -15,10 +15,21 @@ from greybox.base.files import write_file
 from greybox.base.findings import Finding
 from greybox.base.json_file import ResultKind, read_json
 from greybox.base.values import Printable
-from greybox.comparison.policy import DEFAULT_COMPARISON, ComparisonPolicy
+from greybox.comparison.blackbox.policy import StructureScanPolicy
 from greybox.data.experiment import Experiment
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import to_json_data
+
+
+@dataclass(frozen=True)
+class ComparisonPolicy:
+    """Which rows count, when two models are equally good, and how the black boxes beside a physical model are fitted."""
+
+    scan: StructureScanPolicy = field(default_factory=StructureScanPolicy)
+    """How the structures of the black boxes are chosen."""
+
+
+DEFAULT_COMPARISON = ComparisonPolicy()
 
 
 class BoxKind(StrEnum):

@@ -123,24 +123,30 @@ def estimate_covariance(
     n, inside = len(variables.which), np.flatnonzero(~variables.active)
     if not n:
         return ParameterCovariance.unknown(variables)
+    # The Hessian of half the cost is the information: J'J from the data, P = 1 / std^2 from the priors.
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
     rows = residuals.rows
     sums, held = sum_scores(variables, rows, colour), np.diag(prior[inside])
     data = sums.information
+    # Schur complement: A_cc - A_ci A_ii^-1 A_ic, the initial states estimated as well instead of counted as known.
     projector = eliminate(data + known, inside, np.arange(n, variables.size))
     information = _symmetrise(projector @ data[:, inside])
     decomposition = decompose_symmetric(information + held)
     inverse = decomposition.pseudo_inverse
     degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))
+    # Noise that was given, and not exceeded, is no estimate: intervals are normal. Else Student's, by the degrees
+    # that the residual left.
     if problem.noise.known and (problem.variance_floor is not None or evaluation.squares.sum() <= degrees):
         degrees = np.inf
     scores = projector @ sums.white @ projector.T
+    # A^-1 (s^2 J'J + P) A^-1; where s^2 = 1 it is A^-1 itself.
     spread, kind, inflation = inverse @ (scores + held) @ inverse, IntervalKind.GAUSS_NEWTON, np.ones(len(inside))
     if colour.coloured:
         white = np.diag(spread)
         scores = projector @ sums.coloured @ projector.T
         other = estimate_kernel_score_covariance(variables, rows, colour, projector)
+        # Two estimates of the middle, each of which may fall short: the larger standard deviation of both counts.
         spread = raise_to_larger(*(inverse @ (middle + held) @ inverse for middle in (scores, other)))
         with np.errstate(divide="ignore", invalid="ignore"):
             inflation = np.sqrt(np.diag(spread) / white)
@@ -175,12 +181,15 @@ def estimate_likelihood_covariance(
     wanted, first_states = np.concatenate([inside, parts.noise_levels]), parts.initial_states.ravel()
     kind, whole = IntervalKind.OBSERVED_INFORMATION, compute_observed_information(optimum)
     expected = optimum.evaluation.hessian / 2
+    # The expected information is a product and has no negative curvature: it says which directions are open, the
+    # differences do not.
     decomposition = decompose_symmetric(_reduce_information(expected, wanted, first_states))
     inverse = _invert_within(_reduce_information(whole, wanted, first_states), decomposition)
     if inverse is None:
         kind, whole, inverse = IntervalKind.EXPECTED_INFORMATION, expected, decomposition.pseudo_inverse
     spread = inverse
     if colour.coloured:
+        # Scores as rows of one output with residual 1, so that the same kernel estimate serves both objectives.
         rows = [(np.ones((len(s), 1)), s[:, None, :]) for s in residuals.scores]
         projector = eliminate(whole, wanted, first_states)
         scores = estimate_kernel_score_covariance(v, rows, colour, projector)
@@ -250,9 +259,11 @@ def compute_observed_information(optimum: LikelihoodMaximum) -> np.ndarray:
     for k in np.flatnonzero(steps):
         step = v.here
         step[k] = min(steps[k], LONGEST_DIFFERENCE)
+        # d^2 (cost / 2) = (g(z + s) - g(z - s)) / (4 s)
         rise = objective.gradient(step, concerned[k]) - objective.gradient(-step, concerned[k])
         whole[k] = rise / (4 * step[k])
     places = np.arange(len(v.which))
+    # `gradient` is that of the data alone: the priors' curvature comes in exactly.
     whole[places, places] += v.penalty(v.here)[2] / 2
     return _symmetrise(whole)
 
@@ -273,6 +284,7 @@ def compute_quantile(degrees: float) -> float:
 def compute_interval(value: float, reach: float, positive: bool, bounds: tuple[float, float]) -> tuple[float, float]:
     """``value`` less and more ``reach``, by a factor where the constant is positive, within its bounds."""
     if positive:
+        # value exp(+-reach / value): symmetric in the logarithm, whose standard deviation is std / value.
         factor = float(np.exp(min(reach / value, 700.0)))
         low, high = value / factor, value * factor
     else:
@@ -292,6 +304,8 @@ def list_open_directions(names: list[str], information: SymmetricDecomposition) 
     """Directions that hold no information as names with weights, the largest of them one."""
     result = []
     for vector in (information.weak / information.scale[:, None]).T:
+        # In units of the constants' spans: an entry is how far a constant moves along the direction; below a
+        # hundredth it only blurs the sentence.
         shares = vector / vector[np.argmax(np.abs(vector))]
         result.append({name: float(w) for name, w in zip(names, shares, strict=True) if abs(w) > 1e-2})
     return tuple(result)
@@ -369,6 +383,7 @@ def to_tied_estimates(variables: DecisionVector, covariance: ParameterCovariance
             if not len(acting):
                 result[q.name] = Estimate(value, q.unit, fixed=True)
                 continue
+            # g' C g
             variance = float(along[acting] @ matrix[np.ix_(acting, acting)] @ along[acting])
             result[q.name] = _estimate(q, value, variance, covariance.degrees, False)
     return result
@@ -402,6 +417,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             continue
         mean, std = map(float, variables.prior[k])
         shift, w = float(variables.base[k] - mean) / std, precision[k]
+        # Share of the information on the constant that is not its prior's.
         left = 1 - w * inverse[j, j]
         variance_reduction = (
             float(np.clip(1 - covariance.covariance[k, k] / std**2, 0.0, 1.0))
@@ -410,11 +426,15 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
         )
         conflict = None
         if left > PRIOR_INFORMATION_CUTOFF:
+            # Sherman and Morrison: (A - w e e')^-1 = A^-1 + w A^-1 e e' A^-1 / (1 - w e'A^-1 e), the inverse without
+            # this prior.
             without = inverse + w * np.outer(inverse[:, j], inverse[:, j]) / left
             others = precision[inside].copy()
             others[j] = 0.0
             row = without[j]
             variance = float(row @ (covariance.scores[block] + np.diag(others)) @ row)
+            # The estimate without the prior lies shift / left from its mean (in its standard deviations): what is
+            # seen is that pulled back by it.
             conflict = float(shift / left / np.sqrt(1 + w * variance))
         result[variables.names[k]] = PriorCheck(mean, std, shift, variance_reduction, conflict)
     return result
@@ -435,11 +455,13 @@ def to_model_covariance(variables: DecisionVector, covariance: np.ndarray) -> np
         entries = np.flatnonzero(variables.which == k)
         for m in entries:
             geometric = variables.logarithmic[m] and variables.owner[m] != SHARED
+            # d(mean) / d(value): 1 / n, of a geometric mean times mean / value.
             mean[j, m] = (variables.fixed[k] / variables.base[m] if geometric else 1.0) / len(entries)
     undetermined = np.isinf(np.diag(covariance))
     missing = np.isnan(np.diag(covariance))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
     result = mean @ finite @ mean.T
+    # Zero times infinity is NaN: what is not finite is put back where its weight is not zero.
     for mask, value in ((undetermined, np.inf), (missing, np.nan)):
         touched = (np.abs(mean[:, mask]) > 0).any(axis=1)
         result[touched, touched] = value

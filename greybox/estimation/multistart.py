@@ -144,6 +144,7 @@ def multistart(
     kept = None if journal is None else StartJournal(Path(journal))
     keys = [hash_start(model, group, known_noise, options, begin) if kept else "" for begin in begins]
     results: list[JobResult | None] = [kept.known.get(key) if kept else None for key in keys]
+    # What the journal has is not fitted again: the numbers of the jobs are those of the starts that are left.
     remaining = [k for k, result in enumerate(results) if result is None]
     before = len(begins) - len(remaining)
 
@@ -175,6 +176,7 @@ def multistart(
             start_results.append(StartResult(begin, values, ratio, status, job.seconds))
     left = len(begins) - len(start_results)
     is_late = not interrupted and left > 0
+    # Failed starts have an infinite ratio and come last.
     start_results.sort(key=lambda result: result.noise_ratio)
     if not start_results or not start_results[0].values:
         reason = (
@@ -186,6 +188,7 @@ def multistart(
             " ones"
         )
     best = fit(
+        # Fitted anew from its own end, in this process: starts bring back values alone, not a whole fit.
         model.start(**start_results[0].values),
         group,
         noise=noise,

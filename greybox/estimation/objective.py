@@ -49,8 +49,10 @@ class ResidualRows:
     @property
     def scores(self) -> list[np.ndarray]:
         """Slope (N, L) of half the cost by row; they add up to half the gradient but for the priors."""
+        # d(cost / 2) = e de_mean
         result = [np.nansum(r[:, :, None] * slopes, axis=1) for r, slopes in self.rows]
         for score, (r, _), slopes in zip(result, self.rows, self.log_variance, strict=False):
+            # ... + (1 - e^2) / 2 dlog s^2: a variance above the squares it explains costs as one below them.
             score += np.nansum(0.5 * (1 - r[:, :, None] ** 2) * slopes, axis=1)
         return result
 
@@ -62,6 +64,7 @@ class ResidualRows:
             total[block] += slopes[measured].T @ slopes[measured]
             if self.log_variance:
                 louder = self.log_variance[e][measured]
+                # Fisher's information of a normal variance: (1/2) L'L.
                 total[block] += 0.5 * louder.T @ louder
         return total
 
@@ -185,6 +188,7 @@ class PredictionErrorObjective:
             x0, dx0 = v.compute_initial_state(z, p, e)
             lanes, dpn = dx0.shape[1], np.zeros((len(p) + len(noise), dx0.shape[1]))
             dpn[v.which, np.arange(len(v.which))] = v.slopes(p, e)
+            # The level is noise exp(z): its slope along z is the level itself.
             dpn[len(p) + estimated, lanes - len(estimated) + np.arange(len(estimated))] = noise[estimated]
             with np.errstate(all="ignore"):
                 pn = np.concatenate([p, noise])
@@ -197,6 +201,7 @@ class PredictionErrorObjective:
         n = len(v.which)
         gradient, hessian = np.zeros(v.size), np.zeros((v.size, v.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
+        # Priors count once, not once a record.
         cost, slope, curvature = v.penalty(z)
         gradient[:n] += slope
         hessian[np.arange(n), np.arange(n)] += curvature
@@ -278,6 +283,7 @@ def _sum_innovations(innovations: InnovationSensitivities) -> _LikelihoodSums | 
         sums = _LikelihoodSums(
             float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI)),
             2 * innovations.e @ innovations.de + innovations.dlog_variance.sum(axis=0),
+            # 2 J'J + L'L: twice the expected information, as the cost is -2 log L.
             2 * mean.T @ mean + innovations.dlog_variance.T @ innovations.dlog_variance,
         )
     is_finite = np.isfinite(sums.cost) and np.isfinite(sums.gradient).all() and np.isfinite(sums.hessian).all()

@@ -10,8 +10,7 @@ import numpy as np
 
 from greybox.estimation.objective import Objective, PredictionErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import TerminationPolicy
+from greybox.estimation.optim.minimisation import Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback
@@ -45,6 +44,7 @@ def search_minimum(
         return ObjectiveMinimum(objective, begin, TerminationStatus.NO_START)
     if not objective.variables.size:
         return ObjectiveMinimum(objective, begin, TerminationStatus.CONVERGED)
+    # A step of one in ``z`` then changes the cost by about itself: IPOPT is told not to scale the problem by itself.
     objective = objective.at(objective.variables.rescale(float(max(begin.count, 1)), np.diag(begin.hessian) / 2))
     low, high = objective.variables.bounds()
     policy = options.policy.likelihood_search
@@ -67,8 +67,10 @@ def search_minimum(
         policy=options.policy.minimisation,
     )
     near = objective.at(objective.variables.recentre(outcome.z))
+    # IPOPT's tolerance is not the end: likelihood ratios are differences of two such costs.
     last = refine_minimum(near, options, policy.last_digits, begin=outcome.value)
     status = outcome.status
+    # Steps that converge say more than the search that handed over; Ctrl-C stays an interruption.
     if last.status.success and status is not TerminationStatus.INTERRUPTED:
         status = status if status.success else TerminationStatus.CONVERGED
     return replace(
@@ -148,6 +150,8 @@ def raise_noise_to_innovations(cost: PredictionErrorObjective) -> PredictionErro
     squares = np.nansum(np.concatenate([r**2 for r in cost.innovations()]), axis=0)
     counts = sum(np.isfinite(r.y).sum(axis=0) for r in cost.records)
     with np.errstate(invalid="ignore", divide="ignore"):
+        # Mean square of the standardised innovations is one where the level is right; it is raised, never lowered,
+        # because without process noise only the level can explain them.
         growth = np.log(np.sqrt(squares / counts))[v.estimated_noise]
     z = v.here
     v.split(z).noise_levels[:] = np.where(np.isfinite(growth), np.maximum(growth, 0.0), 0.0)

@@ -15,7 +15,7 @@ from typing import Any
 from scipy.special import chdtri
 
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
-from greybox.estimation.optim.policy import GaussNewtonPolicy, TerminationPolicy
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, TerminationPolicy
 from greybox.estimation.transcription.policy import SolverPolicy
 
 

@@ -63,6 +63,7 @@ def compute_largest_intensities(model: Model, steps: np.ndarray) -> dict[str, fl
     for name in model.noise_parameters:
         slope = np.abs(by_p[:, list(model.values).index(name)])
         with np.errstate(divide="ignore", invalid="ignore"):
+            # A random walk of intensity q moves by q sqrt(h) in a row: q |d diffusion / d p| = change / sqrt(h).
             each = steps[slope > 0] / slope[slope > 0]
         each = each[np.isfinite(each) & (each > 0)]
         largest[name] = float(each.min()) if len(each) else 1.0
@@ -142,7 +143,9 @@ def likelihood_ratio_tests(
             tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
         rest = search_minimum(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
+        # 2 (log L - log L_0), both at their own optimum
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
+        # Zero is on the edge: half the mass at zero, half chi-square of one degree (Self and Liang 1987).
         p_value = 0.5 * float(chdtrc(1, ratio))
         limited = ratio < policy.limit_ratio
         limits = (0.0, find_upper_limit(optimum, name, values[name], options)) if limited else None
@@ -180,6 +183,7 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
         if trial.status.success:
             near = trial.objective
         low, high = (value, high) if rise < limit else (low, value)
+        # Doubled until it is enclosed, then halved in the logarithm: intensities span decades.
         value = LIMIT_GROWTH * value if np.isinf(high) else float(np.sqrt(low * high))
     return value
 
@@ -277,6 +281,7 @@ def _make_starts(
     for name in names:
         low, high = model.parameter(name).bounds
         floor = max(low, PROCESS_NOISE_FLOOR * sizes[name])
+        # A start at zero would stay there: the likelihood is even in the intensity and has no slope.
         value = model.values[name] or 1e-3 * sizes[name]
         working = working.start(**{name: float(np.clip(value, min(floor, high / 2), high))})
         working = working.bound(**{name: (min(floor, high / 2), high)})

@@ -136,6 +136,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     colours = {
         name: fit_autoregression(s, policy=options.policy.noise) for name, s in series.items() if np.isfinite(s).any()
     }
+    # Nothing to predict from: a white error of the free run tells nothing about the next one.
     if not any(colour.order for colour in colours.values()):
         return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)
@@ -167,6 +168,7 @@ def find_correctable_states(model: Model) -> tuple[str, ...]:
     """States whose balance may lack something: not one whose rate is another state by definition, nor one that is set after a step."""
     system = model.system
     moved = [b.state for b in system.balances]
+    # dx/dt = v holds exactly: noise there would let the position jump without a velocity.
     by_definition = {name for k, name in enumerate(system.state_names) if system.rhs[k].is_symbolic()}
     return tuple(name for name in moved if name not in by_definition) or tuple(moved)
 
@@ -181,6 +183,7 @@ def _score_states(estimate: MaximumLikelihoodEstimate) -> float:
     """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
     variables, evaluation = estimate.optimum.objective.variables, estimate.optimum.evaluation
     numbers = len(variables.which) + len(variables.estimated_noise)
+    # BIC = -2 log L + k ln N
     return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
 
 
@@ -188,6 +191,7 @@ def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:
     """``-2 log L`` of an output's errors (N,) as an autoregression, and what its numbers cost."""
     count = int(np.isfinite(series).sum())
     variance = float(np.nanmean(series**2)) * colour.innovation_variance
+    # -2 log L = N (ln s^2 + 1 + ln 2 pi) at the most likely variance
     return count * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI) + (colour.order + 1) * float(np.log(count))
 
 
@@ -242,6 +246,7 @@ class Predictor:
         free, seen = record.samples(cost.simulate()[0][0]), record.samples(record.y)
         for j, name in enumerate(names):
             if name in self.correction.colours:
+                # y(k|k-n) = free run + predicted error
                 free[:, j] += self.correction.colours[name].predict(seen[:, j] - free[:, j], steps)
         return _name_outputs(names, free)
 
@@ -508,6 +513,7 @@ def _make_prior_covariance(cost: PredictionErrorObjective) -> np.ndarray | None:
         np.maximum(np.diag(information), UNSEEN_INFORMATION * max(np.diag(information).max(initial=0.0), TINY))
     )
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    # Eigenvalues that the data do not see are raised: their variance is wide, but finite, as the smoother needs it.
     inverse = (vectors / np.maximum(values, UNSEEN_INFORMATION)) @ vectors.T / np.outer(scale, scale)
     covariance = np.zeros((len(v.initial.free), len(v.initial.free)))
     reach = v.initial.scale[free]

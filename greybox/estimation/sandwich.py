@@ -41,6 +41,8 @@ class ResidualColour:
         """For each output the sums of its autocorrelation, and of its square, over positive and negative lags."""
         result = []
         for model, count in zip(self.models, self.counts, strict=True):
+            # sum |rho_k| and sum rho_k^2 over both signs of k: the correlation time, and Bartlett's for the variance
+            # of a variance.
             rho = _compute_correlations(model, max(count, 1))
             result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
         return result
@@ -48,6 +50,7 @@ class ResidualColour:
     @property
     def degrees(self) -> float:
         """Independent samples that the variance rests on (Bartlett 1935), less the unknowns."""
+        # n / sum rho_k^2 (Bartlett 1935)
         independent = sum(n / squares for n, (_, squares) in zip(self.counts, self.times, strict=True))
         return max(independent - self.unknowns, 1.0)
 
@@ -76,6 +79,7 @@ def estimate_residual_colour(
         count = int(np.isfinite(series).sum())
         squares = np.square(series)
         squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
+        # Unknowns are shared by the outputs in the proportion of their samples.
         square = float(squares.sum()) / max(count, 1) * total / max(total - unknowns, 1)
         del squares
         variances.append(
@@ -166,7 +170,10 @@ def estimate_kernel_score_covariance(
             measured = np.isfinite(r[part])
             slopes, residual = np.where(measured[:, :, None], jacobian[part], 0.0), np.where(measured, r[part], 0.0)
             scores[part] = np.einsum("tjk,tj->tk", slopes, residual) @ lanes
+        # A fixed share of the record at most: at lags near its length a product of few pairs would be taken for a
+        # covariance.
         lags = int(min(max(reach, 1.0), max(RECORD_SHARE * len(r), 1.0)))
+        # S = sum_k (1 - k / L) (G_k + G_k'): Bartlett's weights keep it positive semidefinite.
         total += compute_toeplitz_form(scores, 1 - np.arange(lags) / lags)
     return total
 
@@ -209,6 +216,7 @@ def _compute_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) 
     if not rho[1:].any():
         return columns.T @ columns
     size = next_fast_len(2 * n - 1, real=True)
+    # T as a corner of a circulant, whose product is a multiplication of spectra: N log N in place of N^2.
     circle = np.concatenate([rho, np.zeros(size - 2 * len(rho) + 1), rho[:0:-1]])
     spectrum = rfft(circle)
     filtered = np.empty_like(columns)

@@ -63,6 +63,7 @@ def to_record(model: Model, experiment: Experiment) -> Record:
     u = stack_signals([experiment.inputs[i.name] for i in model.inputs], rows)
     measured = (experiment.outputs.get(name) for name in names)
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
+    # The last effect that says so: an effect added to a model overrules those before it.
     hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
     if hold == "band-limited":
         return _to_finer_record(experiment, u, y)
@@ -82,6 +83,7 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Re
     points = BAND_LIMITED_POINTS
     rows = points * (len(y) - 1) + 1
     measured = np.full((rows, y.shape[1]), np.nan)
+    # NaN between the samples: those rows count in no cost.
     measured[::points] = y
     length = np.array([experiment.sampling_time / points])
     interpolated = interpolate_band_limited(u, points)
@@ -107,9 +109,12 @@ def interpolate_band_limited(u: np.ndarray, points: int) -> np.ndarray:
     margin = min(HALF_LENGTH, len(u) - 1)
     ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     half = HALF_LENGTH * points
+    # Kaiser-windowed sinc at ``points`` times the rate; its sum is made ``points``, one for each phase, so that a
+    # constant keeps its size.
     taps = np.sinc(np.arange(-half, half + 1) / points) * np.kaiser(2 * half + 1, BAND_LIMITED_KAISER_BETA)
     fine = _filter_phases(ends, taps * (points / taps.sum()), points, HALF_LENGTH)
     lines = fine.copy()
+    # u - (h^2 / 12) u'': straight lines lose (w h)^2 / 12 of a sine, which the second difference gives back.
     lines[1:-1] -= (fine[2:] - 2 * fine[1:-1] + fine[:-2]) / 12
     return lines[points * margin : points * (margin + len(u) - 1) + 1]
 
@@ -137,6 +142,7 @@ def _group_intervals(intervals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return intervals[:1].copy(), np.zeros(len(intervals), np.int32)
     order = np.argsort(intervals, kind="stable")
     ordered = intervals[order]
+    # Lengths that differ by the rounding of the clock share one exponential.
     is_new = np.concatenate([[False], np.diff(ordered) > TIME_ROUNDING * ordered[1:]])
     row = np.empty(len(intervals), int)
     row[order] = np.cumsum(is_new)

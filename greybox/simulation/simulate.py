@@ -22,8 +22,7 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import choose_substeps, discretise
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
@@ -201,9 +200,11 @@ def simulate(
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
     y, x = _run(step, record, p, x0)
     for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
+        # Some ten states along the run: the first guess saw the start alone, and a mode may become fast on the way.
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
         longest = float(record.lengths.max(initial=0.0))
         needed = choose_substeps(model.system, p, visited, longest, policy=rules)
+        # At least halved, so that the difference of the two runs shows the error of the coarser one.
         more = max(2 * step.substeps, needed)
         finer = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
         before = y
@@ -272,6 +273,7 @@ def _has_settled(before: np.ndarray, after: np.ndarray, max_change: float) -> bo
     rows = np.isfinite(before).all(axis=1)
     if not np.array_equal(rows, np.isfinite(after).all(axis=1)):
         return False
+    # Movement about the first row: an offset must not hide a change.
     change, movement = after[rows] - before[rows], after[rows] - after[0]
     return bool(np.all(np.sum(change**2, axis=0) <= max_change**2 * np.sum(movement**2, axis=0)))
 
@@ -306,6 +308,7 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(heads)
+        # `repr` has every digit that a double needs to be read back the same.
         writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
         text.flush()
         text.detach()

@@ -82,6 +82,7 @@ def simulate_twin(
 def _integrate(model: Model, interval: float, u: np.ndarray, p: np.ndarray, x0: np.ndarray) -> np.ndarray:
     """States (nx, N-1) after each interval; the solver starts anew in each, because the input jumps between them."""
     system, size = model.system, ca.DM(_sizes(x0))
+    # In units of its size each state has the same absolute tolerance: d(x / s)/dt = f(s (x / s)) / s.
     rate = ca.substitute(system.explicit, system.x, size * system.x) / size
     equations = {"x": system.x, "p": ca.vertcat(system.u, system.p), "ode": rate}
     options = {"abstol": REFERENCE_TOLERANCE, "reltol": REFERENCE_TOLERANCE, "max_num_steps": 100_000}

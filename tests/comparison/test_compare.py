@@ -14,8 +14,7 @@ from greybox.base.findings import with_code
 from greybox.base.json_file import ResultKind
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import ComparisonPolicy
-from greybox.comparison.result import load_comparison, save_comparison
+from greybox.comparison.result import ComparisonPolicy, load_comparison, save_comparison
 from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv

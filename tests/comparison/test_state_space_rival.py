@@ -12,8 +12,7 @@ import greybox as gb
 from greybox.base.json_file import ResultKind
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.policy import ComparisonPolicy
-from greybox.comparison.result import save_comparison
+from greybox.comparison.result import ComparisonPolicy, save_comparison
 from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 

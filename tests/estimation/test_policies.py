@@ -13,7 +13,7 @@ from greybox.data.noise.policy import NoisePolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.estimation.check import check
 from greybox.estimation.fit import fit
-from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
 from greybox.estimation.options import FitOptions
 from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
 from greybox.estimation.predictor import restore_integration_options
@@ -25,10 +25,9 @@ from greybox.estimation.transcription.policy import (
     TranscriptionChoicePolicy,
     TranscriptionPolicy,
 )
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
-from greybox.estimation.uncertainty.profile import profile
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.estimation.uncertainty.bootstrap import BootstrapPolicy, bootstrap
+from greybox.estimation.uncertainty.profile import ProfilePolicy, profile
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 

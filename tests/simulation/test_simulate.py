@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 from greybox.simulation.simulate import SimulationPolicy, read_inputs, simulate, write_csv
 from greybox.simulation.twin import simulate_twin
 from models.cascaded_tanks import cascaded_tanks

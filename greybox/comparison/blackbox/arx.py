@@ -57,6 +57,7 @@ def find_instability(model: PolynomialModel) -> tuple[Finding, ...]:
     if model.stable:
         return ()
     outermost = float(np.abs(model.poles[0]))
+    # |p|^k = e after k = 1 / ln |p| samples
     growth = np.inf if outermost == 1 else 1 / np.log(outermost)
     values = {"pole": outermost, "growth_samples": float(growth), "equation_error": len(model.a) > 1}
     return (Finding(BlackBoxFinding.UNSTABLE, Severity.WARNING, model.output, values),)
@@ -161,6 +162,7 @@ def fit_arx(
     """`arx` of these orders, with ``passes`` of the filter ``1 / A``."""
     model = _estimate(data, orders, history, offset, None)
     for _ in range(passes):
+        # 1 / A of an unstable estimate would grow without bound; its mirror image has the same magnitude.
         model = _estimate(data, orders, history, offset, reflect_roots(model.a))
     return replace(model, focus="simulation" if passes else "prediction", findings=find_instability(model))
 
@@ -172,6 +174,7 @@ def _estimate(
     blocks, targets = [], []
     for record in data.records:
         rows = find_usable_rows(record, orders, history)
+        # The prefilter has a memory: it begins anew behind each gap.
         for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
             if len(run):
                 block, target = build_regressors(record, orders, offset)[run], record.y[run]
@@ -185,6 +188,7 @@ def _estimate(
     refuse_few_rows(data, label, sum(map(len, targets)), len(names), history)
     phi, y = np.concatenate(blocks), np.concatenate(targets)
     theta, inverse, squares = solve_least_squares(phi, y, names, label)
+    # s^2 = V / (N - p), cov theta = s^2 (Phi'Phi)^-1
     variance = squares / (len(y) - len(theta))
     a, remainder = theta[:na], theta[na:]
     ends = np.cumsum(nb)

@@ -165,6 +165,7 @@ def _choices(
 ) -> Iterator[OrderChoice]:
     """What to scan of this kind, given the scans of the kinds before."""
     if kind == BlackBoxKind.ARX:
+        # ARX is a linear problem: delays are cheap to try here, and the other kinds take them over.
         delay = _find_delay(data, at_rest)
         delays = sorted({*policy.first_delays, max(delay - 1, 0), delay, delay + 1})
         for na, nk, offset in product(range(1, policy.largest_poles + 1), delays, (False, True)):

@@ -84,6 +84,7 @@ def make_linear_nonlinearity(shape: NonlinearityShape, u: np.ndarray, basis_size
     weights = (1.0, *(0.0,) * (basis_size - 1))
     if shape == "polynomial":
         return StaticNonlinearity(shape, size, weights)
+    # By distinct values: an input that rests most of the time would put all kinks where it rests.
     levels = np.quantile(np.unique(u), np.arange(1, basis_size) / basis_size)
     return StaticNonlinearity(shape, size, weights, tuple(map(float, levels)))
 
@@ -325,6 +326,7 @@ class _HammersteinProblem:
         )
         if not with_gradient:
             return errors
+        # The largest weight of each curve sets its scale and stays: curve and gain could trade a factor for ever.
         fixed = (n + np.cumsum([0, *(len(c.weights) for c in self.curves)])[:-1] + self.fixed_weights).astype(int)
         return replace(errors, gradient=np.delete(errors.gradient, fixed, axis=1))
 
@@ -347,6 +349,8 @@ class _HammersteinProblem:
             b, f, remainder = parts[: len(names)], parts[len(names) : 2 * len(names)], parts[2 * len(names) :]
             weights, numerators, poles = [], [], []
             for first, m in zip(np.cumsum([0, *counts[:-1]]), counts, strict=True):
+                # b_j = w_j b for every basis function j: the nearest matrix of rank one gives weights and numerator
+                # (Bai 1998).
                 left, size, right = np.linalg.svd(np.stack(b[first : first + m]), full_matrices=False)
                 weights.append(left[:, 0])
                 numerators.append(size[0] * right[0])
@@ -375,6 +379,7 @@ def _finish(
     for i, (curve, weights) in enumerate(zip(problem.curves, problem.weights(best.theta), strict=True)):
         u = np.concatenate([r.u[:, i] for r in data.records])
         v = curve.with_weights(weights)(u)
+        # Curve as large as its input over the records and rising with it; the numerator takes the factor back.
         scale = np.sqrt(np.mean(u**2) / np.mean(v**2)) * (1.0 if u @ v >= 0 else -1.0)
         curves.append(curve.with_weights(weights * scale))
         b.append(model.b[i] / scale)

@@ -202,6 +202,7 @@ def find_usable_rows(record: SampledRecord, orders: Orders, history: RegressionH
     gaps = np.isnan(record.y)
     known = ~gaps
     for i in range(1, orders.na + 1):
+        # A gap of y(k - i) spoils the equation of row k.
         known &= ~delay_rows(gaps, i)
     if history == "measured":
         known[: orders.reach] = False
@@ -236,6 +237,7 @@ def solve_least_squares(
             f"{label}: {', '.join(unexcited)} {'is' if len(unexcited) == 1 else 'are'} zero in every row; the record does not excite"
             " it: leave that input or that lag out"
         )
+    # Columns of length one: whether they are collinear must not hang on the units of the signals.
     left, size, right = np.linalg.svd(phi / scale, full_matrices=False)
     if size[-1] <= COLLINEAR_COLUMNS * max(1.0, size[0]) * np.sqrt(len(phi)):
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()
@@ -246,8 +248,10 @@ def solve_least_squares(
             " than the plant is such a combination too: take a smaller nb or na,"
             " history='zero' where the record begins at rest and with the step's edge, or a record with a richer input"
         )
+    # theta = V S^-1 U' y, back in the units of the columns
     theta = right.T @ (left.T @ target / size) / scale
     inverse = right.T / size
+    # (Phi'Phi)^-1 = V S^-2 V'
     inverse = inverse @ inverse.T / np.outer(scale, scale)
     rest = target - phi @ theta
     return theta, inverse, float(rest @ rest)

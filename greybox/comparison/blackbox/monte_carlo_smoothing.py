@@ -190,6 +190,7 @@ def _estimate_envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_t
             f"the record holds {count} periods of {w:.4g} rad/s; at least {SMOOTHING_FEWEST_PERIODS} show how the oscillation decays:"
             " take a longer record, or use output_error"
         )
+    # Demodulated: the mean over whole periods of swing e^{-iwt} is half the complex amplitude there.
     turned = swing[: count * period] * np.exp(-1j * w * time[: count * period])
     size = 2 * np.abs(turned.reshape(count, period).mean(axis=1))
     middle = time[: count * period].reshape(count, period).mean(axis=1)
@@ -202,6 +203,8 @@ def _estimate_envelope(time: np.ndarray, swing: np.ndarray, w: float, sampling_t
     clear = int(np.argmax(np.append(size, 0.0) <= ABOVE_FLOOR * floor)) if fading else count
     used = slice(0, max(clear, 2))
     size = np.maximum(size, LOWER_END * size[0])
+    # ln of the envelope: -sigma t + ln size, weighted by size because noise in the logarithm grows as the swing
+    # fades.
     slope, start = np.polyfit(middle[used], np.log(size[used]), 1, w=size[used])
     # an oscillation that does not fade within the record: a tenth of its length is the fastest that it could hide
     least = HIDDEN_DECAY / float(time[-1])
@@ -270,6 +273,7 @@ def search_grid(time: np.ndarray, y: np.ndarray, values: dict[str, np.ndarray]) 
     v = np.column_stack([np.ones_like(r), -r * np.cos(theta), -r * np.sin(theta)])
     along = product @ v.T
     square = np.einsum("pij,vi,vj->pv", gram, v, v, optimize=True)
+    # |y - A v|^2 = y'y - 2 A v'y + A^2 v'v: lowest at A = v'y / v'v, and on a grid at its nearest point.
     chosen = _nearest(amplitude, along / square)
     error = (y @ y - 2 * chosen * along + chosen**2 * square) / len(y)
     pair, direction = np.unravel_index(np.argmin(error), error.shape)
@@ -397,10 +401,12 @@ class MonteCarloSmoothing(Printable):
     def model(self) -> PolynomialModel:
         """The exact difference equation for an input held between samples, ``y = (b0 + b1 q^-1 + b2 q^-2) / F(q) u + e``."""
         b, h = self.best, self.sampling_time
+        # Poles e^{(-sigma +- i w) h}
         f = np.array([1.0, -2 * np.exp(-b.decay * h) * np.cos(b.frequency * h), np.exp(-2 * b.decay * h)])
         first = self.response(h * np.arange(3)) / self.height
         # y = B / F applied to a step: its first three rows give the three numbers of B
         numbers = np.convolve(f, first)[:3] - np.append(0.0, np.convolve(f, first)[:2])
+        # The last one from the final value: B(1) / F(1) = A / height exactly.
         numbers[2] = b.amplitude / self.height * f.sum() - numbers[0] - numbers[1]
         return PolynomialModel(
             KIND,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from greybox.estimation.optim.policy import GaussNewtonPolicy, TerminationPolicy
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, TerminationPolicy
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,7 @@ def reflect_roots(polynomial: np.ndarray) -> np.ndarray:
     size = np.abs(roots)
     if np.all(size < 1 - REFLECTED_ROOT_MARGIN):
         return polynomial
+    # z -> 1 / conj(z): |1 - z e^{-iw}| changes by a constant factor alone, and so does the spectrum.
     size = np.where(size > 1, 1 / np.maximum(size, 1), size)
     inside = np.minimum(size, 1 - REFLECTED_ROOT_MARGIN) * np.exp(1j * np.angle(roots))
     mirrored = np.real(np.poly(inside))
@@ -186,6 +187,7 @@ class PolynomialModel(Printable):
     def gain(self, name: str | None = None) -> float:
         """Steady-state gain ``B(1) / (A(1) F(1))`` from one input (the only one if not named); infinite for an integrator."""
         i = self._input(name)
+        # q = 1: the gain is the ratio of the sums of coefficients.
         below = float(self.a.sum() * self.f[i].sum())
         return float(self.b[i].sum()) / below if below else np.inf
 

@@ -40,8 +40,7 @@ from greybox.comparison.blackbox.polynomial import (
 )
 from greybox.comparison.blackbox.responses import compute_initial_responses, predict_ahead
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import MinimisationPolicy
+from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 HistoryTreatment = Literal["estimated", "zero"]
@@ -173,6 +172,7 @@ def _errors_of_part(
     # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
     y = part.y if measured.all() else np.where(measured, part.y, 0.0)
     equation_error = lfilter(model.a, [1.0], y) - sum(through) - (model.constant or 0.0)
+    # e = D / C (A y - sum B / F u - constant)
     e = lfilter(d, c, equation_error)
     rows = _rows_of_memory(model, part.rows)
     blocks = [] if rest else compute_initial_responses(model, rows, [len(model.a) + len(d) - 1, len(c)], c)
@@ -189,6 +189,7 @@ def _errors_of_part(
         lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, part.rows)[0]) if len(s) else lfilter(d, [1.0], w)
         for w, s, f in zip(through, initial_by_input, model.f, strict=True)
     ]
+    # The past as found belongs to the errors that the gradient of C sees: de/dc_j = -1 / C q^-j e.
     e[:rows] -= responses @ initial
     gradient = _gradient(structure, model, part, y, equation_error, driven, e)[measured]
     return projected, projection.remove(gradient), projection.states
@@ -215,6 +216,7 @@ class _Projection:
 
     def coefficients(self, e: np.ndarray) -> np.ndarray:
         """Coefficients (m,) of the free responses that come nearest to ``e`` (n,)."""
+        # Least squares of the past, used in the gradient alone: errors have it projected out (variable projection).
         return self.back @ (self.basis.T @ e[: len(self.basis)])
 
 
@@ -224,6 +226,7 @@ def _project(responses: np.ndarray) -> _Projection:
         return _Projection(np.empty((0, 0)), np.zeros((responses.shape[1], 0)))
     q, triangle = np.linalg.qr(responses)
     left, size, right = np.linalg.svd(triangle)
+    # Responses of several inputs may span the same: a dependent one is no further state.
     kept = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     return _Projection(q @ left[:, kept], right[kept].T / size[kept])
 
@@ -251,16 +254,21 @@ def _gradient(
 ) -> np.ndarray:
     """Derivatives (N, p) of the errors ``e`` (N,), in the order of the structure's vector."""
     orders, c, d = structure.orders, model.c, model.d
+    # de/da_j = D / C q^-j y
     filtered = lfilter(d, c, y)
     columns = [delay_rows(filtered, j) for j in range(1, orders.na + 1)]
     for f, nb, nk, u in zip(model.f, orders.nb, orders.nk, part.u.T, strict=True):
+        # de/db_j = -D / (C F) q^-j u
         filtered = -lfilter(d, np.convolve(c, f), u)
         columns += [delay_rows(filtered, nk + j) for j in range(nb)]
     for f, nf, drive in zip(model.f, structure.nf, driven, strict=True):
+        # de/df_j = 1 / (C F) q^-j w
         filtered = lfilter([1.0], np.convolve(c, f), drive)
         columns += [delay_rows(filtered, j) for j in range(1, nf + 1)]
+    # de/dc_j = -1 / C q^-j e
     filtered = -lfilter([1.0], c, e)
     columns += [delay_rows(filtered, j) for j in range(1, structure.nc + 1)]
+    # de/dd_j = 1 / C q^-j (A y - sum B / F u - constant)
     filtered = lfilter([1.0], c, equation_error)
     columns += [delay_rows(filtered, j) for j in range(1, structure.nd + 1)]
     if structure.offset:
@@ -354,6 +362,8 @@ def stabilise(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray:
     parts = structure.parts(theta)
     n = len(structure.nf)
     for k in range(1 + n, 1 + 2 * n):
+        # F is moved, not mirrored: a mirrored pole has another phase, and the free run would be another one. Of C
+        # and D the spectrum alone counts.
         parts[k] = confine_roots(to_monic(parts[k]))[1:]
     for k in (1 + 2 * n, 2 + 2 * n):
         parts[k] = reflect_roots(to_monic(parts[k]))[1:]
@@ -496,6 +506,7 @@ def estimate_armax_starts(structure: PolynomialStructure, data: SampledData, res
         theta = rows.filtered(reflect_roots(a)).solve()
         a = to_monic(theta[: orders.na])
         stable = reflect_roots(a)[1:]
+        # C = A: white noise on the output alone, seen through A y = B u + A e.
         noise = np.append(stable, np.zeros(structure.nc))[: structure.nc]
         starts.append(_with_noise(structure, np.append(stable, theta[orders.na :]), noise))
     return starts + list(_pseudo_linear_starts(structure, filled, rest))
@@ -613,6 +624,7 @@ def _realise_poles(structure: PolynomialStructure, data: SampledData, rest: bool
         if nf == 0 or not response.any():
             polynomials.append(np.append(1.0, np.zeros(nf)))
             continue
+        # H_ij = g(i + j + 1) = C A^{i+j} B: its column space is that of the observability matrix.
         hankel = response[np.add.outer(np.arange(length), np.arange(length))]
         left, size, _ = np.linalg.svd(hankel)
         observability = left[:, :nf] * np.sqrt(size[:nf])

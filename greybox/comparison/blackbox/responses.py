@@ -25,6 +25,7 @@ def simulate_free_run(
     _check_initial(initial)
     constant = np.full(record.rows, model.constant or 0.0)
     with np.errstate(over="ignore", invalid="ignore"):
+        # A y = sum B / F u + constant, hence y = sum B / (A F) u + constant / A
         y = lfilter([1.0], model.a, constant)
         for b, f, u in zip(model.b, model.f, record.u.T, strict=True):
             y = y + lfilter(b, np.convolve(model.a, f), u)
@@ -54,6 +55,8 @@ def predict_ahead(
         e, filled = _innovations(alpha, model.c, record.y, np.column_stack([driven, past]))
         state = estimate_initial_state(-e[:, 1:], e[:, 0], initial, rows)
         innovation, complete = (part[:, 0] + part[:, 1:] @ state for part in (e, filled))
+        # y(k) less the part of e(k), ..., e(k - steps + 1): the first ``steps`` coefficients of C / (A D) (Ljung
+        # 1999, section 3.2).
         share = lfilter(model.c, alpha, np.eye(1, steps)[0])
         ahead = complete - np.convolve(share, innovation)[: record.rows]
     innovation = np.where(np.isfinite(record.y), innovation, np.nan)
@@ -113,6 +116,8 @@ def estimate_initial_state(
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
     u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)
+    # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
+    # amplify.
     shown = s * largest_amplification > 1
     z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(usable.sum())
     return back @ z

@@ -89,6 +89,7 @@ def count_digits_needed(model: PolynomialModel) -> int:
     frequency = np.geomspace(lowest, 0.5, ROUNDING_FREQUENCIES) / model.sampling_time
     before = [model.response(frequency, name) for name in model.inputs]
     needed = FEWEST_DIGITS
+    # From many to few: the first number that fails ends it, so that fewer digits cannot pass by chance.
     for digits in range(MOST_DIGITS, FEWEST_DIGITS - 1, -1):
         short = round_coefficients(model, digits)
         if model.stable and not short.stable:
@@ -178,6 +179,8 @@ def to_continuous(model: PolynomialModel, input: str | None = None) -> Continuou
         )
     through = numerator_z[0]
     companion = np.zeros((order + 1, order + 1))
+    # Controllable form, with the held input as a last state that stays: its logarithm has A and B of the continuous
+    # system in it.
     companion[0, :order], companion[0, order] = -denominator_z[1:], 1.0
     companion[np.arange(1, order), np.arange(order - 1)] = 1.0
     companion[order, order] = 1.0

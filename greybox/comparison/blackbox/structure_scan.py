@@ -352,6 +352,7 @@ def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructu
             continue
         loss, p = get_linear_part(structure.model).loss, structure.model.parameters
         fit = n * np.log(loss) if loss > 0 else -np.inf
+        # AIC = N ln V + 2 p, BIC = N ln V + p ln N (Ljung 1999, section 16.4)
         result.append(replace(structure, aic=fit + 2 * p, bic=fit + p * np.log(n)))
     return result
 
@@ -364,6 +365,7 @@ def _choose(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -
     if criterion != "free run":
         return min(fitted, key=lambda s: s.aic if criterion == "aic" else s.bic)
     stable = [s for s in fitted if s.model is not None and s.model.stable and np.isfinite(s.free_run)]
+    # An unstable model may run well over a short record and never over a longer one.
     pool = stable or list(fitted)
     smallest = min(s.free_run for s in pool)
     as_good = [s for s in pool if s.free_run <= (1 + AS_GOOD) * smallest] or pool

@@ -83,6 +83,7 @@ class StateSpaceModel(Printable):
 
     def response(self, frequency: np.ndarray) -> np.ndarray:
         """Complex response (nf, ny, nu) at frequencies (nf,) in Hz."""
+        # G = C (z I - A)^-1 B + D
         z = np.exp(2j * np.pi * np.asarray(frequency) * self.sampling_time)
         whole = np.linalg.solve(
             z[:, None, None] * np.eye(self.order) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
@@ -197,6 +198,7 @@ class SubspaceOutput:
                 for j in range(min(steps - 1, len(u))):
                     result[j] = (m.C @ first + m.D @ u[j] + m.offset)[column]
                     first = m.A @ first + m.B @ u[j]
+            # x+ = A x + B u + K e; without a measurement e counts as zero.
             e = y[k] - m.C @ x - m.D @ u[k] - m.offset
             x = m.A @ x + m.B @ u[k] + m.K @ np.where(np.isfinite(e), e, 0.0)
         return {self.output: result}
@@ -260,7 +262,10 @@ def subspace(
     if order is None:
         limit = min(LARGEST_ORDER, ny * (horizon - 1), len(singular) - 1)
         costs = [
-            singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny) for n in range(1, limit + 1)
+            # Singular value criterion: the first one left out, plus a BIC-like price for the parameters of a model
+            # of order n.
+            singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny)
+            for n in range(1, limit + 1)
         ]
         noise_free = singular[1 : limit + 1] < ZERO_SHARE * singular[0]
         order = 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
@@ -268,6 +273,7 @@ def subspace(
         raise DataError(
             f"order {order}: with {ny} outputs and a horizon of {horizon} rows give 1 to {ny * (horizon - 1)}"
         )
+    # Gamma = [C; CA; CA^2; ...]: its first block row is C, and a shift by one block row is A.
     observability = gamma[:, :order]
     C = observability[:ny]
     A = np.linalg.lstsq(observability[:-ny], observability[ny:], rcond=None)[0]
@@ -327,10 +333,13 @@ def _project(
     # [U_f; W_p; Y_f] = L Q'
     lower = np.asarray(np.linalg.qr(np.vstack([next_u, past_u, past_y, next_y]).T / np.sqrt(columns), mode="r")).T
     m, w = len(next_u), len(past_u) + len(past_y)
+    # R-factor in place of the data: everything below is a function of their products, whose squares would cost half
+    # the digits.
     l22, l32, l33 = lower[m : m + w, m : m + w], lower[m + w :, m : m + w], lower[m + w :, m + w :]
     if weight == "n4sid":
         # Oblique projection, as a map of W_p less U_f.
         l21 = lower[m : m + w, :m]
+        # Y_f /_{U_f} W_p: the part of Y_f along W_p, the future inputs taken out obliquely.
         along = l32 @ np.linalg.pinv(l22, rcond=RANK_OF_EXACT_RECORDS)
         target = along @ np.hstack([l21, l22])
         u, s, _ = np.linalg.svd(target, full_matrices=False)
@@ -338,6 +347,7 @@ def _project(
     spread = np.linalg.cholesky(
         l32 @ l32.T + l33 @ l33.T + np.finfo(float).eps * np.trace(l32 @ l32.T) * np.eye(len(l32))
     )
+    # CVA: singular values are canonical correlations of past and future, so that the units of outputs do not matter.
     u, s, _ = np.linalg.svd(np.linalg.solve(spread, l32), full_matrices=False)
     return spread @ (u * np.sqrt(s)), s, columns
 
@@ -366,6 +376,8 @@ def _estimate_inputs(
     rows, targets = [], []
     for number, (u, y) in enumerate(parts):
         N = len(u)
+        # In modal coordinates each state is a filter of its own, z_i^k and 1 / (z - z_i): columns of B come by
+        # linear least squares.
         free = modes[None, :] ** np.arange(N)[:, None]
         starts = np.zeros((N, ny, n * len(parts)), complex)
         starts[:, :, number * n : (number + 1) * n] = outputs[None] * free[:, None, :]
@@ -417,10 +429,12 @@ def _estimate_gain(
     innovations = np.split(residual, np.cumsum(lengths)[:-1])
     long = [(u, y) for u, y in parts if len(u) > 2 * horizon]
     for (u, y), e in zip(long, innovations, strict=True):
+        # y - y_simulated = C (q I - A)^-1 K e + e: K enters as B does, with e as the input.
         error = y - _simulate(model, u, _estimate_start(model, u, y, None))
         pairs.append((e, error[horizon:] - e))
     if float(np.trace(noise)) > NEGLIGIBLE_SINGULAR_VALUE**2 * float(np.mean(target**2)):
         gain, _, _ = _estimate_inputs(pairs, model.A, model.C, ny, False)
+        # A - K C is the predictor; unstable it would be worse than the free run, which K = 0 is.
         if np.isfinite(gain).all() and np.max(np.abs(np.linalg.eigvals(model.A - gain @ model.C)), initial=0.0) < 1:
             return gain, noise
     return np.zeros((model.order, ny)), noise

@@ -152,9 +152,12 @@ def estimate_best_linear_approximation(
     excited = excited[(excited > 0) & (excited < rows / 2)]
     if not len(excited):
         raise DataError("the records have no excited line in common; give realisations of one spectrum")
+    # Each period of the output over the mean of the input, which is free of noise as far as averaging goes.
     ratio = Y[:, :, excited] / U.mean(axis=1)[:, None, excited]
     each = ratio.mean(axis=1)
+    # s_n^2 / P: variance of a mean over P periods.
     noise_each = ratio.var(axis=1, ddof=1) / count
+    # s_BLA^2 / M over realisations: noise and stochastic nonlinear distortion (Pintelon and Schoukens, section 4.3).
     total = each.var(axis=0, ddof=1) / len(group) if len(group) > 1 else None
     noise = noise_each.mean(axis=0) / len(group)
     checks = []
@@ -180,6 +183,7 @@ def estimate_best_linear_approximation(
             spread = Y[:, :, lines].var(axis=1, ddof=1) / count
             levels[name] = float(power.sum() / spread.sum())
             degrees = 2 * len(group), 2 * len(group) * (count - 1)
+            # A complex number has two degrees of freedom: 2 M above, 2 M (P - 1) below.
             checks.append(_compare_variances(rule, power.mean(axis=0), spread.mean(axis=0), *degrees))
     return BestLinearApproximation(
         source,

@@ -175,6 +175,7 @@ def fit_frequency_response(
     freedom = max(rows.count - len(names), 1)
     scale = 1.0 if weighted else float(np.sum(rows.residual(values) ** 2)) / freedom
     slopes = search.slopes(rows.residual, values, RESPONSE_FIT_DIFFERENCE)
+    # Without a stated variance the residual says how large it is: s^2 = V / (N - p).
     information = slopes.T @ slopes / max(scale, np.finfo(float).tiny)
     if time_fit is not None:
         resolved = resolve_options(options)
@@ -190,6 +191,7 @@ def fit_frequency_response(
         chosen = [all_names.index(n) for n in names]
         values = variables.parameters(optimum)[chosen]
         moves = _differentiate(lambda z: variables.parameters(z)[chosen], optimum, RESPONSE_FIT_DIFFERENCE)
+        # J C J': from the scaled unknowns of the joint fit to the constants.
         covariance = moves @ pseudo_inverse(minimum.evaluation.hessian / 2) @ moves.T
     else:
         covariance = pseudo_inverse(information)
@@ -255,6 +257,7 @@ class _ResponseRows:
         parts = []
         for r, fitted in zip(self.responses, self.respond(values), strict=True):
             std = UNKNOWN_STD * np.abs(r.response) if r.variance is None else np.sqrt(r.variance)
+            # E|error|^2 = std^2 is shared by both parts: each has std / sqrt(2).
             error = ((r.response - fitted) / std * np.sqrt(2))[np.isfinite(r.response)]
             parts += [error.real, error.imag]
         return np.concatenate(parts)
@@ -264,6 +267,7 @@ class _ResponseRows:
         parts = []
         for r, fitted in zip(self.responses, self.respond(values), strict=True):
             known = np.isfinite(r.response) & (np.abs(r.response) > 0)
+            # ln(G_m / G) = ln |G_m / G| + i (phase difference)
             error = np.log((r.response[known] / fitted[known]).astype(complex))
             parts += [error.real, error.imag]
         return np.concatenate(parts)

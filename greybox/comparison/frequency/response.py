@@ -128,6 +128,7 @@ class FrequencyResponse(Printable):
             if np.any((share <= 0) | (share > 1)):
                 raise DataError(f"{name}: a coherence is not between 0 and 1")
             floor = np.finfo(float).eps
+            # |G|^2 (1 - c) / (c n); a coherence of one would make a point infinitely certain, hence the floor.
             variance = np.abs(response) ** 2 * np.maximum(1 - share, floor) / (share * averages)
         cube = None if variance is None else variance[:, None, None]
         return cls(np.asarray(frequency, float), response[:, None, None], (input,), (output,), cube, name=name)
@@ -194,6 +195,7 @@ def read_frequency_response(
     raw = values.arrays[clock.position]
     unit = clock.unit or FREQUENCY[clock.name.lower()] if clock.name.lower() in FREQUENCY else clock.unit or "Hz"
     frequency = (
+        # An angular frequency by its unit, or by its name where there is no unit.
         raw / (2 * np.pi) if unit.replace(" ", "") in ("rad/s", "1/s", "s^-1") else np.asarray(convert(raw, unit, "Hz"))
     )
     magnitude = next((parts[n] for n in ("magnitude", "mag", "gain") if n in parts), None)

@@ -90,15 +90,19 @@ def find_sparsest_vectors(basis: np.ndarray) -> Iterator[np.ndarray]:
         return
     touched = np.flatnonzero(np.abs(basis).max(axis=1) > DIRECTION_CUTOFF)
     tried, seen = 0, list[set[int]]()
+    # Minimal supports have n - k + 1 entries at most: of a subspace of dimension k a vector can always be made with
+    # k - 1 zeros.
     for size in range(1, n - k + 2):
         for subset in itertools.combinations(touched.tolist(), size):
             tried += 1
             if tried > MAX_SUBSETS:
                 yield from _echelon(basis)
                 return
+            # Minimal supports alone: a set that holds a known one brings a sum of vectors.
             if any(s <= set(subset) for s in seen):
                 continue
             others = np.setdiff1d(np.arange(n), subset)
+            # Combinations of the basis that vanish outside of the set; exactly one means that the set is minimal.
             vanishing = decompose_columns(basis[others], DIRECTION_RANK, np.ones(k)).weak
             if vanishing.shape[1] == 1:
                 v = basis @ vanishing[:, 0]
@@ -213,6 +217,7 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
     which, names = free_parameter_indices(model), list(model.values)
     known = np.setdiff1d(np.arange(len(names)), which).tolist()
     base = list({_key(poly): poly for poly in transfer_function_coefficients(model.system)}.values())
+    # Gains and time constants are ratios of coefficients, and more familiar than they are.
     ratios = [divide(one, other) for one in base for other in base if one is not other]
     combinations: dict[tuple, ParameterCombination] = {}
     for is_coefficient, poly in [*((True, poly) for poly in base), *((False, ratio) for ratio in ratios if ratio)]:

@@ -101,6 +101,7 @@ def analyse_excitation(
     if model.system.linear:
         measured = [o.name for o in model.outputs if o.name in experiment.outputs]
         structure = structure or analyse_structural_identifiability(model, measured or None)
+        # Each measured output carries one number for each order of excitation.
         needed = math.ceil(structure.rank / len(structure.outputs))
     moves = any(np.ptp(experiment.inputs[name]) > 0 for name in names)
     findings = _find_poor_excitation(orders, bands, limit, needed, fastest, moves)
@@ -125,6 +126,7 @@ def excitation_order(u: np.ndarray) -> int:
     orders = []
     for k in range(len(u) // length):
         part = u[k * length : (k + 1) * length] / size
+        # Rank of [u(t + lag_1) ... u(t + lag_n)]: the order is the number of lags that are linearly independent.
         s = np.linalg.svd(part[starts[:, None] + lags], compute_uv=False)
         orders.append(int((s > ORDER_THRESHOLD * s[0]).sum()) if s[0] > 0 else 0)
     return statistics.median_high(orders)
@@ -138,6 +140,7 @@ def excitation_bandwidth(time: np.ndarray, u: np.ndarray) -> float:
     """Frequency in rad/s below which nearly all of the movement of an input (N,) lies."""
     grid = np.linspace(time[0], time[-1], len(time))
     even = np.interp(grid, time, u)
+    # Windowed: the jump from the record's end to its beginning would look like a wide band.
     even = (even - even.mean()) * np.hanning(len(even))
     power = np.abs(np.fft.rfft(even)) ** 2
     if power.sum() <= 0:

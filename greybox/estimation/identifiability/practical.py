@@ -182,11 +182,13 @@ def analyse_problem(
         return _make_failure(drives, overflow)
     constants_and_states = evaluation.hessian / 2
     first_states = np.arange(n, len(constants_and_states))
+    # Schur complement: initial states are estimated with the constants.
     information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
     stds = 1 / np.sqrt(np.maximum(values, TINY))
     widest = MAX_RELATIVE_INTERVAL
+    # Over the noise of single samples, and after averaging over all of them.
     shown, reached = stds * np.sqrt(samples) < widest, INTERVAL_STDS * stds < widest
     rank, averaged = int(shown.sum()), int((reached & ~shown).sum())
     total = rank + averaged
@@ -245,6 +247,7 @@ def _choose_combinations(
     if structure is None:
         return {}, {}
     p, which = problem.variables.fixed, free_parameter_indices(problem.model)
+    # With the order of magnitude known: an open direction then has a large variance instead of none.
     covariance = np.linalg.inv(information + np.eye(len(which)) / IDENTIFIABILITY_PRIOR_SPREAD**2)
     candidates = []
     for candidate in _list_candidates(problem.model, structure, p):

@@ -151,6 +151,7 @@ def analyse_structural_identifiability(
     if not names:
         return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "")
     sensors = find_unmeasured_states(model)
+    # With every sensor that could be added: one set of runs serves the recommendations as well.
     points, values, method = _compute_points(add_sensors(model, sensors), seed, at_rest)
     ranks = highest_ranks(points, measured)
     others = [name for name in known if name not in measured]

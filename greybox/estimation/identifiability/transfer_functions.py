@@ -116,12 +116,14 @@ def _responses(
     b = np.broadcast_to(b, (len(s), *b.shape[-2:]))
     db = np.broadcast_to(db, (len(s), *db.shape[-3:]))
     dd = np.broadcast_to(dd, (len(s), *dd.shape[-3:]))
+    # dG = dC R B + C R dA R B + C R dB + dD
     x = r @ b
     cr = nominal.c @ r
     value = cr @ b + d
     slope = np.einsum("ijn,knm->kjmi", along.c, x)
     slope = slope + np.einsum("kjn,inl,klm->kjmi", cr, along.a, x, optimize=True)
     slope = slope + np.einsum("kjn,kinm->kjmi", cr, db) + np.moveaxis(dd, 1, -1)
+    # Sum of magnitudes: a response far below it is what cancellation leaves, not a response.
     size = np.abs(nominal.c) @ np.abs(r) @ np.abs(b) + np.abs(d)
     return value, slope, size
 
@@ -146,6 +148,7 @@ def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Genera
     count = 40 + 8 * (constants + 2 * len(a))
     reach = np.log(10.0) * decades
     radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
+    # Right half-plane: R of a stable model has no pole there, and a random point misses those of an unstable one.
     return radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
 
 
@@ -290,6 +293,7 @@ def _leverrier(a: list[list[Polynomial]], width: int) -> tuple[list[Polynomial],
     for k in range(1, n + 1):
         adjugates.append(m)
         am = _times(a, m)
+        # c_k = -trace(A M_k) / k, M_{k+1} = A M_k + c_k I
         c = _scaled(_sum([am[i][i] for i in range(n)]), Fraction(-1, k))
         characteristic.append(c)
         m = [[_sum([am[i][j], c]) if i == j else am[i][j] for j in range(n)] for i in range(n)]

@@ -205,6 +205,7 @@ class ModelFamily(Printable):
         rows = []
         for member in self.members:
             poles = member.poles
+            # Pairs by least total distance: sorted by size, poles that pass one another would change places.
             _, order = linear_sum_assignment(np.abs(nominal[:, None] - poles[None, :]))
             rows.append(poles[order])
         return np.array(rows)
@@ -230,6 +231,7 @@ class ModelFamily(Printable):
         """Largest ``|G - G0| / |G0|`` over the members (nw, ny, nu): the radius of a multiplicative uncertainty that covers them."""
         nominal = self.nominal.frequency_response(omega)
         with np.errstate(divide="ignore", invalid="ignore"):
+            # |G - G0| / |G0|
             errors = np.abs(self.frequency_response(omega) - nominal) / np.abs(nominal)
         return errors.max(axis=0)
 
@@ -261,6 +263,7 @@ class ModelFamily(Printable):
                 method="SLSQP",
                 constraints={"type": "ineq", "fun": lambda z: radius**2 - z @ z, "jac": lambda z: -2 * z},
             )
+            # SLSQP may end a little outside of the ellipsoid.
             z = result.x * min(1.0, radius / max(float(np.linalg.norm(result.x)), TINY))
             if criterion(linearise_with(z)) > criterion(linearise_with(best)):
                 best = z

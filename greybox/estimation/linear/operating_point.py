@@ -133,6 +133,7 @@ class ModelFunctions:
         residuals = []
         for balance in self.system.balances:
             k = self.system.state_names.index(balance.state)
+            # At standstill friction takes up any push to its static level.
             held = static[k] if k in self.bodies and z[k] == 0 else 0.0
             tolerance = BALANCE_MET * amounts[k] + BALANCE_MET_OF_MOVE * moves[k] * abs(storages[k]) + held
             residuals.append(
@@ -261,6 +262,8 @@ def solve_operating_point(
     without_positions = [k for k in rated if k not in functions.kinematic]
     # A moving position is passed where it starts.
     positions_fixed = known | np.isin(np.arange(len(z)), functions.kinematic)
+    # From what is wanted to what is left: all balances; those without friction, which holds the rest; then a steady
+    # motion, its positions where they are, and at last free.
     attempts = (
         (rated, rated, known),
         (without_bodies, rated, known),
@@ -371,6 +374,7 @@ def _run_newton(
         jacobian = functions.slopes(z, p, direction)[np.ix_(np.asarray(rows), np.flatnonzero(free))] * sizes
         if not (np.isfinite(residual).all() and np.isfinite(jacobian).all()):
             break
+        # Rows of like size: a residual in newtons must not hide one in metres per second.
         row_sums = np.abs(jacobian).sum(axis=1)
         scale = 1 / np.where(row_sums > 0, row_sums, 1.0)
         # A direction in which nothing changes is left as it is: a piston may rest anywhere.

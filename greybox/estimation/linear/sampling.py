@@ -132,6 +132,7 @@ def _hold_with_delays(model: Linearisation, dt: float, parts: list[tuple[int, fl
     direct, direct_before = model.D.copy(), np.zeros_like(model.D)
     for j, (_, share) in enumerate(parts):
         if share:
+            # The newer input acts over the last (1 - f) dt of the interval, the older one over what is before.
             now[:, j] = _hold_exactly(model, (1 - share) * dt)[1][:, j]
             before[:, j] = gamma[:, j] - now[:, j]
             direct[:, j], direct_before[:, j] = 0.0, model.D[:, j]  # at the sample itself the older one still acts
@@ -146,6 +147,7 @@ def _hold_exactly(model: Linearisation, dt: float) -> tuple[np.ndarray, np.ndarr
     size = np.abs(model.B / t[:, None]).max(axis=0, initial=0.0)
     size = np.where(size > 0, size, 1.0)
     block[:n, :n], block[:n, n:] = a * dt, model.B / t[:, None] / size
+    # exp([[A dt, B dt], [0, 0]]) = [[Phi, Gamma], [0, I]] (Van Loan 1978)
     e = expm(block) * _find_paths(block)
     return t[:, None] * e[:n, :n] / t, t[:, None] * e[:n, n:] * size * dt
 
@@ -162,6 +164,7 @@ def _apply_tustin(model: Linearisation, dt: float, parts: list[tuple[int, float]
     n = len(model.A)
     a, t = balance_matrix(model.A)
     b, c = model.B / t[:, None], model.C * t
+    # (I - A dt/2)^-1: Phi = (I - A dt/2)^-1 (I + A dt/2)
     inverse = np.linalg.inv(np.eye(n) - a * dt / 2) * _find_paths(a)
     phi, gamma, seen = inverse @ (np.eye(n) + a * dt / 2), inverse @ b * dt, c @ inverse
     direct = model.D + seen @ b * dt / 2

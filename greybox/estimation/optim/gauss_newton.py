@@ -7,8 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from greybox.base.numerics import LOST_IN_ROUNDING, SUM_TO_ONE_WEIGHT, TINY
-from greybox.estimation.optim.minimisation import Minimisation, TerminationStatus
-from greybox.estimation.optim.policy import GaussNewtonPolicy, GradientSamplingPolicy
+from greybox.estimation.optim.minimisation import (
+    GaussNewtonPolicy,
+    GradientSamplingPolicy,
+    Minimisation,
+    TerminationStatus,
+)
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 # Least factor on the damping after a step that gains what its quadratic model predicts (Nielsen 1999).
@@ -58,6 +62,7 @@ def run_gauss_newton(
         assert model is not None  # a search keeps its start
         if not model.is_finite:
             return False  # sensitivities overflow: there is no direction to go
+        # (H + damping I) d = -g in scaled unknowns, within the bounds.
         step = model.bounded_step(low - search.best, high - search.best, damping)
         predicted = model.decrease_along(step)
         if predicted <= LOST_IN_ROUNDING * abs(before):
@@ -66,15 +71,19 @@ def run_gauss_newton(
         search.shortenings = 0
         trial = np.clip(search.best + step, low, high)
         search.compare(trial if project is None else project(trial))
+        # rho = actual over predicted decrease
         share = (before - search.best_cost) / predicted
         if share > 0:
             search.steps += 1
+            # mu <- mu max(1/3, 1 - (2 rho - 1)^3) (Nielsen 1999); more than predicted counts as predicted.
             damping *= max(LARGEST_DECREASE, 1 - (2 * min(share, 1.0) - 1) ** 3)
             rejections, growth = 0, policy.damping_growth
             kink_steps = 0 if share > KINK_SHARE else kink_steps + 1
             if search.finish_iteration():
                 return search.status is not None or search.stop
         else:
+            # mu <- nu mu, nu <- 2 nu: each refusal in a row damps more, so that a wrong curvature is left behind
+            # after few.
             damping, growth = damping * growth, 2 * growth
             rejections += 1
         if rejections == policy.max_rejections or kink_steps == policy.max_kink_steps:
@@ -111,6 +120,7 @@ def run_gradient_sampling(
             _search_line(search, direction @ axes, low, high)
             if search.stop:
                 return TerminationStatus.INTERRUPTED
+            # The radius is kept while it gains: a smaller one sees only one side of the kink.
             gained = search.best_cost < before * (1 - LEAST_GAIN)
             if not gained:
                 break
@@ -127,6 +137,8 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
     from scipy.optimize import nnls  # slow to import, and a smooth cost does not need it
 
     centre = search.best
+    # Gradients along the axes, where the cost has the same curvature in every direction: the shortest combination
+    # depends on the metric.
     gradients = [axes @ search.best_value.gradient]  # type: ignore[union-attr]
     for step in (*axes, *-axes):
         value = _evaluate(search, centre + step, low, high)
@@ -134,6 +146,7 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
             gradients.append(axes @ value.gradient)
     sampled = np.array(gradients).T / max(np.abs(gradients).max(), TINY)
     sum_to_one = np.full(sampled.shape[1], SUM_TO_ONE_WEIGHT)
+    # min |G w| with w >= 0, sum w = 1: the sum as one heavily weighted row of the least squares.
     weights, _ = nnls(np.vstack([sampled, sum_to_one]), np.append(np.zeros(len(axes)), SUM_TO_ONE_WEIGHT))
     shortest = sampled @ weights
     return -shortest / max(float(np.linalg.norm(shortest)), TINY)
@@ -161,4 +174,5 @@ def _search_line(search: Minimisation, step: np.ndarray, low: np.ndarray, high: 
 def _sampling_axes(value: QuadraticModel, radius: float) -> np.ndarray:
     """Steps (k, n), one in each row, along which the quadratic part of the cost is ``radius`` times the cost."""
     axes, curvature = value.principal_axes()
+    # d'Hd / 2 = radius cost along each axis
     return np.asarray((axes / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost))

@@ -53,6 +53,7 @@ class _Callback(ca.Callback):
                 return 0
         except BaseException as error:
             search.error = error
+        # Infinite: IPOPT takes the point for a bad trial and ends at its next look at the flag.
         for values in outputs:
             if values is not None:
                 values[:] = np.inf
@@ -79,6 +80,7 @@ class _Gradient(_Callback):
 
 class _Hessian(_Callback):
     def fill(self, search: Minimisation, arg: list, res: list) -> None:
+        # IPOPT multiplies the cost by lam_f; the bounds are linear and add no curvature.
         factor = (0.0 if arg[2] is None else arg[2][0]) / search.scale
         res[0][:] = factor * search(arg[0]).hessian[self.owner.triangle]
 

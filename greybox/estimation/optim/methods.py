@@ -11,15 +11,16 @@ import numpy as np
 from greybox.estimation.optim.gauss_newton import run_gauss_newton, run_gradient_sampling
 from greybox.estimation.optim.ipopt import run_ipopt
 from greybox.estimation.optim.minimisation import (
+    DEFAULT_POLICY,
     IterationCallback,
     Minimisation,
+    MinimisationPolicy,
     MinimisationResult,
     SolverName,
     TerminationStatus,
     TerminationTest,
     stop_on_interrupt,
 )
-from greybox.estimation.optim.policy import DEFAULT_POLICY, MinimisationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 
@@ -136,6 +137,7 @@ def _search_with_ipopt(
 ) -> None:
     """IPOPT, damped steps in its place where the quadratic model predicts well, and other methods where it gives up."""
     policy = search.policy
+    # Without a statistical test nothing says when damped steps are done: IPOPT's own tolerance ends the search then.
     left = policy.hand_overs if search.termination_test is not None else 0
     if left and search.is_near(low, high) and _follow_quadratic_model(search, low, high, iterations):
         return
@@ -148,6 +150,7 @@ def _search_with_ipopt(
             break
         if _follow_quadratic_model(search, low, high, iterations):
             return
+        # Each return to IPOPT uses up one hand-over, so that the two cannot pass the search to and fro without end.
         left -= 1
     if not (search.stalled or status in (TerminationStatus.STUCK, TerminationStatus.FAILED)):
         search.status = status
@@ -156,6 +159,7 @@ def _search_with_ipopt(
     search.record_solver(SolverName.GAUSS_NEWTON)
     if run_gauss_newton(search, low, high, policy.damped, steps=policy.damped.max_steps) or search.stop:
         return
+    # The most expensive last: each round evaluates twice as many points as there are unknowns.
     if thorough:
         search.record_solver(SolverName.GRADIENT_SAMPLING)
         search.status = run_gradient_sampling(search, low, high, policy.sampling)

@@ -48,6 +48,7 @@ class QuadraticModel:
         """
         n = jacobian.shape[1]
         # A reflection leaves what it does not touch: the last column of the triangle is Q'r.
+        # The cost is r'r, not r'r / 2: hence sqrt(2) on the factor, and R'R = 2 J'J.
         triangle = np.sqrt(2) * np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")[:n]
         root, target = triangle[:, :n], triangle[:, n]
         return cls(float(residual @ residual), root.T @ target, root.T @ root, factor=(root, target))
@@ -55,6 +56,8 @@ class QuadraticModel:
     @cached_property
     def scale(self) -> np.ndarray:
         """Root of the curvature along each unknown (n,); one where there is none."""
+        # Marquardt's scaling: the unit matrix added to the scaled one damps every unknown by the same share of its
+        # curvature.
         diagonal = self.hessian.diagonal()
         return np.where(diagonal > TINY, np.sqrt(np.maximum(diagonal, TINY)), 1.0)
 
@@ -86,11 +89,13 @@ class QuadraticModel:
         if low is None or high is None:
             return free
         low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
+        # The unconstrained minimum is the constrained one where it is inside.
         if np.all((free >= low) & (free <= high)):
             return free
         root, target, cutoff = self._least_squares
         if damping:
             n = len(low)
+            # |R d + rho|^2 + damping |d|^2 as one least-squares problem
             root, target = np.vstack([root, np.sqrt(damping) * np.eye(n)]), np.append(target, np.zeros(n))
         bounds = low * self.scale, high * self.scale
         step = _solve_bounded_least_squares(root, target, *bounds, cutoff, free * self.scale) / self.scale
@@ -121,6 +126,7 @@ class QuadraticModel:
         if self.factor is None:
             return -float(self.gradient @ step) - 0.5 * float(step @ self.hessian @ step)
         root, target = self.factor
+        # From the factor: g'd + d'Hd / 2 loses half the digits where J is nearly singular.
         along = root @ step
         return -float(target @ along) - 0.5 * float(along @ along)
 
@@ -167,6 +173,7 @@ class QuadraticModel:
     def _free_step(self, damping: float) -> np.ndarray:
         """The step (n,) without bounds, in units of ``1 / scale``."""
         axes, curvature, slope = self._spectrum
+        # d = -V (slope / (curvature + damping)): directions without curvature are not in V and stay at zero.
         return -np.asarray(axes @ (slope / (curvature + damping)))
 
 
@@ -183,6 +190,7 @@ def _solve_bounded_least_squares(
     step, slope = np.zeros(n), root.T @ target
     rounding = WRONG_MULTIPLIER * np.abs(slope).max(initial=0.0)
     is_fixed = low == high
+    # A bound at which the slope pushes outwards is active from the start.
     is_free = ~(is_fixed | ((low == 0) & (slope > 0)) | ((high == 0) & (slope < 0)))
     for _ in range(
         n * n + 2
@@ -194,10 +202,12 @@ def _solve_bounded_least_squares(
             left, size, right = np.linalg.svd(root[:, is_free], full_matrices=False)
             kept = int(np.count_nonzero(size > cutoff * size[0]))
             remainder = left[:, :kept].T @ (target + root @ step)
+            # Least-norm Newton step over the free unknowns: of many minima the nearest.
             end[is_free] -= right[:kept].T @ (remainder / size[:kept])
         beyond = np.flatnonzero((end < low) | (end > high))
         if len(beyond):
             bound = np.where(end[beyond] < low[beyond], low[beyond], high[beyond])
+            # Share of the step up to each bound that it would cross; the first one becomes active.
             reach = (bound - step[beyond]) / (end[beyond] - step[beyond])
             first = int(np.argmin(reach))
             step = step + max(reach[first], 0.0) * (end - step)
@@ -206,6 +216,7 @@ def _solve_bounded_least_squares(
             continue
         step = end
         slope = root.T @ (target + root @ step)
+        # Lagrange multipliers of the active bounds: positive where the cost falls on leaving.
         pull = np.where(is_free | is_fixed, 0.0, np.where(step <= low, -slope, slope))
         worst = int(np.argmax(pull))
         if pull[worst] <= rounding:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from greybox.data.noise.policy import NoisePolicy
-from greybox.estimation.optim.policy import GaussNewtonPolicy, MinimisationPolicy, TerminationPolicy
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, MinimisationPolicy, TerminationPolicy
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 
 
 @dataclass(frozen=True)

@@ -21,8 +21,7 @@ from greybox.estimation.transcription.simulation_error import (
     WhitenedShooting,
 )
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import discretise
-from greybox.simulation.integrators.policy import DiscretisationPolicy
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy, discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel

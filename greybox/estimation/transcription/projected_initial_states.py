@@ -9,8 +9,8 @@ import numpy as np
 
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.estimation.optim.gauss_newton import run_gauss_newton
+from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
 from greybox.estimation.optim.minimisation import Minimisation, Termination
-from greybox.estimation.optim.policy import DEFAULT_POLICY as MINIMISATION
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.policy import DEFAULT_POLICY, ProjectionPolicy, RelaxationPolicy

@@ -18,7 +18,21 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import iterate_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.uncertainty.policy import DEFAULT_BOOTSTRAP_POLICY, BootstrapPolicy
+
+
+@dataclass(frozen=True)
+class BootstrapPolicy:
+    """How long the blocks of a bootstrap are."""
+
+    correlation_times: float = 5.0
+    """A block covers so many correlation times of the residual, and at least the cube root of the record (Kunsch 1989)."""
+
+    least_blocks: int = 5
+    """Blocks in a record at least: fewer cannot be drawn in enough different orders."""
+
+
+DEFAULT_BOOTSTRAP_POLICY = BootstrapPolicy()
+
 
 # Profiles and bootstraps as JSON files that are written and read without loss.
 
@@ -179,12 +193,15 @@ def bootstrap(
     for e, (r, slopes) in enumerate(residuals.rows):
         loudness = residuals.log_variance[e] if residuals.log_variance else None
         gradient[:, v.columns(e)] += _draw_scores(r, slopes, loudness, replicates, block, generator)
+    # Fitted residuals are too small by the unknowns: N / (N - p) of the variance is given back.
     gradient *= np.sqrt(count / max(count - size, 1))
+    # A prior is one more measurement: in each replicate it has an error of its own.
     gradient += np.sqrt(prior) * generator.normal(size=gradient.shape)
     inside = np.ones(size, bool)
     inside[: len(v.which)] = ~v.active
     steps = np.zeros((replicates, size))
     information = residuals.compute_information(v) + np.diag(prior)
+    # z* = -(J'J + P)^-1 J'r*
     steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(information[np.ix_(inside, inside)])
     return _summarise(v, steps[:, : len(v.which)], block, policy)
 
@@ -245,6 +262,7 @@ def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: Bootstr
         samples[:, k] = place(steps[:, k])
         std[name] = float(samples[:, k].std(ddof=1))
         upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
+        # Basic interval: the error of the estimate is that of the replicates, so that the quantiles change sides.
         ends = place(np.array([-lower, -upper]))
         interval[name] = (float(ends[0]), float(ends[1]))
     return Bootstrap(v.names, samples, std, interval, block, policy)

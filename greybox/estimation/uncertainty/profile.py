@@ -23,7 +23,17 @@ from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.uncertainty.bootstrap import IntervalFile, read_intervals, restore_interval, restore_policy
-from greybox.estimation.uncertainty.policy import DEFAULT_PROFILE_POLICY, ProfilePolicy
+
+
+@dataclass(frozen=True)
+class ProfilePolicy:
+    """How a profile is followed to where it crosses its threshold."""
+
+    tolerance: float = 0.01
+    """The crossing is found to this share of the threshold, which is half a per cent of the interval's length."""
+
+
+DEFAULT_PROFILE_POLICY = ProfilePolicy()
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +158,7 @@ def _scale_simulation_error(
     inside = np.flatnonzero(~v.active)
     whole = covariance.information[np.ix_(inside, inside)] + np.diag(v.penalty(v.here)[2][inside] / 2)
     place = int(np.searchsorted(inside, k))
+    # The unit of the cost in which curvature and stated variance agree: s^2 = var / (A^-1)_kk.
     scale = float(variance / v.spans[k] ** 2 / pseudo_inverse(whole)[place, place])
     return float(np.sqrt(variance)), scale, threshold
 
@@ -195,6 +206,7 @@ class _HeldObjective:
         optimum = refine_minimum(held, self.options, replace(termination, negligible_decrease=COST_DECREASE))
         if not optimum.status.success:
             optimum = search_minimum(optimum.objective, self.options)
+        # A held constant has lost its prior, which the cost at the optimum has.
         cost = optimum.evaluation.cost + ((value - mean) / std) ** 2
         rise = max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf
         return rise, optimum.objective.variables
@@ -275,6 +287,7 @@ class _Side:
             (a, fa), (b, fb) = inner, outer
             ra, rb = np.sqrt(fa), np.sqrt(fb) if np.isfinite(fb) else np.inf
             straight = np.isfinite(rb) and k < refits - 2
+            # sqrt(rise) is |value - best| / std near the best value: a straight line.
             step = a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if straight else (a + b) / 2
             rise, near = self.held.rise(place(step), near)
             points.append((place(step), rise))

@@ -79,20 +79,26 @@ class StepDerivatives:
         c = ca.SX.sym("c", nq * (1 + directions) + 1)
         q, dq, h = c[:nq], ca.reshape(c[nq:-1], nq, directions), c[-1]
         moved = step.advance(x, u, u, q, h)
+        # S' = F_x S + F_q dq/dz
         tangent = ca.jtimes(moved, ca.vertcat(x, q), ca.vertcat(S, dq)) if directions else ca.SX(nx, 0)
         after = ca.vertcat(moved, ca.vec(tangent))
         self.forward = ca.Function("forward", [X, u, c], [after])
         costate, added = ca.SX.sym("l", X.numel()), ca.SX.sym("a", X.numel())
+        # [l_X, l_u] = F_{X,u}' l': the transpose along the costate, second derivatives of the step included because
+        # S is part of X.
         back = ca.jtimes(after, ca.vertcat(X, u), costate, True)
         size = X.numel()
+        # l_k = F_X' l_{k+1} + O_X' c_k
         self.backward = ca.Function("backward", [costate, X, u, c, added], [back[:size] + added, back[size:]])
         d = ca.SX.sym("d", np_ * (1 + directions))
         p, dp = d[:np_], ca.reshape(d[np_:], np_, directions)
         y = step.outputs(x, u, p)
+        # dy/dz = O_x S + O_p dp/dz
         slopes = ca.jtimes(y, ca.vertcat(x, p), ca.vertcat(S, dp)) if directions else ca.SX(y.numel(), 0)
         shown = ca.vertcat(y, ca.vec(slopes))
         self.outputs = ca.Function("outputs", [X, u, d], [shown])
         cotangent = ca.SX.sym("b", shown.numel())
+        # O_{X,u}' c
         along = ca.jtimes(shown, ca.vertcat(X, u), cotangent, True)
         self.outputs_back = ca.Function("outputs_back", [X, u, d, cotangent], [along[:size], along[size:]])
         self.states, self.inputs, self.shown = size, nu, shown.numel()
@@ -248,11 +254,15 @@ class SensitivityRun:
         self._loops = make_loops(step, self.directions)
         self._u = np.ascontiguousarray(np.array([inputs[i.name] for i in plant.model.inputs], float).T)
         rows = len(self._u)
+        # h of a substep
         h = float(plant.template.sampling_time or 0.0) / step.substeps
         self._constants = np.concatenate([point.q[0], point.dq[0][:, : self.directions].ravel(order="F"), [h]])
         self._parameters = np.concatenate([point.p, point.dp[:, : self.directions].ravel(order="F")])
         start = np.concatenate([point.x0, point.dx0[:, : self.directions].ravel(order="F")])
+        # Held inputs: every substep of an interval has the same one, and the slopes of its substeps add up.
         self._fine_u = np.repeat(self._u[:-1], step.substeps, axis=0)
+        # Kept at every substep: the backward pass linearises where the forward pass was. Memory grows with the
+        # record, hence `DESIGN_MOST_ROWS`.
         self._fine = self._loops.forward(start, self._fine_u, self._constants)
         self._samples = np.ascontiguousarray(self._fine[:: step.substeps])
         y = self._loops.outputs(self._samples, self._u, self._parameters)
@@ -271,6 +281,7 @@ class SensitivityRun:
         at_x, result = self._loops.outputs_back(self._samples, self._u, self._parameters, cotangent)
         at_x[:, : self.nx] += states
         added = np.zeros_like(self._fine)
+        # Outputs are seen at samples alone: what they add to the costate stands in those rows.
         added[:: self.substeps] = at_x
         fine = self._loops.backward(self._fine, self._fine_u, self._constants, added)
         result[:-1] += fine.reshape(rows - 1, self.substeps, -1).sum(axis=1)

@@ -59,6 +59,7 @@ GoalMaker = Callable[[int, float | None], Goal]
 
 def information_of(run: Run, scale: float) -> np.ndarray:
     """Fisher's information (L, L) of ``scale`` such runs; outputs without a sensor do not count."""
+    # M = sum of S'S over samples and outputs, slopes over the noise; an output without a sensor has slope zero.
     rows = np.nan_to_num(run.slopes).reshape(-1, run.slopes.shape[-1])
     return scale * rows.T @ rows
 
@@ -67,6 +68,8 @@ def add_earlier(plant: PlantScenario, information: np.ndarray, prior_spread: flo
     """Information (L, L) of a run with that of earlier records, and with the order of magnitude that is known anyway."""
     n = plant.count
     total = information.copy()
+    # Adding a prior of a factor keeps the inverse finite where a record leaves a constant open, and hardly moves it
+    # elsewhere.
     total[:n, :n] += plant.earlier + np.eye(n) / prior_spread**2
     others = np.arange(n, len(total))
     total[others, others] += 1 / prior_spread**2
@@ -115,6 +118,7 @@ class Precision:
         for plant, run in zip(self.plants, runs, strict=True):
             _, along = self._measure(plant, run, scale)
             rows = np.nan_to_num(run.slopes)
+            # d(value) / dS = 2 S (d value / dM), M being S'S
             result.append((np.zeros(run.outputs.shape), 2 * scale * (rows @ along) / len(self.plants)))
         return result
 
@@ -132,12 +136,16 @@ class Precision:
         values, vectors = np.linalg.eigh((c + c.T) / 2)
         values = np.maximum(values, TINY)
         if self.criterion is CriterionName.D:
+            # D: -(1 / 2n) ln det C, slope along C is C^-1 / n
             value, slope = -0.5 * np.mean(np.log(values)), np.linalg.inv(c) / len(c)
         elif self.criterion is CriterionName.A:
+            # A: -(1/2) ln (trace C / n)
             value, slope = -0.5 * np.log(np.mean(values)), np.eye(len(c)) / np.sum(values)
         else:
+            # E: -(1/2) ln lambda_max, whose slope is v v'; where two eigenvalues meet it is that of one of them.
             value, slope = -0.5 * np.log(values[-1]), np.outer(vectors[:, -1], vectors[:, -1]) / values[-1]
         columns = inverse[:, self.chosen]
+        # dC = -M^-1 dM M^-1, and the value falls with C: the signs cancel.
         return float(value), 0.5 * columns @ slope @ columns.T
 
 
@@ -200,6 +208,7 @@ class Discrimination:
         result = [(np.zeros(run.outputs.shape), np.zeros(run.slopes.shape)) for run in runs]
         compared = [self._compare(pair, runs, scale) for pair in self.pairs]
         costs = np.maximum([cost for cost, _, _ in compared], TINY)
+        # d/dc_k of -(1/2) ln mean(1 / c) = (1/2) c_k^-2 / sum(1 / c)
         weights = 0.5 / costs**2 / np.sum(1 / costs)
         for pair, weight, (_, left, change) in zip(self.pairs, weights, compared, strict=True):
             plant = self.plants[pair.rival]
@@ -218,8 +227,10 @@ class Discrimination:
         rows = np.nan_to_num(rival.slopes)
         flat = rows.reshape(-1, rows.shape[-1])
         total = add_earlier(plant, information_of(rival, scale), self.prior_spread)
+        # Linearised refit: min |a - S d|^2 + d'(earlier) d, hence (S'S + earlier) d = S'a.
         change = np.linalg.solve(total, scale * (flat.T @ apart.ravel()))
         left = apart - rows @ change
+        # At the minimum the cost is a'(a - S d), earlier records included.
         cost = scale * float(np.sum(apart * left))
         return max(cost, 0.0), left, change
 
@@ -306,6 +317,7 @@ class Detection:
         result = []
         for plant, run, k in zip(self.plants, runs, self.positions, strict=True):
             column = np.linalg.inv(self._total(plant, information_of(run, scale), k))[:, k]
+            # d(-ln std) / dM = (1/2) M^-1 e e' M^-1 / (M^-1)_kk
             along = 0.5 * np.outer(column, column) / max(column[k], TINY) / len(self.plants)
             result.append((np.zeros(run.outputs.shape), 2 * scale * (np.nan_to_num(run.slopes) @ along)))
         return result
@@ -313,6 +325,7 @@ class Detection:
     def _total(self, plant: PlantScenario, information: np.ndarray, k: int) -> np.ndarray:
         """Information with what is known before; of the amplitude itself nothing is."""
         total = add_earlier(plant, information, self.prior_spread)
+        # Of the amplitude nothing is known: all but a little of the prior on it is taken out again.
         total[k, k] -= (1 - self.least_prior) / self.prior_spread**2
         return total
 

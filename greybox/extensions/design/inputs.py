@@ -45,6 +45,7 @@ class Multisine:
     @property
     def highest(self) -> float:
         """Below it lie 95 % of the power."""
+        # Power of a sine is proportional to the square of its amplitude.
         power = np.cumsum(np.square(self.amplitudes))
         return self.frequencies[int(np.searchsorted(power, 0.95 * power[-1]))]
 
@@ -57,6 +58,7 @@ class Multisine:
 
     def shifted(self, number: int) -> Multisine:
         """The same spectrum with other phases."""
+        # Multiples of the golden section: phases of no two inputs fall into step.
         turn = [p + 2 * np.pi * ((number * (k + 1) * 0.618) % 1) for k, p in enumerate(self.phases)]
         return replace(self, phases=tuple(turn)) if number else self
 
@@ -154,6 +156,7 @@ class PiecewiseConstant:
 def staircase(levels: int, duration: float) -> Steps:
     """Steps up to one, down to minus one and back, ``levels`` of them on each way."""
     up = np.linspace(0, 1, levels)
+    # Up, back, down and back: each level is met from both sides, which shows play and hysteresis.
     way = np.concatenate([up, up[-2::-1], -up[1:], -up[-2::-1]])
     return Steps(tuple(way.tolist()), duration, "staircase")
 
@@ -212,6 +215,7 @@ def compress_multisine(
         top = np.abs(signal).max()
         ratio = np.abs(signal) / top
         total = np.mean(ratio**power)
+        # d ln |s|_p / d s, s over its peak so that a high power does not overflow.
         slope = ratio ** (power - 1) * np.sign(signal) / (n * total * top)
         return float(np.log(top) + np.log(total) / power), -(waves.imag / rms) @ slope
 
@@ -220,11 +224,13 @@ def compress_multisine(
 
     generator = np.random.default_rng(seed)
     power_share = np.concatenate([[0.0], np.cumsum(a**2)[:-1]]) / np.sum(a**2)
+    # Schroeder: phase differences follow the power below each line (IEEE Trans. Information Theory 16, 1970).
     starts = [-2 * np.pi * np.cumsum(np.concatenate([[0.0], power_share[1:]]) * np.diff(k, prepend=k[0]))]
     starts += [generator.uniform(0, 2 * np.pi, len(k)) for _ in range(3)]
     best = min(starts, key=peak)
     for start in starts:
         phase = start
+        # Growing p, each from the last one: the maximum norm itself has kinks.
         for power in (4, 8, 16, 32, 64, 128, 256):
             phase = minimize(
                 norm, phase, args=(float(power),), jac=True, method="L-BFGS-B", options={"maxiter": iterations // 8 + 1}

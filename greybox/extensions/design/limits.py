@@ -69,6 +69,7 @@ class LimitKeeper:
         for i in self.question.model.inputs:
             limit, u, rest = self.question.limits[i.name], inputs[i.name], self.question.rest(i.name)
             rate = float(np.abs(np.diff(u)).max()) / step
+            # An input is what is played: it needs no reserve, unlike a predicted signal.
             usage = max(_usage(u.min(), u.max(), limit.low, limit.high, rest, 0.0), rate / limit.rate)
             predictions[i.name] = LimitPrediction(
                 limit.low, limit.high, i.unit, float(u.min()), float(u.max()), limit.rate, rate, usage
@@ -94,6 +95,7 @@ class LimitKeeper:
         for plant, drawn in zip(self.plants, self.draws, strict=True):
             runs = [p.simulate(inputs) for p in (plant, *drawn)]
             if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in runs):
+                # No range of an explanation that overflows: its limits then count as broken without end.
                 return {}
             names = [s.name for s in plant.model.all_states], [o.name for o in plant.model.outputs]
             for name in self.question.limits:
@@ -103,6 +105,8 @@ class LimitKeeper:
                     signals = np.array([x[:, names[0].index(name)] for _, x in runs])
                 else:
                     continue
+                # Whichever is wider at each time: the extreme draw, or mean and deviations, which reach beyond few
+                # draws.
                 middle, spread = signals.mean(axis=0), deviations * signals.std(axis=0)
                 low = float(min(signals.min(), (middle - spread).min()))
                 high = float(max(signals.max(), (middle + spread).max()))
@@ -149,12 +153,16 @@ def fit_into_limits(
             low, kept = amplitude, (amplitude, inputs, predictions)
             if amplitude == 1.0 or load >= 1 - MARGIN_RESERVE:
                 break
+            # By the rule of three: exact where the plant is linear about its rest; bisection where that does not
+            # move any more.
             grown = min(amplitude / max(load, 0.1), high)
             amplitude = grown if grown < high else (low + high) / 2
             if high - low < MARGIN_RESERVE * high:
                 break
         else:
             high = amplitude
+            # 0.99 so that a linear plant keeps the limit at the next try; nothing is known of the load of a run that
+            # overflows.
             shrunk = amplitude * 0.3 if not math.isfinite(load) else 0.99 * amplitude / load
             amplitude = max(shrunk, (low + high) / 2) if kept else shrunk
         if amplitude < LEAST_AMPLITUDE:
@@ -172,6 +180,7 @@ def _usage(low: float, high: float, least: float, most: float, rest: float, rese
     """Share of the way from rest to the limits that is used."""
     used = 0.0
     for value, end in ((high - rest, most - rest), (rest - low, rest - least)):
+        # A limit that lies on the rest leaves no room: any movement towards it breaks it.
         room = (1 - reserve) * end
         if not math.isfinite(value):
             return math.inf

@@ -167,6 +167,7 @@ class InputRefinement:
     def read_levels(self, inputs: Mapping[str, np.ndarray], grid: DesignGrid) -> np.ndarray:
         """The levels (inputs, rows) of an input that was tried."""
         rows = len(next(iter(inputs.values())))
+        # Undo the soft start; where that is nearly zero the level cannot be told, and a tenth bounds what is read.
         rising = np.maximum(envelope(rows, self.question.policy.play), 0.1)
         levels = []
         for name in self.names:
@@ -193,6 +194,8 @@ class InputRefinement:
         result = {i.name: np.full(self.question.rows, self.question.rest(i.name)) for i in self.question.model.inputs}
         for k, name in enumerate(self.names):
             limit, rest = self.question.limits[name], self.question.rest(name)
+            # u = rest + envelope * smoothed(middle + half v - rest): as `play` makes it, so that the gradient is
+            # that of what is played.
             deviation = (limit.low + limit.high) / 2 + (limit.high - limit.low) / 2 * levels[k] - rest
             result[name] = rest + self.envelope * self._smoothed(deviation)
         return result
@@ -207,11 +210,14 @@ class InputRefinement:
             loads += [float(c.values.max() + 1) / self.tightness for c in ranges]
             constraints += ranges
         for c in constraints:
+            # l <- max(0, l + r g)
             pushed = np.maximum(self.multipliers.get(c.key, 0.0) + self.weight * c.values, 0.0)
             if np.isfinite(pushed).all():
                 self.multipliers[c.key] = pushed
         self.weight *= VIOLATION_GROWTH
         if np.isfinite(load) and np.isfinite(max(loads)) and max(loads) > 0:
+            # The whole record, with more draws, is predicted to load this much more than the refined part: limits of
+            # the next round are as much closer.
             self.tightness = max(1.0, load / max(loads))
 
     def __call__(self, v: np.ndarray) -> tuple[float, np.ndarray]:
@@ -229,6 +235,7 @@ class InputRefinement:
             for constraint in self._rates(name, inputs[name]):
                 penalty, push = self._penalise(constraint)
                 cost += penalty
+                # d(u_{k+1} - u_k): the later sample with plus, the earlier one with minus.
                 slope = push * constraint.slopes[0]
                 along[self.order.index(name), 1:] += slope
                 along[self.order.index(name), :-1] -= slope
@@ -252,6 +259,8 @@ class InputRefinement:
         gradient = []
         for name in self.names:
             limit = self.question.limits[name]
+            # Back through what makes the input of a level: du/dv = half * smoothing * envelope, and the symmetric
+            # average is its own transpose.
             gradient.append(
                 (limit.high - limit.low) / 2 * self._smoothed(self.envelope * along[self.order.index(name)])
             )
@@ -268,6 +277,7 @@ class InputRefinement:
         before = self.multipliers.get(constraint.key, 0.0)
         push = np.maximum(before + self.weight * constraint.values, 0.0)
         count = len(constraint.values)
+        # (max(0, l + r g)^2 - l^2) / 2 r, mean over samples
         return float(np.sum(push**2 - np.square(before))) / (2 * self.weight * count), push / count
 
     def _rates(self, name: str, u: np.ndarray) -> Iterator[SampledLimit]:
@@ -295,11 +305,13 @@ class InputRefinement:
             rest, middle = signals[0, 0], signals.mean(axis=0)
             apart = signals - middle
             std = np.sqrt(np.mean(apart**2, axis=0))
+            # d std / d signal_i = (signal_i - mean) / (n std)
             along_std = apart / np.maximum(std, TINY) / len(runs)
             for sign, end in ((1.0, limit.high - rest), (-1.0, rest - limit.low)):
                 room = end * (1 - MARGIN_RESERVE) * self.question.share(name) / self.tightness
                 if not (np.isfinite(room) and room > 0):
                     continue
+                # (mean + 3 std - rest) / room - 1 <= 0, and the same downwards
                 values = (sign * (middle - rest) + MARGIN_DEVIATIONS * std) / room - 1
                 slopes = (sign / len(runs) + MARGIN_DEVIATIONS * along_std) / room
                 yield SampledLimit((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))

@@ -96,6 +96,7 @@ def read_source(
         )
     models = [best.model, *(r for r in rivals if isinstance(r, Model))]
     for name in dict.fromkeys([*names, *(r for r in rivals if isinstance(r, str))]):
+        # To the same records: a rival that explains them worse from a bad start would look easy to tell apart.
         models.append(fit_rival(base, name))
     chosen = options or FitOptions.from_data(best.provenance.options)
     noise = {name: float(std) for name, std in best.noise.std.items()}

@@ -60,6 +60,7 @@ def weigh_optimally(information: np.ndarray, iterations: int = 2000, tolerance: 
     count, p, _ = information.shape
     weights = np.full(count, 1 / count)
     scale = np.sqrt(np.maximum(np.diagonal(information.sum(axis=0)), TINY))
+    # D-optimal weights do not depend on units; the inverse does not have to either.
     scaled = information / scale[:, None] / scale
     if np.linalg.cond(scaled.mean(axis=0)) > 1e13:
         raise DataError(
@@ -67,6 +68,7 @@ def weigh_optimally(information: np.ndarray, iterations: int = 2000, tolerance: 
         )
     for _ in range(iterations):
         inverse = np.linalg.inv(np.tensordot(weights, scaled, 1))
+        # trace(M(w)^-1 M_i) / p: above one a piece brings more than its share, and gets more weight.
         gain = np.einsum("ij,kji->k", inverse, scaled) / p
         weights = weights * gain
         weights /= weights.sum()
@@ -106,6 +108,7 @@ def choose_sampling_times(
     weights = weigh_optimally(information)
     active = weights > least_weight / 10
     edges = np.flatnonzero(np.diff(active.astype(int))) + 1
+    # Weights on neighbouring grid points stand for one time between them.
     groups = [g for g in np.split(np.arange(len(weights)), edges) if active[g[0]] and weights[g].sum() >= least_weight]
     times = tuple(float(np.average(question.time[g], weights=weights[g])) for g in groups)
     shares = np.array([weights[g].sum() for g in groups])

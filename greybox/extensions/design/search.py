@@ -67,6 +67,7 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
         best_of_kind.setdefault(each.kind, each)
     # Rivals lie far apart on many inputs: the more models there are to run, the fewer starts are needed.
     models = {plant.model.title for plant in goal.plants}
+    # Work of a refinement grows with the models that are run.
     count = max(policy.starts // len(models), LEAST_STARTS)
     starts = list(best_of_kind.values())[:count]
     if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
@@ -101,12 +102,16 @@ def try_shapes(
             refusal = error
             continue
         options = [TriedInput(each, largest, inputs, limits, -np.inf)]
+        # Smaller amplitudes keep the limits that the largest one keeps as far as the plant is near its rest; what is
+        # chosen is predicted anew below.
         for smaller in INPUT_SEARCH_AMPLITUDES[1:]:
             played = play(question, each, smaller * largest)
             options.append(TriedInput(each, smaller * largest, played, limits, -np.inf))
         valued = [replace(o, value=evaluate(goal, o.inputs)) for o in options]
         best = max(valued, key=lambda o: o.value)
         if best.amplitude < largest:
+            # A nonlinear plant may come closer to a limit under a smaller input: the prediction of the large one
+            # does not vouch for it.
             best = replace(best, limits=keeper.predict(best.inputs))
         tried.append(best)
     if not tried:
@@ -134,6 +139,7 @@ def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShap
     generator = np.random.default_rng(INPUT_SEARCH_SEED)
     shapes: list[InputShape] = [staircase(STAIRCASE_LEVELS, question.duration)]
     for high in bands:
+        # Steps have their power up to a third of their frequency: three a period of ``high``.
         count = int(np.clip(3 * high * question.duration, STEP_COUNT, 0.4 * question.rows))
         shapes += [
             flat_multisine(high, policy),
@@ -156,6 +162,7 @@ def find_bands(question: DesignProblem) -> tuple[float, list[float]]:
     lowest = 1 / question.duration
     top = SHARE_OF_NYQUIST * 0.5 / question.sampling_time
     if question.hold != "zero":
+        # A generator that averages samples takes away what lies above the band of that average.
         top /= PLAY_SMOOTHING / 2
     fastest, slowest = fastest_and_slowest_rate(question.model)
     high = min(top, fastest / 2) if fastest else top
@@ -184,15 +191,18 @@ def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -
     information = []
     for k in harmonics:
         line = {name: Multisine((base * k,), (1.0,), (0.0,)) for name in question.driven}
+        # Half the range, the same for every line: only the ratio of what they bring counts.
         run = plant.run(play(question, line, 0.5))
         if not run.finite:
             return None
         information.append(run.information[: plant.count, : plant.count])
     try:
+        # Information of each line by itself adds up for a linear plant: sum w_i M_i; hence for small motion alone.
         weights = weigh_optimally(np.array(information))
     except DataError:
         return None
     kept = weights > 1e-3
+    # Power is the square of an amplitude.
     amplitudes = np.sqrt(weights[kept])
     lines = tuple(int(k) for k in np.array(harmonics)[kept])
     phases = _compressed_phases(lines, tuple(np.round(amplitudes, 6).tolist()), policy.crest_iterations)

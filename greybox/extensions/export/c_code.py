@@ -48,6 +48,7 @@ def write_step(interval: DiscreteStep) -> str:
         "SUBSTEPS": step.substeps,
     }
     routines = [
+        # Without tangents, which need vector types, and without fused products: the text is plain C99.
         CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
         CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
         CRoutine("start", read_tape(interval.start_function()), ("p",), (), 0),

@@ -96,6 +96,7 @@ class DiscreteStep:
         """The state (nx,) ``dt`` seconds later."""
         n = self.step.substeps
         shares = np.arange(n + 1) / n
+        # The flag of a delayed input runs from 0 to 1 over the interval, as the rows of a record do.
         rows = np.array([self.row(u, past, share) for share in shares]).T
         q = np.tile(self.coefficients(p)[:, None], n)
         return self._substeps(x, rows[:, :-1], rows[:, 1:], q, np.full((1, n), self.dt / n)).full()[:, -1]
@@ -163,6 +164,8 @@ def _recorded_inputs(plant: Plant, dt: float) -> np.ndarray | None:
         return None
     record = plant.fit.traces[0].experiment
     count = min(int((record.time[-1] - record.time[0]) / dt) + 1, DISCRETE_STEP_ROWS)
+    # The input that was held at each time; a little later, so that a time equal to a sample but for rounding takes
+    # that sample.
     rows = np.searchsorted(record.time - record.time[0], np.arange(count) * dt * (1 + 1e-12), side="right") - 1
     return np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
 

@@ -133,6 +133,7 @@ def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
         "",
         read_template("fmu.c"),
     ]
+    # The identifier follows from the text: the same model gives the same FMU, a changed one another.
     guid = str(uuid.UUID(bytes=hashlib.sha256("\n".join(body).encode()).digest()[:16]))
     return "\n".join(
         [f"/* {to_identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]

@@ -230,10 +230,12 @@ def design_observer(
     system, step = interval.model.system, interval.step
     pn = np.append(interval.p, [noise[name] for name in outputs])
     filter_step = make_filter_step(system, step)
+    # Constants and noise are numbers from here on: what runs beside a controller has nothing to compute them from.
     q = ca.SX(ca.DM(filter_step.coefficients(pn, np.array([interval.dt]), NONE)[0][0]))
     z, w = ca.SX.sym("z", nx + nx * (nx + 1) // 2), ca.SX.sym("w", nu + ny)
     u, reading = w[:nu], w[nu:]
     present = ca.fabs(reading) <= LARGEST_VALUE  # not for NaN
+    # NaN would pass through a product with zero: the reading itself is put to zero.
     y = ca.if_else(present, reading, 0.0)
 
     def row(share: float) -> ca.SX:
@@ -241,6 +243,7 @@ def design_observer(
 
     following, n = z, step.substeps
     for k in range(n):
+        # All substeps written out, the correction in the first: the same instructions as in the library's filter.
         following = filter_step.advance(following, row(k / n), row((k + 1) / n), q, interval.dt / n)
     correction = _make_correction(step, nx, nu, ny, len(interval.p))
     after = correction(z, u, y, present, ca.DM(interval.p), ca.DM(pn[len(interval.p) :]))

@@ -77,6 +77,7 @@ def estimate_linear_response(
         plus, minus = (simulator.run(_moved(record, change, sign), settings) for sign in (1.0, -1.0))
     except FmuRunError:
         return None
+    # (y(u + d) - y(u - d)) / 2: even terms of the plant's nonlinearity cancel.
     answer = np.column_stack([(plus[n] - minus[n]) / 2 for n in names])
     size = answer.std(axis=0)
     moving = size > LEAST_ANSWER * np.array([max(float(np.std(plus[n])), np.finfo(float).tiny) for n in names])
@@ -94,6 +95,7 @@ def estimate_linear_response(
         return None
     gains = np.array([1 / np.abs(change[i.label]).max() for i in plant.inputs])
     C, D = np.zeros((len(names), len(best.A))), np.zeros((len(names), len(gains)))
+    # Rounding of a subspace estimate is not taken for a feed-through.
     direct = np.where(np.abs(best.D) > LEAST_ANSWER, best.D, 0.0)
     C[moving], D[moving] = best.C * scale[moving, None], direct * scale[moving, None] * gains
     explained = dict(zip(names, np.ones(len(names)), strict=True)) | dict(best.explained)
@@ -115,6 +117,7 @@ def _draw_change(record: Experiment, inputs: list[str]) -> dict[str, np.ndarray]
     for name in inputs:
         u = record.inputs[name]
         size = FMU_RESPONSE_CHANGE * (float(np.std(u)) or float(np.abs(u).max(initial=0.0)) or 1.0)
+        # Lengths uniform in the logarithm: every decade of frequency gets a like share.
         lengths = np.exp(rng.uniform(0.0, np.log(max(record.rows / FMU_RESPONSE_SLOWEST, 2.0)), record.rows)).astype(
             int
         )
@@ -140,6 +143,7 @@ def _identify(data: Experiment, order: int | None) -> LinearResponse | None:
         model = subspace(data, order)
     except (DataError, np.linalg.LinAlgError):
         return None
+    # [[A B], [0 I]] = exp([[Ac Bc], [0 0]] h)
     whole = np.block([[model.A, model.B], [np.zeros((model.D.shape[1], model.order)), np.eye(model.D.shape[1])]])
     if not model.stable and np.abs(model.poles).max(initial=0.0) > 1 + FMU_RESPONSE_UNSTABLE:
         return None
@@ -169,6 +173,7 @@ def _balance(A: np.ndarray, B: np.ndarray, model: StateSpaceModel) -> tuple[np.n
     columns = []
     for value, vector in zip(values, vectors.T, strict=True):
         if value.imag > 0:
+            # A conjugate pair as a real block; the other of the pair spans the same.
             columns += [vector.real, vector.imag]
         elif value.imag == 0:
             columns.append(vector.real)

@@ -115,6 +115,7 @@ def build_local_model(
         def equation(x: Any, u: Any, p: Any) -> Any:
             value = u[f"{PREFIX}{o.label}"] + (x[f"{PREFIX}{o.label}_moved"] if held else 0.0)
             for name in values:
+                # y = y_run + (dy/dp) (p - p_run): exact at the run, of first order around it.
                 value = value + u[_slope_name(o.label, name)] * (p[name] - p[_start_name(name)])
             if response is not None:
                 one = p[_unit_name(o.label)]
@@ -178,6 +179,8 @@ def extend_record(
     inputs = {i.label: record.inputs[i.label] for i in plant.inputs}
     free = [q.name for q in local.model.free_parameters]
     for j, o in enumerate(plant.outputs):
+        # The linear answer to the inputs is in the model: what comes through the record is the rest, so that the sum
+        # is the run.
         base = run[o.label] - (0.0 if known is None else known[:, j])
         if record.hold == "zero":
             # Between samples an output moves on: its rate is held, and a state adds it up.

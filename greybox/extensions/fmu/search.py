@@ -14,8 +14,7 @@ import numpy as np
 
 from greybox.data.experiment import Experiment
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.optim.policy import DEFAULT_POLICY, GaussNewtonPolicy
+from greybox.estimation.optim.minimisation import DEFAULT_POLICY, GaussNewtonPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.extensions.fmu.description import FmuVariable
 from greybox.extensions.fmu.policy import FmuFitPolicy

@@ -103,6 +103,7 @@ class SensitivityRunner:
         time = record.time - record.time[0]
         u = np.column_stack([record.inputs[i.label] for i in self.plant.inputs] or [np.empty((record.rows, 0))])
         x = np.array(self._get_states(base))
+        # S(0) = dx(0)/dp: an instance that begins with the parameter moved shows it.
         S = np.column_stack([(self._get_states(m) - x) / w for m, w in zip(moved, widths, strict=True)])
         held = record.hold == "zero"
         outputs, slopes = [], []
@@ -140,7 +141,9 @@ class SensitivityRunner:
             self._place(base, moved, at, state, drive)
             f = self._get_rates(base)
             columns = [self._along_states(base, self.rates, along[:, j]) for j in range(len(moved))]
+            # df/dp at the same state: no solver lies between the two rates, so that the difference may be small.
             by_parameter = [(self._get_rates(m) - f) / w for m, w in zip(moved, widths, strict=True)]
+            # S' = (df/dx) S + df/dp
             return f, np.column_stack(columns) + np.column_stack(by_parameter)
 
         f1, s1 = rates(t, x, S, u[0])
@@ -191,6 +194,7 @@ class SensitivityRunner:
         apply_start_values(instance, self.description, left, settable=settable_in_initialization_mode)
         instance.exitInitializationMode()
         again = True
+        # Event iteration of FMI: until the FMU has settled its discrete states.
         while again:
             again = bool((instance.newDiscreteStates() if is_second else instance.updateDiscreteStates())[0])
         instance.enterContinuousTimeMode()

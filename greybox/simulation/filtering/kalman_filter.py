@@ -69,6 +69,8 @@ def discretise_process_noise(system: System) -> CoefficientFunction:
     size = covariance.numel() + 1
     generator = ca.SX.zeros(size, size)
     generator[:-1, :-1] = ca.jacobian(rate, covariance)
+    # d[P; 1]/ds = [[K, vec Q], [0, 0]] [P; 1]: the constant Q becomes the column of a state that stays one, so that
+    # the last column of the exponential is Qd.
     generator[:-1, -1] = ca.substitute(rate, covariance, ca.SX.zeros(size - 1))
     along = ca.jacobian(ca.vec(generator), system.p)
     matrices = ca.Function("noise", [system.p], [ca.densify(generator), ca.densify(along)])
@@ -206,14 +208,20 @@ def correct_by_measurement(
     standardised, logarithm = [], []
     for j in range(row.y.numel()):
         slope, is_present = slopes[j, :], row.present[j]
+        # v_j = y_j - h_j(x-) - H_j (x - x-): one output after the other, all linearised at the prediction, gives
+        # what the joint update gives.
         innovation = row.y[j] - predicted[j] - slope @ (x - predicted_moments.x)
         cross_covariance = P @ slope.T
+        # S = H P H' + R
         variance = slope @ cross_covariance + noise[j] ** 2
         standardised.append(is_present * innovation / ca.sqrt(variance))
         logarithm.append(is_present * ca.log(variance))
+        # K = P H' / S; zero in a gap, which leaves x and P as they are.
         gain = is_present * cross_covariance / variance
         remaining = ca.SX.eye(x.numel()) - gain @ slope
         x = x + gain * innovation
+        # Joseph: P+ = (I - K H) P (I - K H)' + K R K', a sum of squares whatever the rounding of K is; its lower
+        # triangle alone goes on.
         P = _symmetrise(remaining @ P @ remaining.T + gain @ gain.T * noise[j] ** 2)
     return Moments(x, P), Innovation(ca.vertcat(*standardised), ca.vertcat(*logarithm))
 
@@ -244,6 +252,7 @@ def make_filter_step(system: System, step: Step) -> Step:
     substep_noise = (
         to_symmetric(qd, nx) if is_exact else _integrate_substep_noise(slope, ca.diag(system.diffusion**2), h)
     )
+    # P+ = F P F' + Qd
     P = slope @ after.P @ slope.T + substep_noise
     q_of_filter = ca.vertcat(q, system.p, noise, qd)
     advance = ca.Function("advance", [z, ra, rb, q_of_filter, h], [ca.cse(ca.vertcat(following, to_lower_triangle(P)))])
@@ -273,7 +282,9 @@ def _locate_substep(first: FilterRow, second: FilterRow, exact: bool) -> tuple[F
     The kernel runs straight from row to row; ``turn`` tells which of how many substeps this is.
     """
     if exact:
+        # An exact step takes the whole interval: there is one substep, and the measurement belongs to it.
         return first, first.u, first.u + first.linear * (second.u - first.u)
+    # The column of 0 and 1 moves by 1/n over a substep: that says how many there are, and which this one is.
     n = ca.floor(1 / ca.fabs(second.turn - first.turn) + 0.5)
     number = ca.floor(ca.if_else(second.turn > first.turn, first.turn, 1 - first.turn) * n + 0.5)
     ramp = (second.u - first.u) * n
@@ -295,6 +306,7 @@ def compute_interval_noise(step: Step, system: System, u: ca.SX, q: ca.SX, h: ca
     _, slope = _advance_with_slope(step, system.x, u, u, q, part)
     added = _integrate_substep_noise(slope, ca.diag(system.diffusion**2), part)
     covariance = added
+    # F and the noise of one substep serve all: P <- F P F' + Qd, at the state where the interval begins.
     for _ in range(step.substeps - 1):
         covariance = _symmetrise(slope @ covariance @ slope.T + added)
     return covariance
@@ -309,6 +321,7 @@ def _integrate_substep_noise(slope: ca.SX, intensity: ca.SX, h: ca.SX) -> ca.SX:
     identity = ca.SX.eye(slope.size1())
     d = slope - identity
     half = identity + d @ (identity / 2 - d @ (identity / 8 - d / 16))
+    # Simpson: Qd = h/6 (F Q F' + 4 F_half Q F_half' + Q)
     return h / 6 * (slope @ intensity @ slope.T + 4 * (half @ intensity @ half.T) + intensity)
 
 

@@ -58,6 +58,7 @@ class BatchFilter:
         whole = np.tile(np.eye(nx), (n, 1, 1))
         for arguments, same in self._iterate_substeps(rows):
             x, slopes = _map_rows(self._moved_with_slopes, {0: x, **arguments}, same)
+            # CasADi's columns are read as rows, hence the transpose; the chain rule puts the later substep in front.
             whole = slopes.reshape(n, nx, nx).transpose(0, 2, 1) @ whole
         return x, whole
 
@@ -182,7 +183,9 @@ def smooth_states(
     innovation = np.where(present, record.y - y, 0.0)
     slopes = np.where(present[:, :, None], slopes, 0.0)
     noise = np.where(present, pn[-y.shape[1] :] ** 2, 1.0)
+    # S = H P H' + R; a gap has H = 0, v = 0 and R = 1, so that S stays regular and nothing is added.
     variance = slopes @ run.covariance @ slopes.transpose(0, 2, 1) + noise[:, :, None] * np.eye(y.shape[1])
+    # S^-1 H
     weighted = np.linalg.solve(variance, slopes)
     weighted_innovation, curvature = np.einsum("tji,tj->ti", weighted, innovation), slopes.transpose(0, 2, 1) @ weighted
     correction = np.eye(len(x0)) - run.covariance @ curvature  # L, from the state before a measurement to that after it
@@ -191,11 +194,15 @@ def smooth_states(
     for k in rows[::-1]:
         if k < rows[-1]:
             r_after, information_after = (
+                # r <- F' r and N <- F' N F: back over the interval, before the correction of the row is undone. The
+                # last row has none after it.
                 transitions[k].T @ r_after,
                 transitions[k].T @ information_after @ transitions[k],
             )
+        # r = H' S^-1 v + L' r, N = H' S^-1 H + L' N L
         r[k] = r_after = weighted_innovation[k] + correction[k].T @ r_after
         information[k] = information_after = curvature[k] + correction[k].T @ information_after @ correction[k]
+    # x + P r and P - P N P
     mean = run.predicted + np.einsum("tij,tj->ti", run.covariance, r)
     smoothed_covariance = run.covariance - run.covariance @ information @ run.covariance
     return SmootherRun(
@@ -220,10 +227,12 @@ def predict_outputs(kalman: KalmanFilter, record: Record, pn: np.ndarray, x0: np
     batch = BatchFilter(kalman, record, pn)
     free = kalman.simulate_free_run(record, pn, x0)
     samples = np.arange(0, len(record.y), record.rows_per_sample)
+    # What no measurement reaches is the free run.
     states = free[samples]
     if steps < len(samples):
         run = kalman.run(record, pn, x0)
         filtered, _ = batch.correct(run.predicted, run.covariance)
+        # In samples, not rows: the rows between two samples of a band-limited input count as one step.
         origin = samples[:-steps]
         x = filtered[origin]
         for row in range(steps * record.rows_per_sample):

@@ -21,11 +21,16 @@ def make_step(name: str, system: System, method: IntegrationMethod, substeps: in
     """The step of ``system`` by a smooth ``method``; a delayed input needs the ``past`` and takes at least two substeps."""
     if system.delays and past is None:
         raise ModelError(f"the delayed input of {system.delays[0].effect!r} needs its past; use discretise")
+    # Friction runs the smooth method on pieces of a substep, and the delay hands friction its substeps: a body may
+    # stop on either side of the cut of a delayed input, and each piece has one course of the input.
     advance = split_at_standstill(system, method) if system.dry else method(make_rate_function(system))
     if system.updates:
+        # Inside the delay, which hands each substep its own ends of the input: play follows the input that has
+        # arrived.
         advance = apply_updates(system, advance)
     outputs = system.output_function
     if past is not None:
+        # One substep at least on either side of the cut where the delayed input changes its row.
         substeps = max(substeps, 2)
         advance, outputs = delay_input(system, advance, past), delay_outputs(system, past)
     return Step(name, _make_advance(system, advance, past), outputs, as_coefficients, substeps, past=past)
@@ -38,6 +43,7 @@ def make_rate_function(system: System) -> ca.Function:
 
 def as_coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients of a step that takes the parameters as they are: one row for every interval length."""
+    # q = p, so dq / dp[which] is the columns ``which`` of the identity.
     return p[None, :], np.eye(len(p))[None, :, which]
 
 
@@ -45,6 +51,8 @@ def _make_advance(system: System, advance: AdvanceFunction, past: InputHistory |
     x, p, h = ca.SX.sym("x", system.x.numel()), ca.SX.sym("p", system.p.numel()), ca.SX.sym("h")
     columns = system.u.numel() + count_history_columns(past)
     ua, ub = ca.SX.sym("ua", columns), ca.SX.sym("ub", columns)
+    # Stages repeat subexpressions of the equations; without `cse` each would be an instruction of its own, with its
+    # tangent.
     return ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
 
 

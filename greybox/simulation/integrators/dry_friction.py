@@ -64,6 +64,7 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
         def rate(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             rates = slide(x, u, p, directions)
             for body, motion in zip(bodies, motions, strict=True):
+                # dv/dt = 0 exactly: a held body does not creep, however its forces round.
                 rates[body.state] = ca.if_else(motion.is_stuck, 0, rates[body.state])
             return rates
 
@@ -72,11 +73,14 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
     def start_motion(body: _Body, x: ca.SX, ua: ca.SX, p: ca.SX, before: _Event | None) -> _Motion:
         v, push_direction = x[body.state], ca.sign(body.free(x, ua, p))
         if before is None:
+            # Coulomb's law at v = 0: held as long as |free acceleration| <= static level. The comparison with zero
+            # is exact because a stop sets the velocity to zero, not near it.
             is_stuck = ca.logic_and(v == 0, body.compute_excess(x, ua, p, push_direction) <= 0)
         else:  # at the moment of leaving the push is the static level but for rounding
             push_direction = ca.if_else(before.leaves, before.leaving_direction, push_direction)
             is_held = ca.logic_and(v == 0, body.compute_excess(x, ua, p, push_direction) <= 0)
             is_stuck = ca.logic_and(ca.logic_not(before.leaves), is_held)
+        # A body at rest will go where it is pushed; friction points against that before it has a velocity.
         return _Motion(ca.if_else(v == 0, push_direction, ca.sign(v)), is_stuck)
 
     def find_event(
@@ -84,12 +88,15 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
     ) -> _Event:
         """``first`` is the body's acceleration at the start of the piece."""
         v, way = x[body.state], motion.direction
+        # The smooth piece ran beyond the stop: its velocity at the end has the other sign, or is zero.
         has_crossed = ca.logic_and(ca.logic_not(motion.is_stuck), ca.logic_and(v != 0, way * end[body.state] <= 0))
         leaving_direction = ca.sign(body.free(end, ub, p))
         early_excess, late_excess = (
             body.compute_excess(x, ua, p, leaving_direction),
             body.compute_excess(end, ub, p, leaving_direction),
         )
+        # A push that exceeds the static level within the step and falls below it again before the end is missed:
+        # substeps are short against the input's course.
         leaves = ca.logic_and(motion.is_stuck, late_excess > 0)
         stop_share = _crossing_share(v, h * first, end[body.state], way)
         # The push is taken to grow in a straight line, which leaves an error of order h^2 in the time of leaving.
@@ -103,6 +110,8 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
         """What is left of a step, split at ``events_left`` events at most; ``before`` is what each body did where it begins."""
         motions = [start_motion(body, x, ua, p, event) for body, event in zip(bodies, before, strict=True)]
         end = step_piece(x, ua, ub, p, h, motions)
+        # No event is left for a body that crosses zero now: its velocity is cut off at zero, and it is held from the
+        # next substep on.
         if events_left == 0:
             for body, motion in zip(bodies, motions, strict=True):
                 end[body.state] = motion.direction * ca.fmax(motion.direction * end[body.state], 0)
@@ -110,8 +119,10 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
         first = slide(x, ua, p, ca.vertcat(*[m.direction for m in motions]))
         pairs = list(zip(bodies, motions, strict=True))
         events = [find_event(body, m, x, end, ua, ub, p, h, first[body.state]) for body, m in pairs]
+        # The first event of all bodies ends the piece for all: forces between them jump there.
         share = reduce(ca.fmin, [event.share for event in events])
         u_at_event = ua + share * (ub - ua)
+        # Integrated anew up to the event, not interpolated: the method keeps its order on both pieces.
         cut = step_piece(x, ua, u_at_event, p, share * h, motions)
         due: list[_Event | None] = []
         for (body, motion), event in zip(pairs, events, strict=True):
@@ -122,6 +133,8 @@ def split_at_standstill(system: System, one_step: IntegrationMethod) -> AdvanceF
             due.append(replace(event, leaves=ca.logic_and(event.leaves, is_due)))
         rest = advance_rest(cut, u_at_event, ub, p, (1 - share) * h, due, events_left - 1)
         any_event = reduce(ca.logic_or, [ca.logic_or(event.has_crossed, event.leaves) for event in events])
+        # Both branches are evaluated by the kernel; without an event the whole piece keeps the bits of the smooth
+        # method.
         return ca.if_else(any_event, rest, end)
 
     def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
@@ -141,15 +154,21 @@ def _make_sliding_rate(system: System, bodies: list[_Body]) -> ca.Function:
 
 def _make_body(system: System, j: int) -> _Body:
     arguments = [system.x, system.u, system.p]
+    # Acceleration with every direction of friction at zero: what pushes the body while nothing holds it.
     free = ca.substitute(system.rhs[j], system.direction, ca.SX.zeros(len(system.dry)))
     levels = [d.static for d in system.dry if d.state == j]
+    # Levels are forces, the excess compares accelerations: F_s / m. A level that falls with the velocity (Stribeck)
+    # counts at v = 0.
     static = ca.substitute(sum(levels, ca.SX(0)) / system.storages[j], system.x[j], 0)
     return _Body(j, ca.Function("free", arguments, [free]), ca.Function("static", arguments, [static]))
 
 
 def _crossing_share(v: ca.SX, first: ca.SX, last: ca.SX, direction: ca.SX) -> ca.SX:
     """Share of the step after which the velocity is zero: root of the parabola through ``v``, its slope ``first`` and ``last``."""
+    # |v|(s) = c0 + c1 s + c2 s^2 over the share s of the step, from both ends and the slope at the first.
     c0, c1 = ca.fabs(v), direction * first
     c2 = direction * last - c0 - c1
+    # No real root means that the parabola only touches zero; TINY keeps the slope of the root finite there.
     root = ca.sqrt(ca.fmax(c1 * c1 - 4 * c2 * c0, TINY))
+    # s = 2 c0 / (-c1 + sqrt(c1^2 - 4 c2 c0)): the form without cancellation, which also holds for c2 = 0.
     return ca.fmin(ca.fmax(2 * c0 / ca.fmax(root - c1, TINY), 0), 1)

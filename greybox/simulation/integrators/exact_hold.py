@@ -49,7 +49,10 @@ def compute_exponentials(generator: np.ndarray, slopes: np.ndarray, lengths: np.
     size, n, nh = len(generator), len(slopes), len(lengths)
     inputs = (size - nx) // 2
     scaled = generator * lengths[:, None, None]
+    # The ramp block is 1 per interval, not per second, so that G2 multiplies ``ub - ua`` as it stands.
     scaled[:, nx : nx + inputs, nx + inputs :] = np.eye(inputs)
+    # `expm` raises on what is not finite; a trial point out of reach is no error: the run that follows is NaN, and
+    # the search draws back.
     if not (np.isfinite(scaled).all() and np.isfinite(slopes).all()):
         return HoldExponentials(np.full(scaled.shape, np.nan), np.full((nh, n, size, size), np.nan), nx)
     if n == 0:
@@ -58,6 +61,7 @@ def compute_exponentials(generator: np.ndarray, slopes: np.ndarray, lengths: np.
     pairs[:, :, :size, :size] = pairs[:, :, size:, size:] = scaled[:, None]
     pairs[:, :, :size, size:] = slopes * lengths[:, None, None, None]
     exponential_pairs = expm(pairs)
+    # The diagonal block is the same for every direction: exp(M) comes with the first.
     return HoldExponentials(exponential_pairs[:, 0, :size, :size], exponential_pairs[:, :, :size, size:], nx)
 
 
@@ -104,7 +108,9 @@ class DelayedHold:
         """
         seconds, along = (value.ravel() for value in call_function(self.seconds, p))
         delay, n = self._split(float(seconds[0]), h)
+        # b = (1 - f) h, what is left of the interval after the cut; f = delay - n.
         c, b, nx = self.past.column, (1 - (delay - n)) * h, len(whole.values[0])
+        # db/dp = -d(delay)/dp; zero where the delay is clipped to the rows that the step sees.
         db = -along[which] if 0 <= seconds[0] <= self.past.rows * h else 0 * along[which]
         rest = compute_exponentials(generator, slopes, np.array([b]), nx).of(0)
         (g1, g2), (dg1, dg2) = _input_columns(whole, c)
@@ -112,10 +118,15 @@ class DelayedHold:
         # d g(b) / d b = exp(A b) B; d (b G2(b)) / d b = g(b)
         rate = rest.values[0] @ generator[:nx, nx + c]
         dr2 = b * dr2 + np.outer(db, r1)
+        # After ``dr2``, which takes g(b); in this order each line uses what it needs before it is overwritten.
         dr1 = dr1 + np.outer(db, rate)
         gains = np.zeros((2, self.rows, nx))
         changes = np.zeros((len(which), *gains.shape))
+        # Row n ago drives the rest b of the interval: level g(b); its ramp rises from zero at the cut, by the share
+        # b / h of G2(b).
         gains[:, n] = r1, b * r2 / h
+        # Row n + 1 ago drives up to the cut: level g(h) - g(b). Its ramp is at b / h when the interval begins, hence
+        # what it adds to G2(h), less what the rest would have got from it.
         gains[:, n + 1] = g1 - r1, g2 + b / h * (g1 - r2) - r1
         changes[:, 0, n], changes[:, 1, n] = dr1, dr2 / h
         changes[:, 0, n + 1] = dg1 - dr1
@@ -125,6 +136,7 @@ class DelayedHold:
     def _split(self, seconds: float, length: float) -> tuple[float, int]:
         """The delay in intervals, and how many whole ones."""
         delay = min(max(seconds / length, 0.0), float(self.past.rows))
+        # A delay of exactly ``rows`` intervals is rows - 1 whole ones and a share of one: row n + 1 must exist.
         return delay, min(math.floor(delay), self.past.rows - 1) if math.isfinite(delay) else 0
 
 
@@ -154,8 +166,10 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
     outputs, matrices = system.output_function, _make_matrices(system)
     delayed = None
     if past is not None:
+        # The column says whether the input is linear between rows; a held one has no ramp.
         u_ramp = u_ramp * ua[-2]
         delayed = DelayedHold(system, past, ua, ub)
+        # The delayed column comes in by ``delayed.share`` alone.
         u_start[past.column] = u_ramp[past.column] = 0
         q, outputs = ca.vertcat(q, delayed.q), delay_outputs(system, past)
     following = phi @ x + g1 @ ca.vertcat(u_start, 1) + g2 @ u_ramp + (delayed.share if delayed else 0)
@@ -176,6 +190,7 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
         return np.hstack([q, [g for g, _ in gains]]), np.hstack([dq, [dg for _, dg in gains]])
 
     advance = ca.Function("advance", [x, ua, ub, q, h], [following])
+    # With a delay q has gains beside the exponential's entries: no kernel computes them by itself.
     generator = None if delayed else _make_generator(system)
     return Step("exact hold", advance, outputs, coefficients, per_interval=True, past=past, generator=generator)
 

@@ -52,6 +52,7 @@ def midpoint_step() -> IntegrationMethod:
     def make_advance(rate: RateFunction) -> AdvanceFunction:
         def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
             middle = (ua + ub) / 2
+            # (I - h J / 2) dz = h f(x + z) / 2 - z: simplified Newton, one matrix for all iterations.
             matrix = ca.SX.eye(x.numel()) - h / 2 * _jacobian(rate, x, middle, p)
             z = ca.SX.zeros(x.numel())  # half the increment
             solve = _make_solver(matrix)
@@ -66,10 +67,12 @@ def midpoint_step() -> IntegrationMethod:
 
 def radau_step() -> IntegrationMethod:
     """Radau IIA (two stages) for ``dx/dt = rate(x, u, p)``."""
+    # Butcher's table with c = (1/3, 1): the second stage is the end of the step.
     (a11, a12), (a21, a22) = (5 / 12, -1 / 12), (3 / 4, 1 / 4)
 
     def make_advance(rate: RateFunction) -> AdvanceFunction:
         def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
+            # The input at c1 = 1/3; at c2 = 1 it is ``ub``.
             u1 = ua + (ub - ua) / 3
             one = ca.SX.eye(x.numel())
             j = h * _jacobian(rate, x, ua, p)
@@ -79,8 +82,11 @@ def radau_step() -> IntegrationMethod:
             for _ in range(NEWTON_ITERATIONS):
                 k1, k2 = h * rate(x + z1, u1, p), h * rate(x + z2, ub, p)
                 r1, r2 = a11 * k1 + a12 * k2 - z1, a21 * k1 + a22 * k2 - z2
+                # Cramer's rule on blocks: the inverse of I - A x J is the adjugate over the determinant polynomial
+                # that ``solve`` takes.
                 z1 = z1 + solve(r1 - j @ (a22 * r1 - a12 * r2))
                 z2 = z2 + solve(r2 - j @ (a11 * r2 - a21 * r1))
+            # Stiffly accurate: x+ is the last stage itself, hence L-stable.
             return x + z2
 
         return advance
@@ -102,6 +108,7 @@ def _require_few_states(system: System) -> System:
 
 
 def _jacobian(rate: RateFunction, x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+    # `x` may be an expression, by which CasADi does not differentiate.
     point = ca.SX.sym("point", x.numel())
     return ca.densify(ca.substitute(ca.jacobian(rate(point, u, p), point), point, x))
 

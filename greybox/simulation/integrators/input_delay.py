@@ -38,6 +38,7 @@ def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
     if len(columns) > 1:
         raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
     longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
+    # By the upper bound of the delay, not its value: columns must not change while a search moves it.
     rows = max(1, math.ceil(longest / shortest - TIME_ROUNDING)) if np.isfinite(shortest) else 1
     most = MAX_DELAY_ROWS
     if rows > most:
@@ -79,12 +80,16 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
 
     def advance_delayed(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
         # The kernel runs straight from row to row: the column of 0 and 1 tells which of how many substeps this is.
+        # The parity moves by one over an interval, hence by 1/n over a substep; rounding saves the whole number from
+        # the division.
         n = ca.floor(1 / ca.fabs(ub[-3] - ua[-3]) + 0.5)
         number = ca.floor(ca.if_else(ub[-3] > ua[-3], ua[-3], 1 - ua[-3]) * n + 0.5)
         u_ramp = (ub[:nu] - ua[:nu]) * n
         u_start = ua[:nu] - number / n * u_ramp
         u_ramp = u_ramp * ua[-2]
         whole, part = _split_delay(seconds(p), n * h, past.rows)
+        # Half of the substeps on either side whatever the share is: instructions do not depend on the delay, so it
+        # can be differentiated.
         before = ca.floor(n / 2)
         is_before_cut = number < before
         steps = (number, number + 1)
@@ -98,6 +103,8 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
         ramps = [(b - a) * n for a, b in zip(*ends, strict=True)]
         starts = [a - number / n * ramp for a, ramp in zip(ends[0], ramps, strict=True)]
         ramps = [ramp * ua[-2] for ramp in ramps]
+        # Lines of the arriving input over the interval: the row of n + 1 ago (k = 1) is at 1 - f of its ramp when
+        # the interval begins; that of n ago (k = 0) arrives at the share f, so its line begins f of its ramp below.
         newer, older = (starts[k] + ramps[k] * (k - part) for k in (0, 1))
         slope = ca.if_else(is_before_cut, ramps[1], ramps[0])
         arrived = ca.if_else(is_before_cut, older, newer)
@@ -119,6 +126,8 @@ def delay_outputs(system: System, past: InputHistory) -> ca.Function:
     whole, part = _split_delay(make_delay_function(system)(system.p), row[-1], past.rows)
     row_inputs = row[[past.column, *range(nu, nu + past.rows)]]
     newer, older = _select_two(row_inputs, whole)
+    # A held input has at a row the value that arrives there: that of n + 1 rows ago unless the delay is a whole
+    # number.
     held = ca.if_else(part > 0, older, newer)
     u = ca.SX(row[:nu])
     u[past.column] = ca.if_else(row[-2] > 0, newer + part * (older - newer), held)
@@ -134,12 +143,15 @@ def make_delay_function(system: System) -> ca.Function:
 def _split_delay(seconds: ca.SX, interval: ca.SX, rows: int) -> tuple[ca.SX, ca.SX]:
     """A delay as whole intervals and the share (0 to 1) of one more."""
     delay = ca.fmin(ca.fmax(seconds / interval, 0), rows)
+    # The longest delay is the end of the last pair of rows, not the beginning of one that is not seen.
     whole = ca.fmin(ca.floor(delay), rows - 1)
     return whole, delay - whole
 
 
 def _select_two(values: ca.SX, number: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Element ``number`` and the one after it."""
+    # An index that depends on parameters: a sum of choices, which every kernel runs. `floor` has slope zero, so the
+    # delay's slope comes from the share alone.
     flags = [number == k for k in range(values.numel() - 1)]
     first, second = (
         sum((ca.if_else(flag, values[k + later], 0) for k, flag in enumerate(flags)), ca.SX(0)) for later in (0, 1)

@@ -51,6 +51,8 @@ def find_fast_relaxing_states(system: System, p: np.ndarray, x: np.ndarray) -> t
         own_rate = ca.jacobian(system.rhs[k], system.x[k])
         has_friction = any(d.state == k for d in system.dry)
         if not has_friction and not own_rate.is_zero() and not ca.depends_on(own_rate, others) and jacobians:
+            # Faster than every other mode at all points: else its exponential takes accuracy (order 2) and gains no
+            # substep.
             fast_states |= {k} if all(abs(j[k, k]) > compute_fastest_rate(j, [k]) for j in jacobians) else set()
     return tuple(sorted(fast_states))
 
@@ -58,6 +60,7 @@ def find_fast_relaxing_states(system: System, p: np.ndarray, x: np.ndarray) -> t
 def compute_fastest_rate(jacobian: np.ndarray, excluded: Sequence[int]) -> float:
     """The largest eigenvalue (1/s) of a Jacobian without the own rates of some states; 0 if it is not finite."""
     remaining = jacobian.copy()
+    # Only the own rate: what couples the state to the others still counts, an inductance behind a spring included.
     remaining[list(excluded), list(excluded)] = 0.0
     return float(np.abs(np.linalg.eigvals(remaining)).max()) if np.isfinite(remaining).all() else 0.0
 
@@ -69,7 +72,10 @@ def make_exponential_method(numbers: Sequence[int]) -> IntegrationMethod:
         def advance(x: ca.SX, ua: ca.SX, ub: ca.SX, p: ca.SX, h: ca.SX) -> ca.SX:
             middle = (ua + ub) / 2
             start = [_linear_coefficients(rate, k, x, ua, p) for k in numbers]
+            # Prediction to the middle: half a step with alpha, beta of the start, order 1, enough for a method of
+            # order 2.
             early = [_relax_over_step(x[k], a, 0, b, h / 2) for k, (a, b, _) in zip(numbers, start, strict=True)]
+            # The other states to the middle by the midpoint rule, seeing the line through the relaxing ones.
             slope = rate(_replace_states(x, numbers, [z.at(0) for z in early]), ua, p)
             slope = rate(_replace_states(x + h / 4 * slope, numbers, [z.mean for z in early]), (ua + middle) / 2, p)
             halfway = x + h / 2 * slope
@@ -77,7 +83,10 @@ def make_exponential_method(numbers: Sequence[int]) -> IntegrationMethod:
             courses = []
             for k, (first, _, steady) in zip(numbers, start, strict=True):
                 alpha, beta, _ = _linear_coefficients(rate, k, halfway, middle, p)
+                # Line through alpha at the start and in the middle; with a beta that moves, alpha alone as a line
+                # would not be second order, so both are held at the middle.
                 ramp = 2 * (alpha - first) if steady else 0
+                # ``alpha`` is that of the middle; the line begins half the ramp before it.
                 courses.append(_relax_over_step(x[k], alpha - ramp / 2, ramp, beta, h))
             at = [[z.at(share) for z in courses] for share in (0, 0.5, 1)]
             k1 = rate(_replace_states(x, numbers, at[0]), ua, p)
@@ -107,9 +116,11 @@ def _relax_over_step(z: ca.SX, alpha: ca.SX, ramp: ca.SX | float, beta: ca.SX, h
     """``dz/dt = alpha + ramp t / h - beta z`` over ``h`` seconds."""
     beta_h = beta * h
     phi = [_phi(k, beta_h) for k in range(5)]
+    # z+ = phi_0 z + h (phi_1 alpha + phi_2 ramp); integrals over the step raise each index by one.
     sums = [phi[k] * z + h * (phi[k + 1] * alpha + phi[k + 2] * ramp) for k in range(3)]
     # z at the end, its integral over the step and the integral of that (both over shares of the step)
     end, mean, twice = sums
+    # Line m + r (s - 1/2) with the first moment of z: r = 12 int (s - 1/2) z ds = 12 (mean / 2 - twice).
     return RelaxationCourse(end, mean, 12 * (mean / 2 - twice))
 
 
@@ -117,6 +128,8 @@ def _phi(order: int, w: ca.SX) -> ca.SX:
     """``phi_0 = exp(-w)``, ``phi_(k+1) = (1/k! - phi_k) / w``; near zero by their series ``sum (-w)^j / (j + k)!``."""
     if order == 0:
         return ca.exp(-w)
+    # (1/k! - phi_k) / w cancels near zero: the series takes over. Each branch gets a harmless argument where the
+    # other counts, so that neither its value nor its slope overflows.
     near = ca.fabs(w) < PHI_SERIES_BELOW
     small, large = ca.if_else(near, w, 0), ca.if_else(near, 1, w)
     series = ca.SX(0)
@@ -133,6 +146,7 @@ def _linear_coefficients(rate: RateFunction, k: int, x: ca.SX, u: ca.SX, p: ca.S
     z = ca.SX.sym("z")
     value = rate(_replace_states(x, [k], [z]), u, p)[k]
     beta = -ca.jacobian(value, z)
+    # Decided from the expressions, once: the choice must not change from step to step.
     steady = not ca.depends_on(beta, ca.vertcat(z, *ca.symvar(ca.vertcat(x, u))))
     at_point = ca.substitute(ca.vertcat(value, beta), z, x[k])
     # |z| in the rate: beta holds on this side of zero.

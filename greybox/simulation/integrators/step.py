@@ -21,6 +21,7 @@ def call_function(function: ca.Function, *arguments: np.ndarray) -> list[np.ndar
     own for each call, hence for each thread.
     """
     buffer, evaluate = function.buffer()
+    # CasADi stores column by column; the list keeps the arrays alive while the buffer points into them.
     columns = [np.asarray(a, dtype=np.float64).ravel(order="F") for a in arguments]
     for i, array in enumerate(columns):
         buffer.set_arg(i, array.data)

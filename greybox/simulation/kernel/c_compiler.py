@@ -35,7 +35,18 @@ from pathlib import Path
 
 from greybox.base.errors import GreyboxError
 from greybox.base.files import write_file
-from greybox.simulation.kernel.policy import CACHE_POLICY, CachePolicy
+
+
+@dataclass(frozen=True)
+class CachePolicy:
+    """How large the cache of compiled kernels may become, and what is kept."""
+
+    largest_bytes: int = 500_000_000
+    """Size of all libraries together; the ones that were used longest ago go first. A library takes 20 to 200 kB, a search makes thirty."""
+
+
+CACHE_POLICY = CachePolicy()
+
 
 # Without errno and traps the compiler may use vector instructions; no -ffast-math, so that NaN and infinity keep their
 # meaning. Packing scalars into vectors by itself (slp) only lengthens the recursion that everything waits for.

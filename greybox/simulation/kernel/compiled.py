@@ -103,6 +103,8 @@ class CompiledKernel:
         numbers = (ctypes.c_int, ctypes.c_int)
         if not shape.blocks:
             return KernelFunctions(_declare(library.simulate, None, leading, numbers, 8), None, None)
+        # Coefficients are asked for with directions, and the library of the simulation has no lanes to carry slopes
+        # in.
         has_hold = self.step.generator is not None
         return KernelFunctions(
             None,
@@ -124,6 +126,8 @@ class CompiledKernel:
                     refuse_unwritable(tape.nodes[k].op)
 
     def _read_tapes(self, free: frozenset[int] | None) -> tuple[Tape, Tape]:
+        # Coefficients are input 3 of the step and input 2 of the outputs; for a step whose q is p both are numbered
+        # alike.
         of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
         advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2), elements=of_step)
         outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
@@ -163,6 +167,8 @@ class CompiledKernel:
         other = copy.copy(self)
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"
+        # Only where the count of substeps is written into the text as a constant; else it is an argument, and the
+        # library serves both.
         if self._is_one_step or other._is_one_step:
             other._forget_functions()  # the number of substeps is a constant there
         return other
@@ -213,6 +219,7 @@ class CompiledKernel:
         arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         samples = len(record.y) if rows is None else min(rows, len(record.y))
         ny, directions, padded = self.sizes.ny, arguments.directions, _count_padded(arguments.directions)
+        # One array for squares, counts, J'r and J'J: one address to hand over.
         results = np.zeros(2 * ny + padded + padded * padded)
         failed_at = self._run_pass(record, samples, arguments, (results, None, None))
         gradient, matrix = (
@@ -261,6 +268,8 @@ class CompiledKernel:
             _pad_directions(arguments.dx0),
             arguments.weight,
         )
+        # A direction along a parameter outside of ``free`` would have lost its tangent: such a pass takes the
+        # library with all of them.
         is_free = self._free is not None and self._free.issuperset(np.flatnonzero(arguments.dp.any(axis=1)).tolist())
         shape = _choose_shape(arguments.directions, record.first_order, self._free if is_free else None)
         return self._get_functions(shape).sums(

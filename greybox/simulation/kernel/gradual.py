@@ -11,6 +11,7 @@ import hashlib
 import threading
 import time
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -23,9 +24,33 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import CompilerError, find_library, load_library
 from greybox.simulation.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
 from greybox.simulation.kernel.llvm_routine import has_llvm
-from greybox.simulation.kernel.policy import GRADUAL_POLICY, GradualPolicy
 from greybox.simulation.kernel.tape_machine import TapeMachine, block_width, load_machine
 
+
+@dataclass(frozen=True)
+class GradualPolicy:
+    """When a structure that the tape machine runs has earned a library of its own."""
+
+    earned_seconds: float = 0.1
+    """Seconds that the machine spends on a library's work before the library is compiled, quickly: half of what that takes, on another
+    core if there is one. Most structures of a search never spend so much."""
+    translated_seconds: float = 0.02
+    """The same where LLVM is installed, which takes 30 to 100 ms."""
+    most_translated: int = 64
+    """Steps whose translated routines a process keeps for a kernel that comes again; beyond, those that were used longest ago go. Each
+    takes about 1 MB, a search makes twenty to fifty, and without a limit a process that searches all day fills the memory."""
+    full_seconds: float = 0.5
+    """Seconds in what was compiled quickly before it is compiled with all optimisation, in the background: half a second, for code that
+    takes a tenth to a half less time and is there when the same model comes again."""
+    most_instructions: float = 1e8
+    """Instructions of one pass from which the compiler is waited for: the machine would take a quarter of a second, the
+    compiler no longer."""
+
+
+GRADUAL_POLICY = GradualPolicy()
+
+
+# One compilation at a time in a process: a second one would take the core on which the search runs.
 _compiler_is_busy = threading.Lock()
 
 
@@ -175,6 +200,7 @@ class GradualKernel(CompiledKernel):
         if shape in self._functions:
             return self._functions[shape]
         course = self._find_course(shape)
+        # The best there is, and for good: later passes do not look any more.
         if course.full.result is not None:
             self._functions[shape] = self._declare(course.full.result, shape)
             return self._functions[shape]
@@ -194,17 +220,20 @@ class GradualKernel(CompiledKernel):
     def _run_by_machine(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
         """The functions of the machine; what they take counts towards compiled code."""
         order, policy = course.order, self._policy
+        # Told once; the machine goes on, and its time is counted no more towards a compilation that fails.
         if order.error is not None:
             error, order.error = order.error, None
             self._on_failure(error)
         is_translated = course.kind is CompilerKind.TRANSLATED
         if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
             self._place(order, course.kind, shape)
+        # Too large for the stack: better to wait for the compiler than to end the process.
         if course.machine.scratch_bytes > largest_scratch():
             return self._load(shape)
         functions = _count_seconds(course.by_machine, order, (course.machine.address,))
 
         def sums(rows: int, *arguments: Any) -> int:
+            # One pass that takes longer than the compilation earns its library at once, before it has run.
             if rows * self.step.substeps * course.machine.instructions > policy.most_instructions:
                 self._functions[shape] = self._load(shape)
                 return self._functions[shape].sums(rows, *arguments)
@@ -217,6 +246,7 @@ class GradualKernel(CompiledKernel):
             if kind is CompilerKind.TRANSLATED:
                 tapes = self.read_tapes(shape)
                 return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
+            # Written here, in the thread of the search: CasADi's functions are not shared between threads.
             text, key = self.source(shape), self._key(shape)
             return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK)
 
@@ -233,6 +263,7 @@ class GradualKernel(CompiledKernel):
         return self._courses[shape]
 
     def _machine_sizes(self, shape: LibraryShape) -> dict[str, int]:
+        # The machine has one width for all models; the padding of directions is a multiple of it.
         blocks = shape.blocks * shape.width // block_width()
         return {"nx": self.sizes.nx, "nu": self.sizes.nu, "nq": self.sizes.nq, "ny": self.sizes.ny, "nb": blocks}
 

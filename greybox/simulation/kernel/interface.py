@@ -200,6 +200,7 @@ def check_arguments(
 
 def chain_coefficients(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coefficients (rows, nq) of ``step`` at the parameters ``p`` (np,) and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+    # Slopes along parameters that no direction moves are not computed: dq = (dq/dp[which]) dp[which].
     which = np.flatnonzero(dp.any(axis=1))
     q, along = step.coefficients(p, lengths, which)
     return q, along @ dp[which]

@@ -90,6 +90,7 @@ class InterpretedKernel:
         gradient, matrix = np.zeros(directions), np.zeros((directions, directions))
         failed_at = None
         with np.errstate(all="ignore"):  # what is not finite is found and reported
+            # Chunk by chunk: J is never in memory as a whole, as in the compiled pass.
             for chunk in self._chunks(record, sample_count, arguments):
                 failed_at = _first_failure(chunk)
                 if failed_at is not None:
@@ -98,6 +99,7 @@ class InterpretedKernel:
                 is_measured = np.isfinite(r)
                 squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
                 counts += is_measured.sum(axis=0)
+                # J'r and J'J over the measured entries: a gap is left out, not a zero that counts.
                 gradient += jacobian[is_measured].T @ r[is_measured]
                 matrix += jacobian[is_measured].T @ jacobian[is_measured]
         return check_sums(squares, counts, gradient, matrix, failed_at, sample_count)
@@ -131,17 +133,22 @@ class InterpretedKernel:
     def _chunks(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordChunk]:
         """The record in chunks, each started where the one before ended."""
         sizes, directions = self.sizes, arguments.directions
+        # By its pattern over all rows: one function serves every chunk of the pass.
         used_dq, used_dp = (arguments.dq != 0).any(axis=0), arguments.dp != 0
         state = np.concatenate([arguments.x0, arguments.dx0.ravel()])
         widest = (sizes.nx + sizes.ny + sizes.nq + sizes.np) * (1 + directions)
+        # Wide models take fewer samples in a call, so that a call stays within the same memory.
         most = max(1, NUMBERS_AT_A_TIME // max(widest, 1))
         start = 0
         while start < n:
             size = min(self.chunk_sizes[0] if n - start >= self.chunk_sizes[0] else self.chunk_sizes[1], most)
             count = min(size, n - start)
+            # The last chunk repeats the last sample up to the length of the mapped function, which is built for a
+            # few lengths only; what is repeated is cut off below.
             samples = np.minimum(np.arange(start, start + size), n - 1)
             after = np.minimum(samples + 1, len(record.u) - 1)
             intervals = np.minimum(samples, max(len(record.h) - 1, 0))
+            # h of a substep.
             h = np.zeros(size) if not len(record.h) else record.h[intervals] / self.step.substeps
             row = (
                 np.zeros(size, np.int32)
@@ -164,6 +171,7 @@ class InterpretedKernel:
                 np.empty((size, sizes.ny * directions)),
             )
             _call_in_place(self._mapped_sample(used_dq, used_dp, record.first_order, size), columns, [states, y, dy])
+            # States before each sample: the chunk's own results are those after it.
             x = np.vstack([state[: sizes.nx], states[: count - 1, : sizes.nx]])
             yield RecordChunk(start, x, y[:count], dy[:count].reshape(count, sizes.ny, directions))
             state = states[-1].copy()
@@ -197,6 +205,7 @@ class InterpretedKernel:
             for name, size in (shapes | {"p": sizes.np, "dp": sizes.np * directions}).items()
         }
         x, dx = symbols["x"], _rows(symbols["dx"], sizes.nx, directions)
+        # A product with a structural zero drops out of the expression, and the tangents that hang on it.
         dq = _rows(symbols["dq"] * ca.DM(used_dq.ravel().astype(float)), sizes.nq, directions)
         dp = _rows(symbols["dp"] * ca.DM(used_dp.ravel().astype(float)), sizes.np, directions)
         advance, outputs = self._tapes
@@ -234,6 +243,8 @@ def evaluate_tape(tape: Tape, inputs: Sequence[ca.SX], seeds: dict[int, ca.SX], 
                 rows[k] = seeds[tangent.source[0]][tangent.source[1], :]
             elif tangent.condition is not None:
                 sides = [zero if side is None else rows[side] for _, side in tangent.terms]
+                # A choice takes one side whole: a product with 0 and 1 would carry NaN from the side that does not
+                # count.
                 rows[k] = ca.if_else(nodes[tangent.condition], *sides)
             else:
                 signs = tangent.signs or (1.0,) * len(tangent.terms)
@@ -267,6 +278,7 @@ def _call_in_place(function: ca.Function, arguments: Sequence[np.ndarray], resul
 
 def _residuals(record: Record, chunk: RecordChunk, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     measured = record.y[chunk.start : chunk.start + len(chunk.y)]
+    # r = (y_measured - y) w, hence dr = -w dy; NaN in ``measured`` marks gaps.
     return (measured - chunk.y) * weight, -weight[:, None] * chunk.dy
 
 

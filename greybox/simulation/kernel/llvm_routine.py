@@ -254,14 +254,17 @@ class _Text:
         if op == ca.OP_IF_ELSE_ZERO:
             return self._choose(self._is_true(a[0]), "double", a[1], "0.0")
         if op == ca.OP_SIGN:
+            # sign(0) keeps its sign and sign(NaN) is NaN, as in C.
             above = self._choose(self._add(f"fcmp ogt double {a[0]}, 0.0"), "double", "1.0", a[0])
             return self._choose(self._add(f"fcmp olt double {a[0]}, 0.0"), "double", "-1.0", above)
         if op in (ca.OP_FMIN, ca.OP_FMAX):
             first = self._add(f"fcmp {'olt' if op == ca.OP_FMIN else 'ogt'} double {a[0]}, {a[1]}")
+            # C's fmin and fmax give the number where the other is NaN; a plain comparison would give the NaN.
             other = self._add(f"fcmp uno double {a[1]}, {a[1]}")
             return self._choose(self._add(f"or i1 {first}, {other}"), "double", a[0], a[1])
         call = CALL.fullmatch(OPERATIONS[op].c)
         assert call is not None  # the table has no other forms: a test runs them all
+        # An intrinsic becomes one instruction; the others are calls of the C library, the one that compiled C calls.
         name = f"@llvm.{call[1]}.f64" if call[1] in INSTRUCTIONS else f"@{call[1]}"
         self.functions |= set() if call[1] in INSTRUCTIONS else {call[1]}
         self.declared.add(f"double {name}({', '.join(['double'] * len(a))})")
@@ -270,6 +273,7 @@ class _Text:
     def _value(self, k: int) -> str:
         number = self.tape.nodes[k].number
         if number is not None:
+            # As bits: a decimal text may be rounded in the last digit, and the bits are those of C.
             return f"0x{struct.unpack('<Q', struct.pack('<d', number))[0]:016X}"
         if ("node", k) not in self.names:
             self.names["node", k] = self._load("%r", self.registers["node", k], "double")

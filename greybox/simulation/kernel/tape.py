@@ -61,12 +61,14 @@ class Tape:
                 return args[0] * self.apply(ca.OP_INV, args[1])
             if args[1].number:
                 return args[0] * (1 / args[1].number)
+        # Constants meet when coefficients are multiplied out: c1 * c2 and 1 * x cost nothing at run time.
         if op == ca.OP_MUL and args[0].number is not None and args[1].number is not None:
             return self.constant(args[0].number * args[1].number)
         if op == ca.OP_MUL and 1.0 in (args[0].number, args[1].number):
             return args[1] if args[0].number == 1.0 else args[0]
         numbers = tuple(a.index for a in args)
         if op in OPERATIONS and OPERATIONS[op].commutative:
+            # a + b and b + a are one node.
             numbers = tuple(sorted(numbers))
         return self._node(op, numbers, None, any(a.varying for a in args))
 
@@ -223,6 +225,7 @@ def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[S
             terms.append((None if scalar.number == 1 else scalar.index, tangent))
     if not terms:
         return result, None
+    # 1 * tangent is the tangent itself.
     if len(terms) == 1 and terms[0][0] is None:
         return result, terms[0][1]
     varying = any(tape.tangents[tangent].varying or (c is not None and tape.nodes[c].varying) for c, tangent in terms)  # type: ignore[index]
@@ -232,6 +235,7 @@ def _step(tape: Tape, op: int, args: list[tuple[Scalar, int | None]]) -> tuple[S
 def _pick(tape: Tape, selection: Selection, scalars: Sequence[Scalar], tangents: list[int | None]) -> int | None:
     condition = selection.condition(*scalars)
     chosen = [None if side is None else tangents[side] for side in selection.operands]
+    # Both sides move alike (or not at all): no choice is needed.
     if chosen[0] == chosen[1]:
         return chosen[0]
     varying = condition.varying or any(tape.tangents[tangent].varying for tangent in chosen if tangent is not None)
@@ -254,6 +258,7 @@ def simplify_tape(tape: Tape, max_terms: int = 6) -> Tape:
     they save tangents. One that is used more often is multiplied out if it has one term.
     """
     uses = Counter(k for tangent in tape.tangents for _, k in tangent.terms if k is not None)
+    # Outputs and sides of a choice must be single instructions, not sums.
     pinned = {k for output in tape.outputs for _, k in output}
     pinned |= {k for tangent in tape.tangents if tangent.condition is not None for _, k in tangent.terms}
     result = Tape(nodes=list(tape.nodes))
@@ -270,6 +275,8 @@ def simplify_tape(tape: Tape, max_terms: int = 6) -> Tape:
             expanded[k] = {result.tangent(tangent): (1.0, None)}
         else:
             terms = _multiply_out(result, tangent, expanded)
+            # Elimination pays where it saves an instruction on lanes for few products of scalars; with many uses
+            # each would be multiplied out again.
             short = len(terms) == 1 or (uses[k] == 1 and len(terms) <= max_terms)
             expanded[k] = terms if short and k not in pinned else {_append_instruction(result, terms): (1.0, None)}
     result.outputs = [[(n, None if k is None else _only(expanded[k])) for n, k in output] for output in tape.outputs]
@@ -295,6 +302,7 @@ def _multiply_out(tape: Tape, tangent: Tangent, expanded: dict[int, Terms]) -> T
 def _split_sign(tape: Tape, coefficient: int | None) -> tuple[float, int | None]:
     """A coefficient as sign and node, with leading minus signs taken off."""
     sign = 1.0
+    # Signs go to the term, where adding becomes subtracting for nothing: -(-a) costs no instruction.
     while coefficient is not None and tape.nodes[coefficient].op == ca.OP_NEG:
         sign, coefficient = -sign, tape.nodes[coefficient].args[0]
     if coefficient is not None and tape.nodes[coefficient].number in (1.0, -1.0):
@@ -311,11 +319,13 @@ def _product(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None
 
 def _add_terms(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None]) -> tuple[float, int | None]:
     first, second = (tape.constant(1.0) if node is None else Scalar(tape, node) for _, node in (a, b))
+    # s1 a + s2 b = s1 (a + s1 s2 b): the sign of the first stays outside.
     return a[0], (first + second if a[0] == b[0] else first - second).index
 
 
 def _append_instruction(tape: Tape, terms: Terms) -> int:
     """The terms as one instruction, those that are ready first in front."""
+    # A sum begins with what is computed once, then follows the tape: the last term is the one that is waited for.
     ordered = sorted(terms.items(), key=lambda item: (tape.tangents[item[0]].varying, item[0]))
     moving = any(tape.tangents[k].varying or (c is not None and tape.nodes[c].varying) for k, (_, c) in ordered)
     return tape.tangent(
@@ -349,6 +359,7 @@ def order_terms(tangent: Tangent) -> list[Term]:
     terms = [
         (sign, coefficient, k) for sign, (coefficient, k) in zip(signs, tangent.terms, strict=True) if k is not None
     ]
+    # Every engine adds in this order, which is thereby the order of rounding.
     first = next((i for i, (sign, coefficient, _) in enumerate(terms) if coefficient is None and sign > 0), 0)
     return [terms[first], *terms[:first], *terms[first + 1 :]]
 
@@ -370,6 +381,7 @@ def find_needed(tape: Tape, with_tangents: bool = True) -> tuple[set[int], set[i
     """The nodes and the tangents from which an output, or its tangent, comes."""
     nodes: set[int] = set()
     tangents: set[int] = set()
+    # Backwards from the outputs; tangents first, because their coefficients are nodes.
     waiting = [k for output in tape.outputs for _, k in output if k is not None] if with_tangents else []
     sources = [node for output in tape.outputs for node, _ in output]
     while waiting:

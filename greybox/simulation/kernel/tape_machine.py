@@ -22,6 +22,7 @@ from greybox.simulation.kernel.c_routine import FUSED
 from greybox.simulation.kernel.llvm_routine import Code, generate
 from greybox.simulation.kernel.tape import Tape, find_needed, order_terms
 
+# Numbers that no operation of CasADi (from 0) nor a fused one (-1 to -3) has; machine.c has the same list.
 LOAD, LOAD_TANGENT, STORE, STORE_TANGENT, PICK, SUM_1, SUM_2, SUM_3, SUM_MORE, END = range(-4, -14, -1)
 
 
@@ -90,6 +91,7 @@ class TapeMachine:
         program = assemble(tape, tangents=self._blocks > 0)
         self._kept.append(program)
         self.instructions += len(program.each) // 4
+        # Registers of values are doubles, those of tangents blocks of ``nb * W`` doubles.
         self.scratch_bytes += 8 * (program.values + program.tangents * self._blocks * block_width())
         arrays = (program.once, program.each, program.constants)
         return _Routine(program.values, program.tangents, len(program.constants), *(a.ctypes.data for a in arrays))
@@ -188,6 +190,8 @@ class _Assembler:
             return "", self._constant(sign * number)  # type: ignore[operator]
         if sign > 0:
             return "r", coefficient
+        # The instruction adds only: a negative coefficient becomes a register of its own, computed once for all sums
+        # that use it.
         if coefficient not in self.negated:
             self.negated.add(coefficient)
             sections[self.tape.nodes[coefficient].varying].append(
@@ -203,6 +207,7 @@ class _Assembler:
         """Registers for all: those of the part that runs each time are taken again once their value is not needed any more."""
         for section in sections.values():
             section[:] = [(op, [self._as_constant(operand) for operand in operands]) for op, operands in section]
+        # Where a value of the repeated part is read last: from there on its register is free.
         last_use = {
             (kind.lower(), k): i
             for i, (_, operands) in enumerate(sections[True])
@@ -210,9 +215,12 @@ class _Assembler:
             if kind in _NAMES
         }
         registers: dict[Operand, int] = {("t", -1): 0}
+        # Constants lie in the first registers; tangent register 0 is zero and never written.
         count = {"r": len(self.constants), "t": 1}
         code: dict[bool, list[int]] = {}
         for is_each in (False, True):
+            # Values of the part that runs once keep their registers for good: the other part reads them at every
+            # substep.
             unused: dict[str, list[int]] = {"r": [], "t": []}
             own_results: set[Operand] = set()
             code[is_each] = []

@@ -9,8 +9,7 @@ import pytest
 
 from greybox.estimation.optim import ipopt as ipopt_dense
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import MinimisationPolicy
+from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.estimation.optim.minimisation import Termination, TerminationStatus
-from greybox.estimation.optim.policy import TerminationPolicy
+from greybox.estimation.optim.minimisation import Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 

@@ -7,9 +7,8 @@ import pytest
 
 from greybox.base.errors import DataError
 from greybox.base.json_file import ResultKind
-from greybox.estimation.uncertainty.bootstrap import Bootstrap, load_bootstrap
-from greybox.estimation.uncertainty.policy import BootstrapPolicy, ProfilePolicy
-from greybox.estimation.uncertainty.profile import Profile, load_profile, profile
+from greybox.estimation.uncertainty.bootstrap import Bootstrap, BootstrapPolicy, load_bootstrap
+from greybox.estimation.uncertainty.profile import Profile, ProfilePolicy, load_profile, profile
 from tests.estimation.uncertainty.test_intervals import saturation_fit
 from tests.support.result_schema import strict_offences
 

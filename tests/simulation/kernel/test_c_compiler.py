@@ -17,10 +17,9 @@ import pytest
 import greybox.simulation.kernel.make_kernel as kernels
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel import c_compiler as compiling
-from greybox.simulation.kernel.c_compiler import COMPILE_MEMORY, CompilerError, GreyboxWarning
+from greybox.simulation.kernel.c_compiler import COMPILE_MEMORY, CachePolicy, CompilerError, GreyboxWarning
 from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.make_kernel import make_kernel
-from greybox.simulation.kernel.policy import CachePolicy
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import UnsupportedOperationError
 

@@ -6,9 +6,8 @@ from scipy.linalg import expm, expm_frechet
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.simulation.integrators.exact_hold import exact_hold
-from greybox.simulation.kernel.gradual import GradualKernel
+from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
 from greybox.simulation.kernel.make_kernel import make_kernel
-from greybox.simulation.kernel.policy import GradualPolicy
 from greybox.simulation.kernel.record import Record
 from models.micro_actuator import micro_actuator
 

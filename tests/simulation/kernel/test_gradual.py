@@ -15,9 +15,8 @@ from greybox.simulation.integrators.runge_kutta import rk4
 from greybox.simulation.kernel import c_compiler as compiling
 from greybox.simulation.kernel import gradual, llvm_routine
 from greybox.simulation.kernel.compiled import CompiledKernel
-from greybox.simulation.kernel.gradual import GradualKernel
+from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
 from greybox.simulation.kernel.llvm_routine import has_llvm
-from greybox.simulation.kernel.policy import GradualPolicy
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape_machine import TapeMachine
 from models.micro_actuator import micro_actuator

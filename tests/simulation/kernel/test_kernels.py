@@ -10,10 +10,9 @@ import pytest
 from greybox.base.errors import DataError, GreyboxError
 from greybox.simulation.integrators.composition import as_coefficients
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel.gradual import GradualKernel
+from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
 from greybox.simulation.kernel.interface import check_sums
 from greybox.simulation.kernel.make_kernel import make_kernel
-from greybox.simulation.kernel.policy import GradualPolicy
 from greybox.simulation.kernel.record import Record
 
 KERNELS = ["compiled", "interpreted", "machine"]
