@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from time import process_time
 
+import casadi as ca
 import numpy as np
 
 import greybox as gb
@@ -74,7 +75,7 @@ def pendulum() -> Model:
         ],
         balances=lambda x, u, p: [
             Balance("angle", "rad/s", 1, "q", w=x.w),
-            Balance("torque", "N*m", p.J, "w", drive=u.tau, weight=-p.mgl * gb.sin(x.q), damping=-p.b * x.w),
+            Balance("torque", "N*m", p.J, "w", drive=u.tau, weight=-p.mgl * ca.sin(x.q), damping=-p.b * x.w),
         ],
     )
 

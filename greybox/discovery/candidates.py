@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import product
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects, applicable_effects
 from greybox.model.effects.placement import AT
 from greybox.model.effects.scales import Scales, measure_scales, tailor_to_record
+from greybox.model.effects.starts import list_effect_values, list_shapes, within_bounds
 from greybox.model.model import Model
 
 
@@ -143,7 +143,7 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     return None
 
 
-# Where the refit of a candidate starts: what decides success is not the statistics but these points.
+# Where the refit of a candidate starts.
 #
 # The plain model has swallowed the missing effect into its own parameters (dry friction has become damping), so a candidate
 # starts from the fitted values and from the ones that the user gave; at a small amplitude and at a large one; at every shape
@@ -173,13 +173,9 @@ def generate_starting_points(
     amplitudes
         Amplitudes of the effect, in multiples of its probe.
     """
-    names = model.names_of(effect.name)
     nominal = {**parent.model.values, **plain.values}
     origins = [parent.model.values] + ([nominal] if nominal != parent.model.values else [])
-    probe = effect.probe(scales) if effect.probe else {}
-    for shape, amplitude in product(_shapes(effect, scales), amplitudes if probe else (1.0,)):
-        values = {**shape, **{name: value * amplitude for name, value in probe.items()}}
-        effect_values = {names[name]: _within_bounds(model, names[name], value) for name, value in values.items()}
+    for effect_values in list_effect_values(model, effect, scales, amplitudes):
         for origin in origins:
             yield {**origin, **effect_values}
 
@@ -203,21 +199,10 @@ def generate_child_starting_points(
         if name in model.values and name not in parent_names.values()
     }
     for start in child.from_parent(fitted, scales):
-        values = {child_names[name]: _within_bounds(model, child_names[name], value) for name, value in start.items()}
+        values = {child_names[name]: within_bounds(model, child_names[name], value) for name, value in start.items()}
         yield {**kept, **values}
 
 
 def count_shapes(effect: Effect, scales: Scales) -> int:
     """How many combinations of shape values an effect starts from."""
-    return len(_shapes(effect, scales))
-
-
-def _shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]:
-    """Every combination of the effect's shape values; one empty one where it has no shape."""
-    grid = effect.grid(scales) if effect.grid else {}
-    return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
-
-
-def _within_bounds(model: Model, name: str, value: float) -> float:
-    low, high = model.parameter(name).bounds
-    return min(max(value, low), high)
+    return len(list_shapes(effect, scales))

@@ -18,6 +18,7 @@ from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
+from greybox.model.effects.starts import AMPLITUDE_GRID
 from greybox.model.model import Model
 
 
@@ -58,8 +59,6 @@ class EffectTest(Printable, ReadOnly):
         return self.larger.model if self.is_needed else self.smaller.model
 
 
-# Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
-AMPLITUDE_GRID: tuple[float, ...] = (1.0, 10.0)
 # Starting points from which an effect that is tried by hand is refitted.
 EFFECT_TEST_STARTS = 3
 

@@ -23,12 +23,12 @@ from greybox.data.noise.noise_model import (
 from greybox.discovery.candidates import generate_starting_points
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
-from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.discovery.surrogate_effects import CURVE, make_curve_effect, make_power_effect
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
+from greybox.model.effects.starts import AMPLITUDE_GRID
 
 # Sources of a noise level that do not depend on the records that are fitted.
 INDEPENDENT_SOURCES = (NoiseSource.GIVEN, NoiseSource.QUIET_RECORD)

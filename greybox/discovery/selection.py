@@ -23,7 +23,6 @@ from greybox.discovery.decision import (
     make_check,
     noise_cost_limit,
 )
-from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
@@ -37,6 +36,7 @@ from greybox.discovery.problem import (
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
+from greybox.model.effects.starts import AMPLITUDE_GRID
 from greybox.model.model import Model
 
 # Which further effects are worth a refit: those whose predicted cost is lowest.

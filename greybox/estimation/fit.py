@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 
@@ -54,6 +55,8 @@ from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
 from greybox.estimation.validate import validate
 from greybox.estimation.versions import read_versions
+from greybox.model.effects.scales import measure_scales
+from greybox.model.effects.starts import is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
 from greybox.simulation.records import to_experiments
@@ -169,8 +172,11 @@ def fit(
         problem = prepare_estimation(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
-        solution = estimate_by_simulation_error(problem, options, colour, report)
-        optimum = SimulationOptimum(model, solution, options.policy)
+        begun = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
+        if begun is None:
+            solution = estimate_by_simulation_error(problem, options, colour, report)
+            begun = SimulationOptimum(model, solution, options.policy)
+        optimum = begun
         # A search that goes on from where another one ended is not to end elsewhere.
         if not initial and _is_lost(optimum):
             optimum, starts, notices = _try_other_starts(optimum, problem, experiments, options, colour, report)
@@ -191,6 +197,68 @@ def fit(
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
     return result
+
+
+# Starts of effects that stand at their neutral values from which a search is made, after one run from each.
+EFFECT_STARTS = 2
+
+
+def _begin_with_effects(
+    problem: EstimationProblem,
+    experiments: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    colour: ColourTreatment | str,
+    report: FitProgressCallback | None,
+) -> SimulationOptimum | None:
+    """The best end of searches that begin where the effects of a model begin; None where every effect has values of its own.
+
+    An effect just added changes nothing, and its constants may have no slope there. So the model is fitted without such effects first;
+    from that optimum, and from the constants as given, the effects begin at sizes and shapes that the record can show (those that a
+    discovery begins at). The optimum without them is a start as well: a model with an effect more is never worse.
+    """
+    model = problem.model
+    fresh = [e for e in model.effects if is_neutral(model, e)] if options.other_starts else []
+    if not fresh:
+        return None
+    try:
+        plain = reduce(Model.without, (e.name for e in fresh), model)
+    except ModelError:  # a tie or a schedule of the user's needs them
+        return None
+    of_plain = prepare_estimation(plain, experiments, problem.noise, options)
+    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report), options.policy)
+    if not np.isfinite(smaller.evaluation.cost) or smaller.status is TerminationStatus.INTERRUPTED:
+        return None
+    _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
+    record = smaller.problem.records[0]
+    scales = measure_scales(smaller.fitted_model, states, record.u, float(np.median(record.h)))
+    initial = [t.initial_state for t in smaller.traces]
+    near = replace(options, progressive=False)  # it begins at an optimum
+
+    def cost_from(begin: Mapping[str, float]) -> float:
+        variables = begun.variables.with_values(begin)
+        return float(begun.shooting(variables).evaluate(variables.here).cost)
+
+    begun = prepare_estimation(model, experiments, problem.noise, near, initial=initial)
+    fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
+    begins: list[dict[str, float]] = [fitted]
+    # One effect after the other, each beside the best of those before it.
+    for each in fresh:
+        values = list(list_effect_values(model, each, scales))
+        bases = [begins[0], {**begins[0], **{q.name: q.value for q in plain.free_parameters}}]
+        more = [{**base, **value} for base in bases for value in values]
+        costs = {k: cost for k, begin in enumerate(more) if np.isfinite(cost := cost_from(begin))}
+        begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
+    std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
+    ends: list[SimulationOptimum] = []
+    for begin in (*begins[:EFFECT_STARTS], fitted):
+        # The optimum without the effects is searched from only where no other start does better.
+        if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
+            continue
+        other = prepare_estimation(model.start(**begin), experiments, problem.noise, near, initial=initial)
+        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report), options.policy))
+        if ends[-1].status is TerminationStatus.INTERRUPTED:
+            break
+    return min(ends, key=lambda end: _compute_ratio(end, std))
 
 
 def _is_lost(optimum: SimulationOptimum) -> bool:

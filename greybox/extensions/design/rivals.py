@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from greybox.base.errors import DataError, FitError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
-from greybox.discovery.effect_test import AMPLITUDE_GRID
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
@@ -16,6 +15,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
+from greybox.model.effects.starts import AMPLITUDE_GRID
 from greybox.model.model import Model
 
 Source = Model | Fit | Discovery

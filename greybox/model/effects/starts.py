@@ -1,0 +1,69 @@
+"""Where a search for the constants of an effect begins: what decides its success is not the statistics but these points.
+
+Amplitudes of the catalogue are neutral: an effect just added changes nothing, and there the cost of many has no slope (a dry friction of
+zero, a dead zone of no width). So a search begins at a small amplitude and at a large one, and at every shape of the effect's grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+
+from greybox.model.effect import Effect
+from greybox.model.effects.scales import Scales
+from greybox.model.model import Model
+
+# Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
+AMPLITUDE_GRID: tuple[float, ...] = (1.0, 10.0)
+
+
+def list_effect_values(
+    model: Model, effect: Effect, scales: Scales, amplitudes: Sequence[float] = AMPLITUDE_GRID
+) -> Iterator[dict[str, float]]:
+    """Values of the constants of one effect of ``model`` at which a search for them begins.
+
+    Parameters
+    ----------
+    model
+        The model with the effect.
+    effect
+        The effect.
+    scales
+        Peaks and times of the records, for the model without it.
+    amplitudes
+        In multiples of the effect's probe.
+
+    Yields
+    ------
+    dict
+        Constant, by its name in the model -> value in its unit, within its bounds.
+    """
+    names = model.names_of(effect.name)
+    probe = effect.probe(scales) if effect.probe else {}
+    for shape, amplitude in product(list_shapes(effect, scales), amplitudes if probe else (1.0,)):
+        values = {**shape, **{name: value * amplitude for name, value in probe.items()}}
+        yield {names[name]: within_bounds(model, names[name], value) for name, value in values.items()}
+
+
+def list_shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]:
+    """Every combination of the effect's shape values; one empty one where it has no shape."""
+    grid = effect.grid(scales) if effect.grid else {}
+    return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+
+
+def within_bounds(model: Model, name: str, value: float) -> float:
+    """``value`` of a constant, or the bound that it exceeds."""
+    low, high = model.parameter(name).bounds
+    return min(max(value, low), high)
+
+
+def is_neutral(model: Model, effect: Effect) -> bool:
+    """Whether an effect stands as the catalogue has it: nobody has given it a value, and it changes nothing.
+
+    An effect that replaces a law has no neutral value; it begins where it stands.
+    """
+    names = model.names_of(effect.name)
+    present = {q.name: q for q in model.all_parameters}
+    free = {q.name for q in model.free_parameters}
+    stands = all(present[names[q.name]].value == q.value for q in effect.parameters if names[q.name] in present)
+    return bool(effect.amplitudes) and stands and any(names[name] in free for name in effect.amplitudes)

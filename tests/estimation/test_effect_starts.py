@@ -1,0 +1,89 @@
+"""A fit of a model with an effect just added begins where the effect can show, and is never worse than the fit without it."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import greybox as gb
+from greybox import Balance, Model, Output, Parameter, State
+from greybox.model.effects.starts import is_neutral
+from tests.support.first_order import first_order
+
+STIFFNESS, DAMPING, FRICTION, NOISE = 25.0, 0.05, 0.6, 2e-3
+
+
+def swing() -> Model:
+    """A pendulum that swings freely."""
+    return Model(
+        "swing",
+        states=[State("q", "rad", 1.0, role="displacement"), State("w", "rad/s", role="velocity")],
+        inputs=[],
+        outputs=[Output("q", "rad")],
+        parameters=[
+            Parameter("J", "kg*m^2", 1.0, fixed=True),
+            Parameter("k", "N*m", 20.0, (0.1, 1e3)),
+            Parameter("b", "N*m*s/rad", 0.1, (1e-6, 10.0), role="damping"),
+        ],
+        balances=lambda x, u, p: [
+            Balance("angle", "rad/s", 1, "q", w=x.w),
+            Balance("torque", "N*m", p.J, "w", weight=-p.k * ca.sin(x.q), damping=-p.b * x.w),
+        ],
+    )
+
+
+@pytest.fixture(scope="module")
+def record() -> gb.Experiment:
+    """A free swing with dry friction, by another integrator with fine steps."""
+
+    def slope(_, y):
+        return [y[1], -STIFFNESS * np.sin(y[0]) - DAMPING * y[1] - FRICTION * np.tanh(y[1] / 1e-3)]
+
+    t = np.arange(0, 8, 0.02)
+    run = solve_ivp(slope, (0, 8), [1.2, 0.0], "LSODA", t, rtol=1e-8, atol=1e-10, max_step=2e-3)
+    return gb.Experiment("swing", t, {}, {"q": run.y[0] + np.random.default_rng(0).normal(0, NOISE, len(t))})
+
+
+def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
+    found = gb.fit(swing() + gb.effect("coulomb_friction"), record)
+    assert found.success
+    for name, truth in {"k": STIFFNESS, "b": DAMPING, "Fc": FRICTION}.items():
+        assert found.parameters[name].value == pytest.approx(truth, abs=4 * found.parameters[name].std), name
+    assert found.misfit["q"].rmse == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    "name", ["coulomb_friction", "quadratic_damping", "sensor_lag", "cubic_stiffness", "second_mode"]
+)
+def test_a_model_with_an_effect_more_is_never_worse(name, record):
+    plain = gb.fit(swing(), record)
+    larger = gb.fit(swing() + gb.effect(name), record)
+    assert larger.misfit["q"].rmse <= 1.001 * plain.misfit["q"].rmse
+
+
+def test_two_effects_at_once_begin_one_after_the_other(record):
+    model = swing() + gb.effect("coulomb_friction") + gb.effect("quadratic_damping")
+    found = gb.fit(model, record)
+    assert found.parameters["Fc"].value == pytest.approx(FRICTION, abs=4 * found.parameters["Fc"].std)
+    assert found.parameters["B2"].value == pytest.approx(0.0, abs=0.02)
+
+
+def test_an_effect_with_values_of_its_own_begins_there():
+    model = swing() + gb.effect("coulomb_friction")
+    (friction,) = model.effects
+    assert is_neutral(model, friction)
+    assert not is_neutral(model.start(Fc=0.1), friction)
+    assert not is_neutral(model.fix(Fc=0.0), friction)
+
+
+def test_where_no_other_start_is_allowed_the_search_begins_at_the_neutral_value():
+    t = np.arange(0, 4, 0.02)
+    u = np.sign(np.sin(2 * t))
+    plant = first_order()
+    made = gb.simulate(plant, {"time": t, plant.inputs[0].name: u})
+    record = gb.Experiment("steps", t, {plant.inputs[0].name: u}, dict(made.outputs))
+    delayed = plant + gb.effect("input_offset")
+    alone = gb.fit(delayed, record, options=gb.FitOptions(other_starts=0))
+    found = gb.fit(delayed, record)
+    for name, e in found.parameters.items():
+        assert e.value == pytest.approx(alone.parameters[name].value, abs=1e-4), name
