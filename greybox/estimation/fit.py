@@ -231,7 +231,9 @@ def _begin_with_effects(
     _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
     record = smaller.problem.records[0]
     scales = measure_scales(smaller.fitted_model, states, record.u, float(np.median(record.h)))
-    initial = [t.initial_state for t in smaller.traces]
+    # Only a state that is estimated is given where it began: at rest, or at a declared start value, the model says it itself.
+    began = [plain.system.state_names[k] for k in smaller.variables.free_states]
+    initial = [{name: t.initial_state[name] for name in began} for t in smaller.traces] if began else []
     near = replace(options, progressive=False)  # it begins at an optimum
 
     def cost_from(begin: Mapping[str, float]) -> float:

@@ -68,6 +68,17 @@ def test_two_effects_at_once_begin_one_after_the_other(record):
     assert found.parameters["B2"].value == pytest.approx(0.0, abs=0.02)
 
 
+def test_a_model_that_begins_at_rest_still_begins_there():
+    t = np.arange(0, 6, 0.02)
+    plant = first_order()
+    u = {plant.inputs[0].name: 0.5 + np.sign(np.sin(2 * t))}
+    made = gb.simulate(plant, {"time": t, **u})
+    record = gb.Experiment("steps", t, u, dict(made.outputs))
+    found = gb.fit(plant + gb.effect("input_offset"), record, options=gb.FitOptions(at_rest=True))
+    assert found.success
+    assert found.parameters["u0"].value == pytest.approx(0.0, abs=1e-3)
+
+
 def test_an_effect_with_values_of_its_own_begins_there():
     model = swing() + gb.effect("coulomb_friction")
     (friction,) = model.effects
