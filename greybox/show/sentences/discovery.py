@@ -163,7 +163,8 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
     title, tone = _surrogate_title(values), values["tone"]
     explained = f"{explained_share_text(values['closed'])} on the validation records"
     if tone is None:
-        title = title.replace("a curve", "a smooth curve")
+        smooth = "a smooth curve" if values["levels"] is None else f"a curve of {values['levels']} levels"
+        title = title.replace("a curve", smooth)
         beside = f", together with {' + '.join(values['beside'])}," if values["beside"] else ""
         return f"{title} ({shape_text(values)}) at {site_text(values['site'])}{beside} {explained}"
     sizes = sorted(tone["amplitude"].values())

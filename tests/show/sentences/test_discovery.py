@@ -45,6 +45,7 @@ CURVE = {
     "amplitude": None,
     "tone": None,
     "beside": [],
+    "levels": None,
 }
 FINDINGS = [
     (Code.NOTHING_MISSING, *("", {}), "No effect is missing: the plain model explains the records down to the noise."),
