@@ -590,6 +590,9 @@ register(
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
+        DiscoveryCode.TRIED_AS_OTHERS: lambda f: (
+            f"{list_text([effect_title(name) for name in f.values['others']])} together are exactly the same"
+        ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",

@@ -98,6 +98,12 @@ FINDINGS = [
         " 98.8 % of the error on the validation records.",
     ),
     (
+        Code.SURROGATE_FITTED,
+        *("input u", CURVE | {"site": "input u", "variable": "u", "shape": "too_few_values", "levels": 4}),
+        "As a surrogate, a curve of 4 levels over u (too few values to tell its shape) at the input u takes away 98.8 % of the error on the"
+        " validation records.",
+    ),
+    (
         Code.LAW_ESTABLISHED,
         *("", {"laws": [{"equation": "-0.6*a*b", "site": "prey", "unit": "1/s"}], "rivals": []}),
         "The plain model lacks the term -0.6*a*b (1/s) in the prey balance. No law that is simpler or as simple does as well.",
@@ -391,6 +397,11 @@ FINDINGS = [
     ),
     (Code.EFFECT_PRESENT, *("backlash", {}), "the model contains it already"),
     (Code.NOT_A_CANDIDATE, *("backlash", {}), "the model lists the effects to try, and this is none of them"),
+    (
+        Code.TRIED_AS_OTHERS,
+        *("asymmetric_friction", {"others": ["coulomb_friction", "constant_load"]}),
+        "coulomb friction and constant load together are exactly the same",
+    ),
     (Code.EFFECT_LEFT_OUT, *("backlash", {}), "left out as asked"),
     (
         Code.CANDIDATE_FAILED,
