@@ -76,8 +76,7 @@ def list_candidates(
     if not effects:
         for entry in all_effects():
             if not {entry.name} & {e.name.partition(AT)[0] for e in entries}:
-                obstacle = _find_obstacle(model, entry)
-                not_tried[entry.name] = obstacle or Finding(DiscoveryCode.NOT_A_CANDIDATE, subject=entry.name)
+                not_tried[entry.name] = _find_obstacle(model, entry) or _explain_absence(model, entry)
     return CandidateList(tuple(candidates), not_tried)
 
 
@@ -141,6 +140,13 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     except ModelError as error:
         return Finding(DiscoveryCode.NO_PLACE, subject=entry.name, values={"reason": reason_of(error)})
     return None
+
+
+def _explain_absence(model: Model, entry: Effect) -> Finding:
+    """Why an effect that has a place is no candidate: the model's own list leaves it out, or others together are the same."""
+    if model.candidates:
+        return Finding(DiscoveryCode.NOT_A_CANDIDATE, subject=entry.name)
+    return Finding(DiscoveryCode.TRIED_AS_OTHERS, subject=entry.name, values={"others": list(entry.stands_for)})
 
 
 # Where the refit of a candidate starts.

@@ -19,6 +19,25 @@ from greybox.base.values import Printable, ReadOnly
 Remainder = Callable[[np.ndarray], np.ndarray]
 
 
+# Values closer than this share of the range are one level: the resolution of a converter and the noise of a reading spread it so far, and
+# a curve that repeats forty times over the range still has five levels in each period.
+LEVEL_WIDTH = 0.005
+# Levels that must be seen of a variable: over two, any function is a straight line, which the model has already.
+FEWEST_LEVELS = 3
+
+
+def find_levels(z: np.ndarray) -> np.ndarray:
+    """The distinct levels (L,) of values (K,), each the mean of those that are the same within their resolution."""
+    ordered = np.sort(z)
+    width = LEVEL_WIDTH * float(ordered[-1] - ordered[0])
+    first, starts = ordered[0], [0]
+    for k, value in enumerate(ordered):
+        if value - first > width:
+            first = value
+            starts.append(k)
+    return np.array([part.mean() for part in np.split(ordered, starts[1:])])
+
+
 class Parity(StrEnum):
     """Symmetry of a curve about zero."""
 
@@ -193,7 +212,11 @@ def find_period_of_curve(z: np.ndarray, w: np.ndarray) -> tuple[float, float, fl
     """The sinusoid over ``z`` (K,) that explains most of ``w`` (K,) beside a straight line: its share of the variance, that of both, and
     its period in ``z``."""
     reach = float(np.ptp(z))
-    turns = np.arange(SHAPE_FEWEST_PERIODS, MOST_PERIODS, 1 / STEPS_PER_PERIOD)
+    # Two levels a period at least: with fewer, any values lie on a sinusoid of some short period.
+    most = min(MOST_PERIODS, len(find_levels(z)) / 2)
+    turns = np.arange(SHAPE_FEWEST_PERIODS, most, 1 / STEPS_PER_PERIOD)
+    if not len(turns):
+        return 0.0, 0.0, reach
     left = np.linalg.qr(np.stack([np.ones_like(z), z - z.mean()], axis=1))[0]
     rest = w - left @ (left.T @ w)
     angle = 2 * np.pi * np.outer((z - z.min()) / reach, turns)

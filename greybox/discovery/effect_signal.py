@@ -102,6 +102,7 @@ def measure_remaining_error(
         Rows at the start of each validation record that do not count.
     """
     relevant = next((d for d in location.dependences if d.is_relevant), None)
+    leading = set(location.likeliest[:1])
     sensors = {site_label(SiteKind.SENSOR, name): name for name in fit.misfit}
 
     def sites(output: str) -> tuple[str, ...]:
@@ -115,7 +116,8 @@ def measure_remaining_error(
             error.unit,
             error.after / error.floor if error.is_floor_known else None,
             sites(name),
-            relevant if sites(name) or not location.likeliest else None,
+            # The dependence is that of the signal at the leading site: of an output that this does not reach it says nothing.
+            relevant if leading & set(sites(name)) else None,
             _grows_with_amplitude(fit, name, uncounted),
         )
         for name, error in holdout.items()

@@ -256,10 +256,8 @@ def _weigh_effect(
     static_loss, static_t = (np.nan, np.nan) if static is None else compare_errors(form, square_errors(static))
     is_static = static_loss < EVIDENCE_SAME_ERROR * min(loss, 1.0)
     change = _measure_change(inputs.selected, effect, halves, inputs.fit)
-    # Of an output that the plain model follows better an effect takes nothing, whatever the others need it for.
     plain = inputs.scores.square_errors(inputs.baseline, EVIDENCE_BLOCKS)
-    reduced = [o for o in errors if not mean_error(plain.get(o)) <= mean_error(errors[o])] or list(errors)
-    output = max(reduced, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
+    output = _choose_output(errors, without, plain)
     share, interval = _share_of_error(errors[output], without.get(output))
     measures = {
         "share": share,
@@ -311,6 +309,15 @@ def _weigh_effect(
         _helps_on_every_record(inputs, rest, output),
         measures,
     )
+
+
+def _choose_output(errors: BlockErrors, without: BlockErrors, plain: BlockErrors) -> str:
+    """The output of whose error an effect takes the largest share: of those that the model follows better than the plain one does.
+
+    Of an output that the plain model follows better it takes nothing, however much more would be left without it.
+    """
+    reduced = [o for o in errors if not mean_error(plain.get(o)) <= mean_error(errors[o])]
+    return max(reduced or errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
 
 
 def _is_richer_equal(inputs: EvidenceInputs, rival: CandidateFit, behind: tuple[float, float]) -> bool:

@@ -69,6 +69,7 @@ class DiscoveryCode(StrEnum):
     NO_PLACE = "no_place"
     EFFECT_PRESENT = "effect_present"
     NOT_A_CANDIDATE = "not_a_candidate"
+    TRIED_AS_OTHERS = "tried_as_others"
     EFFECT_LEFT_OUT = "effect_left_out"
     NOT_REACHED = "not_reached"
     CANDIDATE_FAILED = "candidate_failed"

@@ -561,13 +561,14 @@ def _conclude(
         better = judge_against_plain(judged.base, judged.best, uncounted, " + ".join(_added_effects(judged)))
         if not better:
             # What does no better than the plain model on the records that judge it is no answer: the plain model is.
-            rejected = " + ".join(_added_effects(judged))
+            laws = {} if answer is None else {law.name: law.equation for law in answer.search.laws}
+            rejected = " + ".join(laws.get(name, name) for name in _added_effects(judged))
             holdout = compare_holdout_errors(judged.base, judged.base)
             judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
             selected, final = judged.baseline, FinalModel(judged.scores, judged.baseline, judged.base)
             evidence, signals = (), ()
             refinement = None if refinement is None else Refinement(judged.base, (), refinement.checks)
-            answer = None if answer is None else replace(answer, best=None)
+            answer = None if answer is None else replace(answer, best=None, search=replace(answer.search, laws=()))
             decided = replace(_decide(judged), checks=decided.checks)
             verdict = decided.verdict
         decided = replace(decided, checks=(*decided.checks, *better.checks))

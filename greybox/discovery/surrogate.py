@@ -11,7 +11,16 @@ import numpy as np
 
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment
-from greybox.discovery.curve_shape import TIME, CurveShape, Dependence, ShapeKind, classify_shape, rank_dependences
+from greybox.discovery.curve_shape import (
+    FEWEST_LEVELS,
+    TIME,
+    CurveShape,
+    Dependence,
+    ShapeKind,
+    classify_shape,
+    find_levels,
+    rank_dependences,
+)
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
@@ -36,6 +45,7 @@ from greybox.discovery.surrogate_effects import (
     CURVE,
     TONE,
     evaluate_curve,
+    levels_of,
     make_curve_effect,
     make_sinusoid_effect,
     make_tone_effect,
@@ -142,6 +152,13 @@ class Surrogate(Printable, ReadOnly):
         """The values (K,) of the variable along the signal."""
         return self.signal.time if self.variable == TIME else self.signal.variables[self.variable]
 
+    @property
+    def levels(self) -> int | None:
+        """How many levels of the variable were seen, where these are so few that the curve is known at them only."""
+        names = self.fit.model.names_of(CURVE) if CURVE in {e.name for e in self.fit.model.effects} else {}
+        seen = levels_of({n: self.fit.model.values[in_model] for n, in_model in names.items()})
+        return None if seen is None else len(seen)
+
     def to_values(self) -> dict[str, Any]:
         """What it says, without the arrays, ready for a finding or for JSON."""
         return {
@@ -158,6 +175,7 @@ class Surrogate(Printable, ReadOnly):
             "amplitude": self.amplitude,
             "tone": None if self.tone is None else asdict(self.tone),
             "beside": list(self.beside),
+            "levels": self.levels,
         }
 
 
@@ -242,7 +260,7 @@ def fit_curve_surrogate(
         (place, fit)
         for place, fit in refits
         if fit is not None
-        and fit.cost < candidate.cost
+        and fit.criterion < candidate.criterion  # each height is a constant
         and (_needs_segments(problem, problem.baseline) or not _needs_segments(problem, fit))
     ]
     if not stable:
@@ -260,6 +278,11 @@ class CurvePlace:
     dependence: Dependence
     signal: ResidualSignal
 
+    @property
+    def shows_curve(self) -> bool:
+        """Whether enough levels of the variable were seen for more than a straight line."""
+        return len(find_levels(self.signal.variables[self.dependence.variable])) >= FEWEST_LEVELS
+
 
 # Variables over which a curve is tried.
 SURROGATE_VARIABLES = 2
@@ -272,7 +295,8 @@ def _localised_places(candidate: CandidateFit, location: ResidualLocalisation) -
         return []
     sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     site = next(s for s in sites if s.label == location.signal.site)
-    return [CurvePlace(site, d, location.signal) for d in relevant[:SURROGATE_VARIABLES]]
+    places = [CurvePlace(site, d, location.signal) for d in relevant]
+    return [place for place in places if place.shows_curve][:SURROGATE_VARIABLES]
 
 
 def _usual_places(
@@ -295,7 +319,8 @@ def _usual_places(
                 continue
             over = {variable: (signal.variables[variable], signal.units[variable])}
             ranked = rank_dependences(signal.time, signal.value, over)
-            places += [CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable][:1]
+            found = [CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable][:1]
+            places += [place for place in found if place.shows_curve]
     costs = [_predict_curve(problem, candidate, place) for place in places]
     order = sorted(range(len(places)), key=costs.__getitem__)
     return [places[k] for k in order[:SURROGATE_VARIABLES] if costs[k] < (1 - USEFUL_SHARE) * candidate.cost]
@@ -352,13 +377,15 @@ def refit_free_curves(
         signal = signals[label]
         variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
         ranked = rank_dependences(signal.time, signal.value, variables)
-        dependences = [d for d in ranked if d.variable != TIME][:SURROGATE_VARIABLES]
         signal = replace(signal, variables={**signal.variables, TIME: signal.time - signal.time[0]})
+        places = [CurvePlace(sites[label], d, signal) for d in ranked if d.variable != TIME]
+        places = [place for place in places if place.shows_curve][:SURROGATE_VARIABLES]
         # Time is no matter of the site: what drifts at one drifts at another that the sensors cannot tell from it.
-        for d in (*dependences, over_time) if label == labels[0] else dependences:
-            fit = _refit_free_curve(problem, candidate, CurvePlace(sites[label], d, signal), enough)
+        drift = [CurvePlace(sites[label], over_time, signal)] if label == labels[0] else []
+        for place in (*places, *drift):
+            fit = _refit_free_curve(problem, candidate, place, enough)
             if fit is not None:
-                curves.append(FreeCurve(d.variable, fit))
+                curves.append(FreeCurve(place.dependence.variable, fit))
     return curves
 
 
@@ -475,9 +502,12 @@ def _to_curve_surrogate(
             CurveShape(ShapeKind.PERIODIC),
             amplitude=float(np.hypot(values["cosine"], values["sine"])),
         )
+    levels = levels_of(values)
+    if levels is not None:  # nothing is known between them
+        z = levels
     rest = signal.value - evaluate_curve(values, measured)
     curve = evaluate_curve(values, z) + np.polyval(np.polyfit(measured, rest, 1), z)
-    count = np.histogram(measured, points, (z[0], z[-1]))[0]
+    count = np.bincount(np.abs(measured[:, None] - z).argmin(axis=1), minlength=len(z))
     shape = classify_shape(z[count > 0], curve[count > 0], count[count > 0])
     return Surrogate(signal.site, site.unit, fit, holdout, z, curve, signal, dependence, shape)
 

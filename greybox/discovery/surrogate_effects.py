@@ -4,6 +4,9 @@ The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so
 to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the
 heights separate what a parameter of the model could do as well.
 
+Of a variable of which fewer levels were seen than there would be bumps (an input that is stepped between a few values) the curve has one
+height for each level and nothing to say between them: there it is the straight line from one to the next, and beyond them it stays.
+
 The tone is ``z1' = 2 pi f z2``, ``z2' = -2 pi f z1``: a sinusoid whose amplitude and phase are the initial state, which every record has
 for itself. The frequency is one parameter of all. (B. A. Francis, W. M. Wonham 1976, The internal model principle of control theory.)
 """
@@ -16,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base.linear_algebra import decompose_columns
-from greybox.discovery.curve_shape import TIME, Dependence
+from greybox.discovery.curve_shape import TIME, Dependence, find_levels
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.model.balance import Balance
@@ -25,6 +28,8 @@ from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # Names of the effects.
 CURVE, TONE = "fitted_curve", "tone"
+# Name of the constants of a curve that hold its levels; a number follows.
+LEVEL = "level"
 # The state of a curve over time: seconds since the record began.
 CLOCK = "clock"
 SOURCE = "fitted to the residual of the model; no physical law"
@@ -46,17 +51,29 @@ def make_curve_effect(
 ) -> tuple[Effect, dict[str, float]]:
     """A smooth curve over the variable of ``dependence`` as an effect at ``site``, and start values of its heights.
 
-    The heights are those of a regression of the signal ``w`` (K,), known to ``std`` (K,), on the variable ``z`` (K,).
+    It has ``intervals`` + 1 heights, or as many as levels were seen where these are fewer. They start as a regression of the signal ``w``
+    (K,), known to ``std`` (K,), on the variable ``z`` (K,) has them.
     """
-    low, high = float(z.min()), float(z.max())
-    low, high = low - SURROGATE_MARGIN * (high - low), high + SURROGATE_MARGIN * (high - low)
-    pitch, size = (high - low) / intervals, float(np.sqrt(np.mean(w**2)))
-    heights = [f"c{k}" for k in range(intervals + 1)]
+    levels, size = find_levels(z), float(np.sqrt(np.mean(w**2)))
     variable, unit, prior = dependence.variable, dependence.unit, HEIGHT_PRIOR * size
     source = "range of the record"
-    parameters = [
+    low, high = float(z.min()), float(z.max())
+    low, high = low - SURROGATE_MARGIN * (high - low), high + SURROGATE_MARGIN * (high - low)
+    pitch, count = (high - low) / intervals, intervals + 1
+    places = [
         Parameter("lowest", unit, low, fixed=True, source=source, description=f"least {variable}"),
         Parameter("pitch", unit, pitch, fixed=True, source=source, description="distance of the bumps"),
+    ]
+    # No more heights than levels: the others would be what the prior makes them.
+    if has_heights_at_levels := len(levels) < count:
+        count = len(levels)
+        places = [
+            Parameter(f"{LEVEL}{k}", unit, float(level), fixed=True, source="seen in the record", description="level")
+            for k, level in enumerate(levels)
+        ]
+    heights = [f"c{k}" for k in range(count)]
+    parameters = [
+        *places,
         *(
             Parameter(n, site.unit, 0.0, source="zero, until fitted", prior=(0.0, prior), description="height")
             for n in heights
@@ -64,9 +81,11 @@ def make_curve_effect(
     ]
 
     def curve(value: Expression, p: NamedValues) -> Expression:
+        if has_heights_at_levels:
+            return _line_through(value, [p[f"{LEVEL}{k}"] for k in range(count)], [p[n] for n in heights])
         return _sum_of_bumps((value - p.lowest) / p.pitch, [p[n] for n in heights])
 
-    basis = _bumps((z - low) / pitch, len(heights))
+    basis = _hats(z, levels) if has_heights_at_levels else _bumps((z - low) / pitch, count)
     weight = 1 / np.maximum(std, 1e-3 * size)
     prior_rows = np.eye(len(heights)) / prior
     regression = decompose_columns(np.vstack([basis * weight[:, None], prior_rows]))
@@ -201,7 +220,29 @@ def evaluate_curve(values: Mapping[str, float], z: np.ndarray) -> np.ndarray:
         return values["cosine"] * np.cos(angle) + values["sine"] * np.sin(angle)
     count = sum(name.startswith("c") for name in values)
     heights = np.array([values[f"c{k}"] for k in range(count)])
+    levels = levels_of(values)
+    if levels is not None:
+        return _hats(z, levels) @ heights
     return _bumps((z - values["lowest"]) / values["pitch"], len(heights)) @ heights
+
+
+def levels_of(values: Mapping[str, float]) -> np.ndarray | None:
+    """The levels (L,) at which a curve with these parameters has its heights; None for one that is known all over its range."""
+    count = sum(name.startswith(LEVEL) for name in values)
+    return np.array([values[f"{LEVEL}{k}"] for k in range(count)]) if count else None
+
+
+def _hats(z: np.ndarray, levels: np.ndarray) -> np.ndarray:
+    """What each height at a level adds at ``z`` (M,): columns (M, L) of the straight lines from level to level."""
+    return np.stack([np.interp(z, levels, unit) for unit in np.eye(len(levels))], axis=1)
+
+
+def _line_through(value: Expression, levels: Sequence[Expression], heights: Sequence[Expression]) -> Expression:
+    total: Expression = heights[0]
+    for k in range(1, len(levels)):
+        share = (value - levels[k - 1]) / (levels[k] - levels[k - 1])
+        total = total + (heights[k] - heights[k - 1]) * ca.fmin(ca.fmax(share, 0), 1)
+    return total
 
 
 def _bumps(t: np.ndarray, count: int) -> np.ndarray:

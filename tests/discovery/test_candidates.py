@@ -11,10 +11,12 @@ from greybox.discovery.candidates import failed_candidates, family_of, list_cand
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, SearchStage
 from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.discovery.problem import MAX_SUBSTEPS, PREDICTION_SUBSTEPS, UNSTABLE_FACTOR, DiscoveryProblem
+from greybox.estimation.check import check
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
 from tests.support.fake_candidates import toy_effect
 from tests.support.hidden_rigs import AT_REST, simulate_records
+from tests.support.pushed_mass import MASS
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +46,23 @@ def test_a_model_may_name_its_candidates(scales):
     listed = list_candidates(few, scales, FailureLog())
     assert [e.name for e in listed.effects] == ["cubic_stiffness"]
     assert listed.not_tried["quadratic_stiffness"].code == Code.NOT_A_CANDIDATE
+
+
+def test_without_a_list_of_its_own_nothing_is_left_out_by_one():
+    """`check` shows a place for friction that differs by direction; two candidates together are exactly that."""
+    record = {"time": [k * 1e-1 for k in range(50)], "u": [0.1] * 50}
+    run = gb.simulate(MASS, record)
+    states = [[run.states[s.name][k] for s in MASS.all_states] for k in range(50)]
+    scales = gb.effects.measure_scales(MASS, np.array(states), np.full((50, 1), 0.1), 0.1)
+    assert not MASS.candidates
+    listed = list_candidates(MASS, scales, FailureLog())
+    placed = {p.name.partition("_at_")[0] for p in check(MASS).placements if p.effect is not None}
+    tried = {e.name.partition("_at_")[0] for e in listed.effects}
+    assert "asymmetric_friction" in placed and "asymmetric_friction" not in tried
+    assert Code.NOT_A_CANDIDATE not in {finding.code for finding in listed.not_tried.values()}
+    for name in placed - tried:  # each that has a place and is not tried is told with what is tried in its stead
+        assert listed.not_tried[name].code == Code.TRIED_AS_OTHERS
+        assert set(listed.not_tried[name].values["others"]) <= tried
 
 
 def test_an_effect_that_cannot_be_made_ready_is_out(scales):

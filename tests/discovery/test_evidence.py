@@ -87,6 +87,19 @@ def test_a_change_is_that_of_what_the_records_determine(halves, is_at_bound, exp
 
 
 @pytest.mark.parametrize(
+    ("plain", "output"),
+    [
+        ({"x": 8.0, "i": 20.0}, "i"),
+        ({"x": 8.0, "i": 2.0}, "x"),  # the error in i is larger with the effects than without all of them
+        ({"x": 0.5, "i": 0.5}, "i"),  # such an answer is none
+    ],
+)
+def test_the_share_is_that_of_an_output_whose_error_falls(plain, output):
+    errors, without = ({"x": np.array([x]), "i": np.array([i])} for x, i in ((1.0, 3.0), (4.0, 60.0)))
+    assert evidence._choose_output(errors, without, {o: np.array([e]) for o, e in plain.items()}) == output
+
+
+@pytest.mark.parametrize(
     ("rival", "deviations", "is_equal"),
     [
         (candidate(995, "rich", free=9), 2.9, True),

@@ -157,3 +157,15 @@ def test_what_a_sensor_adds_is_told_of_its_own_output_only():
     location = ResidualLocalisation(10.0, 1.1, (balance,), ((balance.label,),), dependences=(dependence(),))
     left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0)
     assert left["p1"].sites == left["p2"].sites == ("balance flow",)
+    assert left["p2"].dependence is not None
+    # Where the drive cannot be told from the sensor, it may reach the other output; the signal that was looked at is the sensor's.
+    drive = RankedSite("u", SiteKind.INPUT, 1e3, 0.1, "V")
+    tied = ((sensor.label, drive.label),)
+    location = ResidualLocalisation(10.0, 1.1, (sensor, drive), tied, dependences=(dependence(),))
+    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0)
+    assert left["p2"].sites == ("input u",) and left["p2"].dependence is None
+    assert left["p1"].dependence is not None
+    # Where no site leads there is no signal that could be a function of anything.
+    location = ResidualLocalisation(10.0, 1.1, dependences=(dependence(),))
+    left = measure_remaining_error(fit_of(1.0, outputs=("p1", "p2")), holdout, location, 0)
+    assert left["p1"].dependence is left["p2"].dependence is None

@@ -143,7 +143,12 @@ def plot_surrogate(surrogate: Surrogate) -> Figure:
     if surrogate.tone is None:
         series.append(_bins(surrogate.dependence, x, y, float(surrogate.signal.value.mean())))
     label = surrogate_title(surrogate).removeprefix("a ")
-    series.append(Curve(x * surrogate.values, y * surrogate.curve, Role.SURROGATE, label, 2.4))
+    known = x * surrogate.values, y * surrogate.curve
+    # Between a few levels nothing was seen.
+    levels = surrogate.levels
+    series.append(
+        Curve(*known, Role.SURROGATE, label, 2.4) if levels is None else Points(*known, Role.SURROGATE, label)
+    )
     axes = Axis(surrogate.variable, across), Axis(f"missing at the {surrogate.site}", unit)
     panel = Panel(surrogate.variable, tuple(series), *axes, height=Height.TALL)
     caption = (

@@ -164,7 +164,8 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
     title, tone = _surrogate_title(values), values["tone"]
     explained = f"{explained_share_text(values['closed'])} on the validation records"
     if tone is None:
-        title = title.replace("a curve", "a smooth curve")
+        smooth = "a smooth curve" if values["levels"] is None else f"a curve of {values['levels']} levels"
+        title = title.replace("a curve", smooth)
         beside = f", together with {' + '.join(values['beside'])}," if values["beside"] else ""
         return f"{title} ({shape_text(values)}) at {site_text(values['site'])}{beside} {explained}"
     sizes = sorted(tone["amplitude"].values())
@@ -595,6 +596,9 @@ register(
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
+        DiscoveryCode.TRIED_AS_OTHERS: lambda f: (
+            f"{list_text([effect_title(name) for name in f.values['others']])} together are exactly the same"
+        ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",
         DiscoveryCode.CANDIDATE_FAILED: "it could not be fitted: {reason}",

@@ -45,6 +45,7 @@ CURVE = {
     "amplitude": None,
     "tone": None,
     "beside": [],
+    "levels": None,
 }
 FINDINGS = [
     (Code.NOTHING_MISSING, *("", {}), "No effect is missing: the plain model explains the records down to the noise."),
@@ -95,6 +96,12 @@ FINDINGS = [
         *("balance force", CURVE),
         "As a surrogate, a smooth curve over x (odd, with a flat middle up to about 4e-05 m) at the force balance takes away"
         " 98.8 % of the error on the validation records.",
+    ),
+    (
+        Code.SURROGATE_FITTED,
+        *("input u", CURVE | {"site": "input u", "variable": "u", "shape": "too_few_values", "levels": 4}),
+        "As a surrogate, a curve of 4 levels over u (too few values to tell its shape) at the input u takes away 98.8 % of the error on the"
+        " validation records.",
     ),
     (
         Code.LAW_ESTABLISHED,
@@ -390,6 +397,11 @@ FINDINGS = [
     ),
     (Code.EFFECT_PRESENT, *("backlash", {}), "the model contains it already"),
     (Code.NOT_A_CANDIDATE, *("backlash", {}), "the model lists the effects to try, and this is none of them"),
+    (
+        Code.TRIED_AS_OTHERS,
+        *("asymmetric_friction", {"others": ["coulomb_friction", "constant_load"]}),
+        "coulomb friction and constant load together are exactly the same",
+    ),
     (Code.EFFECT_LEFT_OUT, *("backlash", {}), "left out as asked"),
     (
         Code.CANDIDATE_FAILED,
