@@ -183,12 +183,14 @@ class Sensitivity:
         """The same information in as few rows as there are columns."""
         small = {}
         for name, (states, constants) in self.blocks.items():
+            # R'R = X'X: rank and singular values are those of all the rows.
             r = np.asarray(np.linalg.qr(np.hstack([states, constants]), mode="r"))
             small[name] = r[:, : states.shape[1]], r[:, states.shape[1] :]
         return Sensitivity(small, self.doubtful)
 
     def decompose(self, outputs: Sequence[str]) -> ColumnDecomposition:
         """Slopes along the constants that no change of the initial states can undo, columns scaled to length one before that."""
+        # Initial states are unknown, too: what they can make up for tells nothing of the constants.
         basis = range_basis(np.vstack([self.blocks[name][0] for name in outputs]))
         constants = np.vstack([self.blocks[name][1] for name in outputs])
         for _ in range(2):  # the second time for what rounding left
@@ -229,6 +231,7 @@ def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
 def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
     """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
     ranks = [replace(compute_rank(point, outputs), point=k) for k, point in enumerate(points)]
+    # Rank drops on special points alone: the highest one that was seen is that of almost all.
     ranks = [r for r in ranks if r.certain] or ranks
     highest = max(r.rank for r in ranks)
     return [r for r in ranks if r.rank == highest]
@@ -272,6 +275,7 @@ def compute_free_run_sensitivities(
         )
         point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator)
         if point is not None:
+            # Cut off at a bound the slopes are those of other equations.
             (touching if point.doubtful > INTEGRATION_DOUBT else points).append((point, p))
     points = points or touching[:count]
     if not points:

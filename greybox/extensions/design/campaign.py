@@ -215,6 +215,7 @@ class Knowledge:
         for trace in self.best.traces:
             for name, measured in trace.measured.items():
                 movement = float(np.nanstd(measured))
+                # Noise is no movement left unexplained.
                 left = max(float(np.nanstd(trace.residual(name))) - self.best.noise.std.get(name, 0.0), 0.0)
                 shares.append(left / movement if movement else 0.0)
         return max(shares, default=0.0)
@@ -259,6 +260,7 @@ def run_campaign(
         For a folder with another campaign or one that is at work, a rig that fails, and a record of another input.
     """
     place = Path(folder)
+    # Held by the rig's process as well: a campaign that was killed may have left its rig playing.
     with hold_file(place / "campaign.lock") as held:
         if held is None:
             raise DataError(
@@ -303,9 +305,12 @@ def _carry_on(
             fresh = True
         else:
             fresh = False
+        # What was played is compared with what was asked: a record of another input would be fitted as if it were
+        # this one.
         record = read_record(target, asked, plan.model)
         broken = find_broken_limits(record, plan.limits, plan.noise)
         records.append(record)
+        # Once, where it was just taken: the next call goes on with the record, which is a good one.
         if broken and fresh:
             steps[-1] = replace(steps[-1], broken=broken)
             name, value = next(iter(broken.items()))
@@ -367,6 +372,7 @@ def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
         return {}
     data = read_json(path, ResultKind.CAMPAIGN)
     before = data.get("question") or {}
+    # A folder holds one question; another one would mix its records.
     changed = [name for name, value in plan.question.items() if name in before and before[name] != value]
     if changed:
         raise DataError(

@@ -119,6 +119,7 @@ class PlantScenario:
         y, x = self.problem.kernel.simulate(record, point.q, point.p, point.x0)
         y, x, slopes = (record.samples(v) for v in (y, x, slopes))
         finite = bool(np.isfinite(y).all() and np.isfinite(x).all() and np.isfinite(slopes[:, self.measured]).all())
+        # The kernel's residual is measured minus simulated: the slope of the output has the other sign.
         slopes = np.where(self.measured[None, :, None], -slopes, np.nan)
         return PlantRun(y, x, slopes, finite)
 
@@ -180,6 +181,7 @@ def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise:
     declared = guess_initial_states(model, problem.records, True)
     free = np.array([not options.at_rest or s.free_start for s in model.all_states], bool)
     variables = DecisionVector.of(model, replace(declared, free=free))
+    # Priors count once: they are in ``earlier``.
     unknown = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
     if problem.step.past is not None and len(variables.names) == 0:
         raise ModelError(f"{model.title}: no free constant")
@@ -207,6 +209,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         policy=options.policy,
     )
     variables = problem.variables
+    # The same here: priors were added above.
     without = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
     problem = replace(problem, variables=replace(variables, prior=without))
     evaluation = problem.shooting(problem.variables).evaluate(problem.variables.here)
@@ -214,6 +217,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         return prior
     whole = evaluation.hessian / 2
     kept, states = np.arange(n), np.arange(n, len(whole))
+    # First states of earlier records were unknown, too.
     reduced = (eliminate(whole, kept, states) @ whole)[:, :n] if len(states) else whole
     return prior + (reduced + reduced.T) / 2
 

@@ -296,6 +296,7 @@ def write_mat(
         values["Origin"] = _cell(plant.origin())
     if family is not None:
         members = _members(family)["family"]
+        # MATLAB counts pages last: family.A(:, :, k).
         pages = {key: np.moveaxis(np.asarray(members[key]), 0, -1) for key in ("A", "B", "C", "D")}
         values["family"] = pages | {
             "constants": members["constants"],

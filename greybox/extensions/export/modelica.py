@@ -80,6 +80,7 @@ def modelica_text(plant: Plant) -> str:
         )
     names = ModelicaNames.of(model)
     printer = Printer(MODELICA, names.symbols)
+    # The library's equations are cut off at the bounds of states; those of Modelica have to be as well.
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
     printer.count_uses([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
@@ -126,10 +127,13 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
     return [
         f"  push_{state} = {total};",
         *_levels(dry, state, model, printer),
+        # At standstill the velocity is constant; while it slides friction points against the way, which changes at
+        # events alone.
         f"  {left} = if way_{state} == 0 then 0 else push_{state} - way_{state} * level_{state} {label};",
         f"  when {{pre(way_{state}) > 0 and {state} <= 0, pre(way_{state}) < 0 and {state} >= 0,"
         f" pre(way_{state}) == 0 and abs(push_{state}) > most_{state}}} then",
         f"    way_{state} = if push_{state} > most_{state} then 1 elseif push_{state} < -most_{state} then -1 else 0;",
+        # Exactly zero: the conditions of the events compare with it.
         f"    reinit({state}, 0);",
         "  end when;",
     ]
@@ -149,6 +153,7 @@ def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
     lines = ["initial equation"]
     for k in bodies:
         v = names.states[k]
+        # A body that starts at rest slides at once where the push exceeds what friction holds.
         pushed = f"if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0"
         lines.append(f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else ({pushed});")
     return lines
@@ -202,6 +207,7 @@ class ModelicaNames:
     def of(cls, model: Model) -> ModelicaNames:
         """The names of ``model`` as Modelica allows them; outputs that are states share theirs."""
         s = model.system
+        # Made different together: two names that Modelica cannot tell apart would be one variable.
         inner = to_identifiers([*s.state_names, *s.input_names, *s.parameter_names], RESERVED)
         nx, nu = len(s.state_names), len(s.input_names)
         states, inputs, parameters = inner[:nx], inner[nx : nx + nu], inner[nx + nu :]

@@ -94,6 +94,7 @@ def _to_samples(signal: Any) -> Samples:
     values = signal.samples.astype(np.float64)
     invalid = getattr(signal, "invalidation_bits", None)
     if invalid is not None and len(invalid) == len(values):
+        # An invalid sample is a gap, not a number.
         values = np.where(np.asarray(invalid, dtype=bool), np.nan, values)
     return Samples(np.asarray(signal.timestamps, dtype=np.float64), values)
 

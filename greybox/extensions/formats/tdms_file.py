@@ -57,6 +57,7 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                 places.append((group.name, channel.name, stamps))
     if not channels:
         raise DataError("no channel has stamps (wf_increment, or a channel 'time' in its group); export it as CSV")
+    # The earliest start is the origin: groups that began later keep their distance, and say so.
     known = [start for start in starts.values() if np.isfinite(start)]
     origin = min(known, default=0.0)
     findings = [
@@ -90,6 +91,7 @@ def _is_time(name: str) -> bool:
 
 def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
     properties = channel.properties
+    # A time channel of the group goes before the increments: it was measured.
     if clock is not None and len(clock) == len(channel):
         absolute = np.dtype(clock.dtype).kind == "M"
         return _Stamps(_to_epoch(clock[0]) if absolute and len(clock) else np.nan, 0.0, 0.0, clock.name)
