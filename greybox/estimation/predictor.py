@@ -137,7 +137,11 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     states = find_correctable_states(frozen)
     estimate = estimate_by_prediction_error(frozen.with_process_noise(*states), experiments, given.noise, options)
     colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
-    if estimate.optimum.status.success and _score_states(estimate) < colour_score:
+    # BIC = -2 log L + k ln N: the filter pays for its intensities and noise levels.
+    evaluation, variables = estimate.optimum.evaluation, estimate.optimum.objective.variables
+    numbers = len(variables.which) + len(variables.estimated_noise)
+    state_score = evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
+    if estimate.optimum.status.success and state_score < colour_score:
         return _correct_by_states(frozen, states, estimate)
     return PredictionCorrection(frozen, levels, CorrectionKind.AUTOREGRESSION, colours)
 
@@ -172,14 +176,6 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
     """Noise of the outputs that were measured."""
     seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
     return {model.outputs[j].name: float(level[j]) for j in seen}
-
-
-def _score_states(estimate: MaximumLikelihoodEstimate) -> float:
-    """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
-    variables, evaluation = estimate.optimum.objective.variables, estimate.optimum.evaluation
-    numbers = len(variables.which) + len(variables.estimated_noise)
-    # BIC = -2 log L + k ln N
-    return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
 
 
 def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:

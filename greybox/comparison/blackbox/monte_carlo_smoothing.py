@@ -135,7 +135,8 @@ def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, po
     bin_width = 2 * np.pi / (points * sampling_time)
     decay, size = _estimate_envelope(time, y - level, w, sampling_time)
     ratio = size / abs(level)
-    first, last = (_first_passage(time, y, part * level) for part in _levels(level, low, high))
+    # A level below zero turns the order of the tail's ends: the passage at the smaller share of the level comes first.
+    first, last = (_first_passage(time, y, part * level) for part in sorted((low / level, high / level)))
     if w * first > 2 * np.pi:
         raise DataError(
             f"the final value is first passed {first:.4g} s after the step, {w * first / (2 * np.pi):.1f} periods of the spectrum's"
@@ -164,11 +165,6 @@ def _frequency(y: np.ndarray, level: float, sampling_time: float, points: int) -
             f"the power spectral density of the oscillation is largest at {w[peak]:.4g} rad/s; {NO_OSCILLATION}"
         )
     return float(w[peak])
-
-
-def _levels(level: float, low: float, high: float) -> tuple[float, float]:
-    """The smallest and the largest final value that the tail allows, over their mean."""
-    return tuple(sorted((low / level, high / level)))  # type: ignore[return-value]
 
 
 # An envelope counts while it is this many times what is left of it at the end.
@@ -274,7 +270,10 @@ def search_grid(time: np.ndarray, y: np.ndarray, values: dict[str, np.ndarray]) 
     along = product @ v.T
     square = np.einsum("pij,vi,vj->pv", gram, v, v, optimize=True)
     # |y - A v|^2 = y'y - 2 A v'y + A^2 v'v: lowest at A = v'y / v'v, and on a grid at its nearest point.
-    chosen = _nearest(amplitude, along / square)
+    wanted = along / square
+    above = np.clip(np.searchsorted(amplitude, wanted), 1, max(len(amplitude) - 1, 1))
+    low, high = amplitude[above - 1], amplitude[np.minimum(above, len(amplitude) - 1)]
+    chosen = np.where(wanted - low <= high - wanted, low, high)
     error = (y @ y - 2 * chosen * along + chosen**2 * square) / len(y)
     pair, direction = np.unravel_index(np.argmin(error), error.shape)
     return StepResponseConstants(
@@ -300,13 +299,6 @@ def _grams(time: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: np.ndarray) ->
         product[:, k] = ((wave * y) @ fading.T).ravel()
     gram[:, 1, 2] = gram[:, 2, 1] = ((sine * cosine) @ faded.T).ravel()
     return gram, product
-
-
-def _nearest(drawn: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """For each of ``wanted`` the nearest of the sorted ``drawn``: the lowest point of a parabola among them."""
-    above = np.clip(np.searchsorted(drawn, wanted), 1, max(len(drawn) - 1, 1))
-    low, high = drawn[above - 1], drawn[np.minimum(above, len(drawn) - 1)]
-    return np.where(wanted - low <= high - wanted, low, high)
 
 
 # What Monte-Carlo smoothing finds: equation 17, as a step response, as a difference equation, and in the s-domain.

@@ -105,6 +105,7 @@ def make_parameter_distribution(plant: Plant) -> ParameterDistribution:
         raise ModelError(f"{model.title} is not a fit: it has no covariance to draw from; give what gb.fit returns")
     free, covariance = fit.uncertainty.free, np.asarray(fit.uncertainty.covariance, float)
     of_model = np.array([n in model.values for n in free], bool)  # not a parameter of one experiment alone
+    # Infinite: not determined; NaN: at its bound; neither has a spread to draw from.
     varies = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0) & of_model
     names = tuple(n for n, v in zip(free, varies, strict=True) if v)
     fixed = [n for n, v in zip(free, varies, strict=True) if not v]
@@ -252,6 +253,7 @@ class ModelFamily(Printable):
             return _linearise_member(self._plant, self._functions, p, self.settings)
 
         surface = generator.standard_normal((max(len(self.members), 2 * starts), distribution.dimensions))
+        # Uniform directions in z, on the surface: a monotonic criterion has its worst case there.
         surface *= radius / np.linalg.norm(surface, axis=1, keepdims=True)
         points = np.vstack([surface, np.zeros(distribution.dimensions)])
         values = np.array([criterion(linearise_with(z)) for z in points])

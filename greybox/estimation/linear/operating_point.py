@@ -276,8 +276,9 @@ def solve_operating_point(
         if all(residual.met for residual in _residuals_of_rows(functions, solution, p, to_meet)):
             rates = functions.rates(solution, p, functions.direction(solution))
             moving = [k for k in rated if k not in to_meet and rates[k]]
+            # A position may move if nothing depends on where it is, or if its speed was asked for: a moment of a motion is meant.
             if all(
-                _position_is_irrelevant(functions, solution, p, k) or _speed_is_given(functions, k, given)
+                _position_is_irrelevant(functions, solution, p, k) or functions.system.rhs[k].name() in given
                 for k in moving
             ):
                 return _describe_point(functions, solution, p, moving)
@@ -288,11 +289,6 @@ def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndar
     """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
     moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))
     return bool(np.all(moves[:, k] <= FREE_POSITION * moves.sum(axis=1)))
-
-
-def _speed_is_given(functions: ModelFunctions, k: int, given: Mapping[str, float]) -> bool:
-    """Whether the rate of the position ``k`` was asked for: then it is a moment of a motion that is meant."""
-    return functions.system.rhs[k].name() in given
 
 
 def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:

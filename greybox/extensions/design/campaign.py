@@ -24,7 +24,6 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict
 from greybox.discovery.pipeline import discover
-from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -543,19 +542,14 @@ def _learn(
     )
     discovery.save(place / "discovery.json")
     show(place / "discovery.html", discovery)
-    names = _explanation(discovery)
+    # The effects to go on with: those of the best model, none where no effect is established.
+    is_open = discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN)
+    names: tuple[str, ...] = () if is_open else tuple(e["name"] for e in discovery.effects)
     best = fit_explanation(plain, "+".join(names)) if names else plain
     best.save(place / "fit.json")
     show(place / "fit.html", best)
     alternatives = tuple(tuple(a) for a in discovery.alternatives if tuple(a) != names)
     return Knowledge(plain, best, names, alternatives, str(discovery.verdict))
-
-
-def _explanation(discovery: Discovery) -> tuple[str, ...]:
-    """The effects to go on with: those of the best model, none where no effect is established."""
-    if discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN):
-        return ()
-    return tuple(e["name"] for e in discovery.effects)
 
 
 def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignStep] | None = None) -> bool:

@@ -137,8 +137,10 @@ class DesignProblem(ReadOnly):
         """White noise of the sensors, and of ``more`` of them."""
         std = {**self.noise, **(more or {})}
         names = tuple(o.name for o in self.model.outputs)
+        # NaN: no sensor, hence no row that counts.
         levels = np.array([std.get(name, np.nan) for name in names])
         sources = dict.fromkeys(std, NoiseSource.GIVEN)
+        # White: what a coloured residual adds comes in by ``inflation``, afterwards.
         return NoiseModel(names, levels, sources, tuple(AutoRegression() for _ in names), True)
 
 

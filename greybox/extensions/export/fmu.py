@@ -159,7 +159,8 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         root,
         "CoSimulation",
         modelIdentifier=name,
-        canHandleVariableCommunicationStepSize=_to_boolean(not step.past and not isinstance(step, ObserverInterval)),
+        # Past inputs, and the measurements of an observer, belong to samples: such a step cannot be divided.
+        canHandleVariableCommunicationStepSize="false" if step.past or isinstance(step, ObserverInterval) else "true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         canNotUseMemoryManagementFunctions="true",
@@ -240,10 +241,6 @@ def _variables(
             {"name": name, "valueReference": str(reference), "description": to_line(description), **kind},
         )
         ET.SubElement(variable, "Real", {**real, **({"unit": unit} if unit not in ("", "-", "1") else {})})
-
-
-def _to_boolean(value: bool) -> str:
-    return "true" if value else "false"
 
 
 # ---- The binary ----

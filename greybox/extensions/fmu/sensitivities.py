@@ -170,7 +170,9 @@ class SensitivityRunner:
             instance.setTime(float(t))
             _set_states(instance, x)
             if self.inputs:
-                _set(instance, self.inputs, u.tolist())
+                # FMI 2 names it so, FMI 3 by the type.
+                write = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+                write(self.inputs, u.tolist())
 
     def _get_states(self, instance: Any) -> np.ndarray:
         return _read_vector(instance, "getContinuousStates", len(self.states))
@@ -211,10 +213,6 @@ def _state_reference(rate: Any, description: Any) -> int:
 
 def _get(instance: Any, references: Sequence[int]) -> list[float]:
     return list(instance.getReal(references) if hasattr(instance, "getReal") else instance.getFloat64(references))
-
-
-def _set(instance: Any, references: Sequence[int], values: Sequence[float]) -> None:
-    (instance.setReal if hasattr(instance, "setReal") else instance.setFloat64)(references, values)
 
 
 def _read_vector(instance: Any, name: str, size: int) -> np.ndarray:

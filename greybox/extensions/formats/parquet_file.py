@@ -32,7 +32,9 @@ def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTab
     def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
         with pq.ParquetFile(path) as file:
             table = file.read(columns=list(names), use_threads=False)
-        return {name: _to_array(table.column(name).cast(pa.float64(), safe=False)) for name in names}
+        # Numbers, NaN for nulls.
+        columns = {name: table.column(name).cast(pa.float64(), safe=False) for name in names}
+        return {name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in columns.items()}
 
     return ArrayTable.from_infos(infos, load, policy)
 
@@ -44,11 +46,6 @@ def _is_number(types: Any, kind: Any) -> bool:
 
 def _describe_type(kind: Any) -> str:
     return "text" if str(kind) in ("string", "large_string") else str(kind)
-
-
-def _to_array(column: Any) -> np.ndarray:
-    """Numbers with NaN for nulls."""
-    return np.asarray(column.to_numpy(), dtype=np.float64)
 
 
 # Archives of NumPy arrays (.npz): headers first, arrays when they are wanted, nothing unpickled.

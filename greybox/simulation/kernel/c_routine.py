@@ -149,11 +149,13 @@ class CRoutine:
         text = ""
         for sign, coefficient, k in order_terms(tangent):
             number = None if coefficient is None else self.tape.nodes[coefficient].number
+            # The sign of the term and a coefficient of -1 in one.
             minus = "-" if (sign < 0) != (number == -1) else ""
             lane = self._lane(k, block)
             if coefficient is None or number in (1, -1):
                 text = f"{text} {minus or '+'} {lane}" if text else minus + lane
             else:
+                # A fused multiply-add, in the order of the tape: the machine rounds at the same places.
                 product = f"{minus}{self._value(coefficient)}"
                 text = f"FMA_LANES({product}, {lane}, {text})" if text else f"{product} * {lane}"
         return text

@@ -164,6 +164,7 @@ class CompiledKernel:
 
     def with_substeps(self, substeps: int) -> CompiledKernel:
         """The same step with another number of substeps in an interval; nothing is compiled anew."""
+        # Libraries are shared: the number of substeps is an argument of theirs.
         other = copy.copy(self)
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"

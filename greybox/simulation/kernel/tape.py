@@ -278,7 +278,18 @@ def simplify_tape(tape: Tape, max_terms: int = 6) -> Tape:
             # Elimination pays where it saves an instruction on lanes for few products of scalars; with many uses
             # each would be multiplied out again.
             short = len(terms) == 1 or (uses[k] == 1 and len(terms) <= max_terms)
-            expanded[k] = terms if short and k not in pinned else {_append_instruction(result, terms): (1.0, None)}
+            if short and k not in pinned:
+                expanded[k] = terms
+                continue
+            # A sum begins with what is computed once, then follows the tape: the last term is the one that is waited for.
+            ordered = sorted(terms.items(), key=lambda item: (result.tangents[item[0]].varying, item[0]))
+            moving = any(
+                result.tangents[t].varying or (c is not None and result.nodes[c].varying) for t, (_, c) in ordered
+            )
+            whole = Tangent(
+                tuple((c, t) for t, (_, c) in ordered), None, None, moving, tuple(s for _, (s, _) in ordered)
+            )
+            expanded[k] = {result.tangent(whole): (1.0, None)}
     result.outputs = [[(n, None if k is None else _only(expanded[k])) for n, k in output] for output in tape.outputs]
     return result
 
@@ -295,7 +306,12 @@ def _multiply_out(tape: Tape, tangent: Tangent, expanded: dict[int, Terms]) -> T
         outer = _split_sign(tape, coefficient)
         for base, inner in expanded[source].items():
             term = _product(tape, outer, inner)
-            terms[base] = _add_terms(tape, terms[base], term) if base in terms else term
+            if base in terms:
+                sign, node = terms[base]
+                first, second = (tape.constant(1.0) if n is None else Scalar(tape, n) for n in (node, term[1]))
+                # s1 a + s2 b = s1 (a + s1 s2 b): the sign of the first stays outside.
+                term = sign, (first + second if sign == term[0] else first - second).index
+            terms[base] = term
     return terms
 
 
@@ -315,22 +331,6 @@ def _product(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None
         return a[0] * b[0], a[1] if b[1] is None else b[1]
     sign, node = _split_sign(tape, (Scalar(tape, a[1]) * Scalar(tape, b[1])).index)
     return a[0] * b[0] * sign, node
-
-
-def _add_terms(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None]) -> tuple[float, int | None]:
-    first, second = (tape.constant(1.0) if node is None else Scalar(tape, node) for _, node in (a, b))
-    # s1 a + s2 b = s1 (a + s1 s2 b): the sign of the first stays outside.
-    return a[0], (first + second if a[0] == b[0] else first - second).index
-
-
-def _append_instruction(tape: Tape, terms: Terms) -> int:
-    """The terms as one instruction, those that are ready first in front."""
-    # A sum begins with what is computed once, then follows the tape: the last term is the one that is waited for.
-    ordered = sorted(terms.items(), key=lambda item: (tape.tangents[item[0]].varying, item[0]))
-    moving = any(tape.tangents[k].varying or (c is not None and tape.nodes[c].varying) for k, (_, c) in ordered)
-    return tape.tangent(
-        Tangent(tuple((c, k) for k, (_, c) in ordered), None, None, moving, tuple(s for _, (s, _) in ordered))
-    )
 
 
 # Products and sums of a tape as fused multiply-adds, so that every engine rounds at the same places.
