@@ -18,7 +18,7 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autor
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
+from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
@@ -142,25 +142,18 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     numbers = len(variables.which) + len(variables.estimated_noise)
     state_score = evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
     if estimate.optimum.status.success and state_score < colour_score:
-        return _correct_by_states(frozen, states, estimate)
+        cost = estimate.optimum.objective
+        values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
+        # The intensities that were found become constants of the model, as its own are.
+        model = frozen.with_process_noise(*states).fix(**{name: values[name] for name in estimate.names})
+        levels = _name_levels(model, cost.noise, cost.records)
+        return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
     return PredictionCorrection(frozen, levels, CorrectionKind.AUTOREGRESSION, colours)
 
 
 def classify_filter(model: Model) -> CorrectionKind:
     """The correction by known process noise; none where all intensities are zero."""
     return CorrectionKind.KALMAN_FILTER if model.noisy_states else CorrectionKind.NONE_ZERO
-
-
-def _correct_by_states(
-    frozen: Model, states: Sequence[str], estimate: MaximumLikelihoodEstimate
-) -> PredictionCorrection:
-    cost = estimate.optimum.objective
-    variables = cost.variables
-    values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
-    model = frozen.with_process_noise(*states)
-    model = model.fix(**{name: values[name] for name in estimate.names})
-    levels = _name_levels(model, cost.noise, cost.records)
-    return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
 
 
 def find_correctable_states(model: Model) -> tuple[str, ...]:

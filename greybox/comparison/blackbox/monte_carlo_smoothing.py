@@ -429,12 +429,13 @@ class MonteCarloSmoothing(Printable):
                 "samples": self.delay / self.sampling_time,
             }
             findings.append(Finding(BlackBoxFinding.SMOOTHING_FEEDTHROUGH, Severity.WARNING, self.output, values))
-        at_end = [
-            SYMBOLS[axis]
-            for axis in AXES
-            for last in self.rounds[-1:]
-            if _is_near_end(getattr(self.best, axis), getattr(last.intervals, axis), getattr(self.draws, axis))
-        ]
+        at_end = []
+        for axis in AXES if self.rounds else ():
+            low, high = getattr(self.rounds[-1].intervals, axis)
+            # Within the mean distance of the draws from an end: the best draw may be the outermost one.
+            gap = (high - low) / (getattr(self.draws, axis) + 1)
+            if not low + gap < getattr(self.best, axis) < high - gap:
+                at_end.append(SYMBOLS[axis])
         if at_end:
             values = {"constants": at_end}
             findings.append(Finding(BlackBoxFinding.SMOOTHING_AT_INTERVAL_END, Severity.WARNING, values=values))
@@ -494,13 +495,6 @@ class MonteCarloSmoothing(Printable):
     def to_control(self) -> Any:
         """A discrete `control.TransferFunction`."""
         return self.model.to_control()
-
-
-def _is_near_end(value: float, interval: tuple[float, float], count: int) -> bool:
-    """Whether ``value`` lies within the mean distance of ``count`` draws from an end of its ``interval``."""
-    low, high = interval
-    gap = (high - low) / (count + 1)
-    return not low + gap < value < high - gap
 
 
 # Order of the denominator, first and last lag of the numerator: the seven columns of Table 3.

@@ -425,7 +425,13 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
     It is to tell explanations apart while several are left; to show what may hide while no effect is established, though something is
     missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
     """
-    models: list[Model] = [plan.model if knowledge.best is None else _away_from_bounds(plan, knowledge.best)]
+    models: list[Model] = [plan.model]
+    if knowledge.best is not None:
+        # A constant that a missing effect drove to its bound is where the user has it: at a bound it says nothing of the rig, and may make
+        # every prediction stiff (an inductance of next to nothing).
+        begun, best = plan.model.values, knowledge.best
+        stated = {n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun}
+        models = [best.model.start(**stated)]
     if knowledge.plain is not None:
         for names in knowledge.alternatives[:CAMPAIGN_RIVALS]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
@@ -446,15 +452,6 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
         policy=plan.design_policy,
     )
     return answer(question)
-
-
-def _away_from_bounds(plan: CampaignPlan, best: Fit) -> Model:
-    """The fitted model; a constant that a missing effect drove to its bound is where the user has it.
-
-    At a bound it says nothing of the rig, and may make every prediction stiff (an inductance of next to nothing).
-    """
-    begun = plan.model.values
-    return best.model.start(**{n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun})
 
 
 def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:

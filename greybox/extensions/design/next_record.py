@@ -130,7 +130,8 @@ def design(
     question = DesignProblem(
         known.models,
         merged,
-        duration or _length_of(longest),
+        # Its last interval included; zero where there is no record: the question says what is missing.
+        duration or (longest.rows * float(np.median(longest.intervals)) if longest else 0.0),
         sampling_time or (longest.sampling_time if longest else None) or 0.0,
         {**known.noise, **(noise or {})},
         known.earlier,
@@ -144,7 +145,10 @@ def design(
         options=known.options,
         policy=policy,
     )
-    found_ranges = [Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values=_range(merged[n])) for n in filled]
+    found_ranges = [
+        Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values={"low": merged[n].low, "high": merged[n].high})
+        for n in filled
+    ]
     return replace(answer(question, extra=found_ranges), seconds=time.perf_counter() - began)
 
 
@@ -307,15 +311,6 @@ def _remedies(question: DesignProblem) -> list[str]:
     except DataError:  # a model that overflows wherever it is looked at
         return []
     return [str(finding) for finding in structure.recommendations]
-
-
-def _length_of(record: Experiment | None) -> float:
-    """The seconds that an earlier record takes, its last interval included; zero where there is none: the question says what is missing."""
-    return 0.0 if record is None else record.rows * float(np.median(record.intervals))
-
-
-def _range(limit: SignalLimit) -> dict[str, float]:
-    return {"low": limit.low, "high": limit.high}
 
 
 def list_alternatives(

@@ -149,12 +149,16 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     """``model`` as a plant that answers ``question``; ``step``: another sampling time than the question's."""
     period = question.sampling_time if step is None else step
     noise = question.noise_model()
+    # Readings before anything moves are ones that a record may have, where zero may be none (an absolute pressure).
+    u, p = [question.rest(i.name) for i in model.inputs], list(model.values.values())
+    y = np.asarray(model.system.output_function(declared_initial_state(model), u, p)).ravel()
+    at_rest = {o.name: float(v) for o, v in zip(model.outputs, y, strict=True) if o.name in question.noise}
     rows = 2
     template = Experiment(
         "designed",
         period * np.arange(rows),
         {i.name: np.full(rows, question.rest(i.name)) for i in model.inputs},
-        {name: np.full(rows, value) for name, value in _outputs_at_rest(question, model).items()},
+        {name: np.full(rows, value) for name, value in at_rest.items()},
         question.hold,
     )
     problem = _lay_out(question, model, template, noise)
@@ -163,13 +167,6 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
     earlier = information_of_records(question, model, problem.variables)
     return PlantScenario(model, weight, measured, earlier, problem, template, number)
-
-
-def _outputs_at_rest(question: DesignProblem, model: Model) -> dict[str, float]:
-    """What the sensors show before anything moves: readings that a record may have, where zero may be none (an absolute pressure)."""
-    u, p = [question.rest(i.name) for i in model.inputs], list(model.values.values())
-    y = np.asarray(model.system.output_function(declared_initial_state(model), u, p)).ravel()
-    return {o.name: float(value) for o, value in zip(model.outputs, y, strict=True) if o.name in question.noise}
 
 
 def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise: NoiseModel) -> EstimationProblem:

@@ -21,7 +21,6 @@ from greybox.model.balance import Balance
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, Printed, Printer
 from greybox.model.model import Model
-from greybox.model.system import DryFrictionTerm
 
 RESERVED = frozenset(
     re.findall(
@@ -119,14 +118,20 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
     dry = [d for d in s.dry if d.balance == b.name]
     others = {name: term for name, term in b.terms.items() if name not in [d.effect for d in dry]}
     storage = printer.print(b.storage)
-    left = f"der({state})" if storage.text == "1" else f"{_bracketed(storage)} * der({state})"
+    factor = storage.text if storage.binding == Binding.ATOM else f"({storage.text})"
+    left = f"der({state})" if storage.text == "1" else f"{factor} * der({state})"
     total = _sum([printer.print(term) for term in others.values()])
     label = f'"{_string(b.name)}: {_string(", ".join(b.terms))}"'
     if not dry:
         return [f"  {left} = {total} {label};"]
+    sliding = _sum([printer.print(d.sliding) for d in dry])
+    # The static level at standstill, whatever it is of the velocity.
+    at_rest = s.x[dry[0].state]
+    static = _sum([printer.print(ca.substitute(d.static, at_rest, 0)) for d in dry])
     return [
         f"  push_{state} = {total};",
-        *_levels(dry, state, model, printer),
+        f"  level_{state} = {sliding};",
+        f"  most_{state} = {static};",
         # At standstill the velocity is constant; while it slides friction points against the way, which changes at
         # events alone.
         f"  {left} = if way_{state} == 0 then 0 else push_{state} - way_{state} * level_{state} {label};",
@@ -137,13 +142,6 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
         f"    reinit({state}, 0);",
         "  end when;",
     ]
-
-
-def _levels(dry: Sequence[DryFrictionTerm], state: str, model: Model, printer: Printer) -> list[str]:
-    sliding = _sum([printer.print(d.sliding) for d in dry])
-    at_rest = model.system.x[dry[0].state]
-    static = _sum([printer.print(ca.substitute(d.static, at_rest, 0)) for d in dry])
-    return [f"  level_{state} = {sliding};", f"  most_{state} = {static};"]
 
 
 def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
@@ -185,10 +183,6 @@ def _sum(terms: Sequence[Printed]) -> str:
             inner = term.text if term.binding > Binding.SUM else f"({term.text})"
             text += f" + {inner}" if text else inner
     return text or "0"
-
-
-def _bracketed(value: Printed) -> str:
-    return value.text if value.binding == Binding.ATOM else f"({value.text})"
 
 
 @dataclass(frozen=True)

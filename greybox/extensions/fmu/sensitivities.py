@@ -58,7 +58,10 @@ class SensitivityRunner:
         self.folder, self.description, self.plant, self.policy = folder, description, plant, policy
         by_name = {v.name: v for v in description.modelVariables}
         self.rates = [d.variable.valueReference for d in description.derivatives]
-        self.states = [_state_reference(d.variable, description) for d in description.derivatives]
+        # Of each rate the state that it belongs to, as itself or as its number in the list.
+        derived = [d.variable.derivative for d in description.derivatives]
+        states = [description.modelVariables[s - 1] if isinstance(s, int) else s for s in derived]
+        self.states = [int(s.valueReference) for s in states]
         self.inputs = [by_name[i.name].valueReference for i in plant.inputs]
         self.outputs = [by_name[o.name].valueReference for o in plant.outputs]
         self.references = {v.name: v.valueReference for v in description.modelVariables}
@@ -201,14 +204,6 @@ class SensitivityRunner:
             again = bool((instance.newDiscreteStates() if is_second else instance.updateDiscreteStates())[0])
         instance.enterContinuousTimeMode()
         return instance
-
-
-def _state_reference(rate: Any, description: Any) -> int:
-    """The value reference of the state whose rate this variable is."""
-    state = rate.derivative
-    if isinstance(state, int):
-        state = description.modelVariables[state - 1]
-    return int(state.valueReference)
 
 
 def _get(instance: Any, references: Sequence[int]) -> list[float]:

@@ -56,12 +56,11 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
     if not sheets:
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
     timed = [sheet for sheet in sheets if sheet.clock]
-    return _to_channels(timed, policy) if len(timed) > 1 else _to_table((timed or sheets)[0], policy)
-
-
-def _to_table(sheet: _Sheet, policy: ReadingPolicy) -> ArrayTable:
-    infos = {header: ArrayInfo(values.shape) for header, values in sheet.columns.items()}
-    return ArrayTable.from_infos(infos, lambda names: {name: sheet.columns[name] for name in names}, policy)
+    if len(timed) > 1:
+        return _to_channels(timed, policy)
+    columns = (timed or sheets)[0].columns
+    infos = {header: ArrayInfo(values.shape) for header, values in columns.items()}
+    return ArrayTable.from_infos(infos, lambda names: {name: columns[name] for name in names}, policy)
 
 
 def _to_channels(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:

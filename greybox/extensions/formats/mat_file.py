@@ -80,7 +80,11 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     members: dict[str, np.ndarray] = {}
     variables: dict[str, MatVariable] = {}
     with open(path, "rb") as file:
-        order, end = _read_order(file), path.stat().st_size
+        mark, end = file.read(HEADER)[126:128], path.stat().st_size
+        if mark not in (b"IM", b"MI"):
+            raise ValueError("its header is not that of a MATLAB file")
+        # The mark is a number of two bytes: it reads IM where the file has the lower byte first.
+        order = "<" if mark == b"IM" else ">"
         room = policy.largest_unpacked
         for variable in _list_variables(file, order, end):
             check_width(len(infos) + 1, policy)
@@ -106,13 +110,6 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
         return arrays
 
     return ArrayTable.from_infos(infos, load, policy)
-
-
-def _read_order(file: BinaryIO) -> str:
-    mark = file.read(HEADER)[126:128]
-    if mark not in (b"IM", b"MI"):
-        raise ValueError("its header is not that of a MATLAB file")
-    return "<" if mark == b"IM" else ">"
 
 
 def _list_variables(file: BinaryIO, order: str, end: int) -> Iterator[MatVariable]:

@@ -47,9 +47,9 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
                 scaled = conversion is not None and bool(getattr(conversion, "conversion_type", 0))
                 rows = int(getattr(head, "cycles_nr", 0))
                 holds = "" if kind in NUMBERS else "text or bytes"
-                channels.append(
-                    Channel(channel.name, _unit_of(channel), name, clock, rows, holds, kind in INTEGERS and not scaled)
-                )
+                # A conversion may have a unit where the channel states none.
+                unit = str(channel.unit or (conversion.unit if conversion is not None else "") or "").strip()
+                channels.append(Channel(channel.name, unit, name, clock, rows, holds, kind in INTEGERS and not scaled))
                 places.append((g, c))
 
     def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
@@ -74,11 +74,6 @@ def _open(stream: Any) -> Any:
                 if temporary is not None:
                     temporary.close()
         raise
-
-
-def _unit_of(channel: Any) -> str:
-    conversion = channel.conversion
-    return str(channel.unit or (conversion.unit if conversion is not None else "") or "").strip()
 
 
 def _get(file: Any, group: int, index: int) -> Any:

@@ -38,7 +38,8 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
     with TdmsFile.open(path) as file:
         check_width(sum(len(group.channels()) for group in file.groups()), policy)
         for group in file.groups():
-            clock = next((c for c in group.channels() if _is_time(c.name)), None)
+            bare = {c.name: parse_header(c.name, 0).name for c in group.channels()}
+            clock = next((c for c in group.channels() if bare[c.name] == "t" or bare[c.name].lower() == TIME), None)
             for channel in group.channels():
                 if clock is not None and channel.name == clock.name:
                     continue
@@ -82,11 +83,6 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
         return result
 
     return ChannelTable.from_channels(channels, load, policy, findings)
-
-
-def _is_time(name: str) -> bool:
-    bare = parse_header(name, 0).name
-    return bare == "t" or bare.lower() == TIME
 
 
 def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:

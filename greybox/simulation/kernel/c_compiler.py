@@ -145,7 +145,11 @@ def _load(path: Path, compiler: Compiler, flags: Sequence[str], source: Callable
     if library is not None:
         return library
     _compile(compiler, flags, source(), path)
-    _prune_once(path.parent)
+    # Once in a process: a search compiles some thirty kernels.
+    if path.parent not in _pruned:
+        _pruned.add(path.parent)
+        with contextlib.suppress(OSError):
+            prune_cache(path.parent)
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
@@ -281,14 +285,6 @@ def _temporary_folder() -> Path:
 
 _temporary: list[tempfile.TemporaryDirectory[str]] = []
 _pruned: set[Path] = set()
-
-
-def _prune_once(folder: Path) -> None:
-    """Prune once in a process: a search compiles some thirty kernels."""
-    if folder not in _pruned:
-        _pruned.add(folder)
-        with contextlib.suppress(OSError):
-            prune_cache(folder)
 
 
 def _is_private(path: Path, is_kind: Callable[[int], bool]) -> bool:
