@@ -22,7 +22,7 @@ from greybox.comparison.blackbox.linear_regression import (
     to_sampled_data,
 )
 from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
-from greybox.comparison.blackbox.polynomial import PolynomialModel, PolynomialStructure, to_order
+from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure, to_order
 from greybox.comparison.blackbox.prediction_error import (
     HistoryTreatment,
     PredictionErrorMinimum,
@@ -36,7 +36,6 @@ from greybox.comparison.blackbox.prediction_error import (
     split_records,
     stabilise,
 )
-from greybox.comparison.blackbox.responses import InitialChoice
 from greybox.data.experiment import Experiment
 
 # Static nonlinearities of an input: polynomials and piecewise linear functions, as sums of basis functions.

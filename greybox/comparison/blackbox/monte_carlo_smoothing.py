@@ -16,8 +16,7 @@ from greybox.base.numerics import NEGLIGIBLE_JUMP
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.linear_regression import to_sampled_data
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding, PolynomialModel
-from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding, InitialChoice, PolynomialModel
 from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
 from greybox.data.experiment import Experiment
 

@@ -21,7 +21,7 @@ from greybox.base.findings import Finding
 from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
-from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.data.experiment import Experiment, as_records
 
 WEIGHTS = ("cva", "n4sid")
