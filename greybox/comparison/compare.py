@@ -76,6 +76,7 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
         return None
     ranked.sort(key=lambda pair: pair[0])
     least, best = ranked[0]
+    # The rival that matters: the best model of the other kind.
     other_kind = BoxKind.BLACK if best.kind == BoxKind.GREY else BoxKind.GREY
     values = {
         "measure": measure,
@@ -234,6 +235,7 @@ def compare_named(
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
     for group in (validation, training):
         check_steps_ahead(steps, group)
+    # The same beginning for all models: a difference in it would look like one of the models.
     at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
     known_units = _collect_units(models, units or {})
     setup = _Setup(

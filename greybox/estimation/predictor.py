@@ -126,6 +126,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     options = replace(given.options, per_experiment=())
     problem = prepare_estimation(frozen, experiments, given.noise, options)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
+    # The free run's own error: what an autoregression would have to predict.
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
     series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
     colours = {
@@ -256,6 +257,7 @@ class Predictor:
         if missing:
             raise ModelError(f"initial: no value for {', '.join(missing)}; give every state, or None to estimate them")
         cost = make_likelihood(replace(given, options=replace(self.options, at_rest=False)), experiment)
+        # As a guess that nothing moves: the likelihood is taken where the caller says.
         begin = replace(cost.variables.initial, guess=np.array([[float(initial[n]) for n in states]]))
         return cost.at(replace(cost.variables, initial=begin))
 
@@ -408,6 +410,7 @@ class SmoothedStates(Printable):
             raise ModelError(f"no state {state!r}; {nearest(state, self.mean)}")
         if not 0 < level < 1:
             raise ModelError(f"level {level:g} of a band; give a probability between 0 and 1")
+        # Normal: (1 + level) / 2 leaves half of the rest on either side.
         reach = float(ndtri((1 + level) / 2)) * self.std[state]
         return self.mean[state] - reach, self.mean[state] + reach
 

@@ -67,6 +67,7 @@ class ParameterDistribution:
         """Values (k,) of the parameters that vary, regardless of bounds."""
         centre, step = self.p[self.indices], self.root @ z
         with np.errstate(over="ignore"):
+            # value exp(step / value): the delta method backwards, positive whatever is drawn.
             factors = np.exp(np.clip(step / np.where(self.logarithmic, centre, 1.0), -50, 50))
         return np.where(self.logarithmic, centre * factors, centre + step)
 
@@ -259,6 +260,7 @@ class ModelFamily(Printable):
         values = np.array([criterion(linearise_with(z)) for z in points])
         best = points[np.argmax(values)]
         for start in points[np.argsort(-values)[:starts]]:
+            # One search from each of the worst points: the criterion may have several maxima on the set.
             result = minimize(
                 lambda z: -criterion(linearise_with(z)),
                 start,

@@ -107,6 +107,7 @@ def to_fmu(
     }
     if binary and platform is not None:
         folder, suffix = platform
+        # For this platform alone; others compile the sources, which are in the archive.
         contents[f"binaries/{folder}/{name}{suffix}"] = _compile_binary(text, f"{name}{suffix}", target)
 
     def write_archive(file: BinaryIO) -> None:
@@ -220,6 +221,7 @@ def _variables(
         if isinstance(signal, Input):
             # A measurement is there at its sample; between two of them there is nothing to interpolate.
             kind = {"causality": "input", "variability": "discrete" if signal.name in measured else "continuous"}
+            # Missing until the simulator sets it: the observer then predicts.
             real["start"] = "NaN" if signal.name in measured else "0"
         elif isinstance(signal, Output):
             kind = {"causality": "output", "variability": "continuous", "initial": "calculated"}

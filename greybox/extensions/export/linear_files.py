@@ -272,6 +272,7 @@ def write_mat(
         "C": model.C,
         "D": model.D,
         "Ts": model.dt,
+        # Apart from the matrices, as `ss` takes it: exact in MATLAB, not approximated.
         "InputDelay": model.delay.reshape(-1, 1),
         "StateName": _cell(to_identifiers(model.state_names)),
         "InputName": _cell(to_identifiers(model.input_names)),

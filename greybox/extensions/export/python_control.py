@@ -146,6 +146,7 @@ def to_state_space(model: Linearisation, pade: int = 4) -> Any:
         inputs=to_identifiers(finite.input_names),
         outputs=to_identifiers(finite.output_names),
         name=to_identifier(finite.name),
+        # States keep their names and number, also where nothing reaches them: the model says which they are.
         remove_useless_states=False,
     )
     system.linearisation = model

@@ -87,6 +87,7 @@ class Tape:
         self.order.append(("node", k))
 
     def _node(self, op: int, args: tuple[int, ...], number: float | None, varying: bool) -> Scalar:
+        # By its text: 0.0 and -0.0 are equal and not the same.
         key = (op, args, repr(number))
         if key not in self._known:
             self.nodes.append(Node(op, args, number, varying))
@@ -196,6 +197,7 @@ def read_tape(
             tangent = tape.tangent(Tangent((), None, (which, element), which in varying)) if is_active else None
             work[target[0]] = (scalar, tangent)
         elif op in (ca.OP_ASSIGN, ca.OP_LIFT):
+            # A copy of a register is the same scalar.
             work[target[0]] = work[source[0]]
         else:
             work[target[0]] = _step(tape, op, [work[s] for s in source])
@@ -370,8 +372,10 @@ def _fuse(tape: Tape, node: Node) -> Node:
     # The later of two products is the one that waits for more.
     for place in sorted((0, 1), key=lambda i: -node.args[i]):
         product = tape.nodes[node.args[place]]
+        # Both in the same part: a product that is computed once stays out of the sum that is not.
         if product.op in (ca.OP_MUL, ca.OP_SQ) and product.varying == node.varying:
             a, b = product.args if product.op == ca.OP_MUL else product.args * 2
+            # a b + c; of a difference the product may stand in front (a b - c) or behind (c - a b).
             op = FMA if node.op == ca.OP_ADD else (FMS, FNMA)[place]
             return Node(op, (a, b, node.args[1 - place]), None, node.varying)
     return node
