@@ -666,6 +666,7 @@ def monte_carlo_smoothing(
         if len(rounds) > adjustments or _is_good_enough(rounds, specification):
             break
         best_yet = min((r.best for r in rounds), key=lambda c: c.error)
+        # Around the best of all rounds: a round may find nothing better than the one before.
         chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES})
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
@@ -690,6 +691,7 @@ def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | Non
     errors = [r.best.error for r in rounds]
     if specification is not None:
         return min(errors) <= specification
+    # Without a specification it ends where a round gained less than 2 %.
     return len(errors) > 1 and errors[-1] > (1 - SMOOTHING_IMPROVEMENT) * min(errors[:-1])
 
 

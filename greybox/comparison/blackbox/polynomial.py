@@ -247,6 +247,7 @@ class PolynomialModel(Printable):
         import control
 
         below = [np.convolve(self.a, f) for f in self.f]
+        # Filled up behind: B(q^-1) / A(q^-1) times the same power of z.
         size = max(map(len, [*self.b, *below]))  # the same power of z above and below
         padded = [[[np.pad(p, (0, size - len(p))) for p in group]] for group in (self.b, below)]
         return control.TransferFunction(
@@ -283,6 +284,8 @@ def _format_orders(value: Any) -> str:
 
 def _roots(polynomial: np.ndarray) -> np.ndarray:
     """Roots in z of a polynomial in ``q^-1``, largest first, those at the origin left out."""
+    # Zeros at the end are roots at the origin, pure delay; without them the first coefficient stands for the highest
+    # power.
     roots = np.roots(np.trim_zeros(polynomial, "b"))
     return roots[np.argsort(-np.abs(roots), kind="stable")]
 
@@ -422,6 +425,8 @@ def compute_initial_responses(
     counts: dict[tuple[float, ...], int] = {}
     for b, f in zip(model.b, model.f, strict=True):
         longest = max(len(b) + len(model.d) - 1, *(n + len(f) - 1 for n in reach)) - 1
+        # Inputs with the same F respond alike to their past: together they have one set of states, the longest of
+        # them.
         counts[tuple(f)] = max(counts.get(tuple(f), 0), min(longest, rows))
     blocks = []
     for f in model.f:
@@ -446,6 +451,7 @@ def estimate_initial_state(
     """
     if not free.shape[1]:
         return np.zeros(0)
+    # Responses of an unstable predictor grow beyond what least squares can tell apart.
     bounded = np.all(np.abs(free) < FREE_RESPONSE_GROWTH, axis=1)
     usable = np.isfinite(target) & bounded
     if initial == "measured":

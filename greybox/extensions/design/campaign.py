@@ -436,6 +436,7 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
         for names in knowledge.alternatives[:CAMPAIGN_RIVALS]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
     hidden = _hidden_effects(plan) if knowledge.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN) else ()
+    # Which explanation first: intervals of a wrong one are worth nothing, and what hides would change them.
     goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.DETECTION if hidden else GoalName.PRECISION
     question = DesignProblem(
         tuple(models),
@@ -493,6 +494,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
             _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
         ]
         if reached:
+            # Not beyond where the rig has been: a contradicted model says little about what is far away.
             shares[name] = min(share, CAMPAIGN_GROWTH * max(reached) / caution)
     return shares
 
@@ -500,6 +502,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
 def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> float:
     """Share of the way from where it began to its limits that a measured signal went, its noise left out."""
     known = values[np.isfinite(values)]
+    # Every designed input begins at rest.
     rest = float(known[0])
     excursions = ((float(known.max()) - rest, limit.high - rest), (rest - float(known.min()), rest - limit.low))
     return max(
@@ -528,6 +531,7 @@ def _learn(
         return Knowledge(plain, plain)
     discovery = discover(
         plan.model,
+        # The last record was chosen to decide: it judges, and has not been fitted.
         records[:-1],
         validation=records[-1],
         noise=dict(plan.noise),
