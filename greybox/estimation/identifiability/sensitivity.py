@@ -83,7 +83,6 @@ def choose_sampling(model: Model) -> tuple[float, int]:
     fastest, slowest = fastest_and_slowest_rate(model)
     if not fastest:
         return 0.01, RANDOM_EXPERIMENT_MIN_ROWS
-    # Two samples in the fastest time constant, ten of the slowest in all.
     step = 1 / (SAMPLES_PER_TIME_CONSTANT * fastest)
     rows = math.ceil(SLOW_TIME_CONSTANTS / slowest / step)
     if rows > MAX_ROWS:  # the slow end counts: what is faster is integrated between the samples
