@@ -189,8 +189,8 @@ def compare(
     named = models.items() if isinstance(models, Mapping) else ((_default_name(m), m) for m in models)
     return compare_named(
         [NamedModel(name, model) for name, model in named],
-        _as_tuple(experiments),
-        _as_tuple(training),
+        name_records(experiments),
+        name_records(training),
         skip=skip,
         beginning=beginning,
         steps=steps,
@@ -417,7 +417,3 @@ def _default_name(model: ComparedModel) -> str:
     if isinstance(model, Model):
         return model.title
     return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
-
-
-def _as_tuple(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return name_records(experiments)

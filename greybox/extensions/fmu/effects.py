@@ -201,7 +201,7 @@ def prepare_fmu(
     FmuRunError
         Where the FMU does not run over a validation record.
     """
-    records, others = _as_tuple(estimation), _as_tuple(validation)
+    records, others = as_records(estimation), as_records(validation)
     with FmuSimulator(result.plant, policy) as simulator:
         objective, z = _restore_objective(result, simulator, records, policy)
         longest = max(records, key=lambda record: record.rows)
@@ -509,7 +509,3 @@ def _measure(
     """Error of the FMU with the effects: that of the model where it is exact."""
     simulated = {r.name: simulate(model, e).outputs for r, e in zip(records, extended, strict=True)}
     return compute_misfits(result.plant, records, simulated, result.std)
-
-
-def _as_tuple(records: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return as_records(records)

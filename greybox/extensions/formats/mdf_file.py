@@ -54,7 +54,7 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
 
     def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
         with open(path, "rb") as stream, _open(stream) as file:
-            return {k: _to_samples(_get(file, *places[k])) for k in wanted}
+            return {k: _read_samples(file, *places[k]) for k in wanted}
 
     return ChannelTable.from_channels(channels, load, policy)
 
@@ -76,14 +76,10 @@ def _open(stream: Any) -> Any:
         raise
 
 
-def _get(file: Any, group: int, index: int) -> Any:
+def _read_samples(file: Any, group: int, index: int) -> Samples:
     signal = file.get(group=group, index=index, ignore_invalidation_bits=False)
     if signal.samples.dtype.kind in "SU":  # a table of texts stands for the numbers
         signal = file.get(group=group, index=index, ignore_invalidation_bits=False, raw=True)
-    return signal
-
-
-def _to_samples(signal: Any) -> Samples:
     if signal.samples.dtype.kind not in "biuf" or signal.samples.ndim != 1:
         raise ValueError(f"channel {signal.name!r} does not hold one number for each stamp")
     values = signal.samples.astype(np.float64)
