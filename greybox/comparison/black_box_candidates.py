@@ -77,6 +77,7 @@ def fit_black_boxes(
 
         records, sparse = _select_rows(regular, output)
         findings += sparse
+        # Zeros before a record that begins elsewhere would be an input that never was.
         rest = at_rest and _begins_at_rest(records, output)
         try:
             scans = best_black_boxes(
@@ -177,6 +178,7 @@ def _identify_state_space(
     except DataError as error:
         values = {"reason": str(error)}
         return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", values)]
+    # The free run decides, as it does in the comparison.
     return min(models, key=lambda model: _measure_error(model, records)).boxes(), []
 
 
@@ -203,7 +205,8 @@ def _smooth_step(
     """Monte-Carlo smoothing of the first record that is a single step from zero; None where none is, or it has no resonance."""
     findings: list[Finding] = []
     for record in records:
-        steps = [name for name in inputs if _is_step(record.inputs[name])]
+        # A step moves once, from zero.
+        steps = [name for name in inputs if np.count_nonzero(np.diff(record.inputs[name], prepend=0.0)) == 1]
         if len(steps) != 1 or len(inputs) != 1 or output not in record.outputs:
             continue
         try:
@@ -212,7 +215,3 @@ def _smooth_step(
         except DataError as error:
             findings.append(Finding(ComparisonFinding.NO_SMOOTHING, Severity.NOTE, output, {"reason": str(error)}))
     return None, findings
-
-
-def _is_step(u: np.ndarray) -> bool:
-    return np.count_nonzero(np.diff(u, prepend=0.0)) == 1

@@ -76,6 +76,7 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
         return None
     ranked.sort(key=lambda pair: pair[0])
     least, best = ranked[0]
+    # The rival that matters: the best model of the other kind.
     other_kind = BoxKind.BLACK if best.kind == BoxKind.GREY else BoxKind.GREY
     values = {
         "measure": measure,
@@ -188,8 +189,8 @@ def compare(
     named = models.items() if isinstance(models, Mapping) else ((_default_name(m), m) for m in models)
     return compare_named(
         [NamedModel(name, model) for name, model in named],
-        _as_tuple(experiments),
-        _as_tuple(training),
+        name_records(experiments),
+        name_records(training),
         skip=skip,
         beginning=beginning,
         steps=steps,
@@ -234,6 +235,7 @@ def compare_named(
         raise DataError(f"skip: {skip} rows, but the shortest record has {shortest}; leave out fewer rows")
     for group in (validation, training):
         check_steps_ahead(steps, group)
+    # The same beginning for all models: a difference in it would look like one of the models.
     at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
     known_units = _collect_units(models, units or {})
     setup = _Setup(
@@ -415,7 +417,3 @@ def _default_name(model: ComparedModel) -> str:
     if isinstance(model, Model):
         return model.title
     return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
-
-
-def _as_tuple(experiments: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return name_records(experiments)

@@ -222,10 +222,12 @@ def compute_score(runs: Sequence[ComparisonRun], unit: str) -> ComparisonScore:
         if not measured.any():
             continue
         squares += _sum_of_squares(y[measured] - yhat[measured])
+        # About each record's own mean: records at different levels would make any model look good.
         movement += _sum_of_squares(y[measured] - y[measured].mean())
         count += int(measured.sum())
     if not count:
         return ComparisonScore(np.nan, np.nan, np.nan, 0, unit)
+    # 100 (1 - |y - yhat| / |y - mean y|)
     fit = 100 * (1 - np.sqrt(squares / movement)) if movement > 0 else np.nan
     one_step = _prediction_rmse([(run, run.predicted) for run in runs])
     steps_ahead = dict.fromkeys(steps for run in runs for steps in run.ahead)
@@ -238,6 +240,7 @@ def _prediction_rmse(predictions: Sequence[tuple[ComparisonRun, np.ndarray]]) ->
     squares, count = 0.0, 0
     for run, ahead in predictions:
         y, yhat = run.measured[run.skip :], ahead[run.skip :]
+        # NaN is no prediction; an infinite one is a wrong one.
         known = np.isfinite(y) & ~np.isnan(yhat)
         squares += _sum_of_squares(y[known] - yhat[known])
         count += int(known.sum())

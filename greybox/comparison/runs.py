@@ -49,6 +49,7 @@ def run_black_box(
         if model.output not in experiment.outputs or not np.isfinite(experiment.outputs[model.output]).any():
             continue
         record = match_sampling_time(experiment, model.output, model.sampling_time, model.label)
+        # Rows count in the record as it was given: one resampled has others for the same time.
         ratio = record.rows / experiment.rows
         rows = None if training else max(1, round(ratio * (beginning or skip or COMPARISON_INITIAL_ROWS)))
         initial = "zero" if at_rest else "estimated"
@@ -111,6 +112,7 @@ def run_grey_box(
     fitted_traces = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and has_free_runs(model) else {}
     plant = model.model if isinstance(model, Fit) else model
     noise = model.noise.std if isinstance(model, Fit) else None
+    # By the content of the record, not its name: a record that the fit knows keeps the initial state of that fit.
     others = [e for e in experiments if not (training and e.fingerprint in fitted_traces)]
     validated: Iterator[Trace] = iter(())
     if others:
@@ -138,6 +140,7 @@ def choose_predictor(model: Model | Fit, rows: int) -> Predictor | None:
     is no successful fit, has parameters of single records, or where its own and the other ``rows`` are too many."""
     if not (isinstance(model, Fit) and model.success and not model.constraints.per_experiment):
         return None
+    # Corrections are learnt on the estimation records: the one judged has no part in it.
     return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= FILTERED_ROWS else None
 
 
@@ -202,6 +205,7 @@ def is_stable(model: Model, runs: Sequence[ComparisonRun]) -> bool:
     p = np.array(list(model.values.values()))
     a = model.system.jacobian(declared_initial_state(model), np.zeros(len(model.inputs)), p).full()
     eigenvalues = np.linalg.eigvals(a)
+    # An integrator's eigenvalue is zero but for rounding: it counts as stable.
     return bool(np.all(eigenvalues.real <= INTEGRATING_POLE * np.abs(eigenvalues).max(initial=0.0)))
 
 

@@ -228,6 +228,7 @@ def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) 
 
     held = variances(bounds[:0])
     # What is open with the bounds held is told as such, and owes nothing to them.
+    # Variances are compared: a ratio of standard deviations, squared.
     limit = np.where(np.isfinite(held) & (held > 0), LEAST_GROWTH**2 * held, np.inf)
     all_free = variances(bounds)
     alone = [variances(np.array([k])) > limit for k in bounds]
@@ -250,6 +251,7 @@ def compute_observed_information(optimum: LikelihoodMaximum) -> np.ndarray:
     """Half the Hessian (size, size) of ``-2 log L`` at the optimum; an experiment's first states concern it alone."""
     objective, v = optimum.objective, optimum.objective.variables
     expected = np.diag(optimum.evaluation.hessian) / 2
+    # In standard deviations: the same relative accuracy of the difference for each unknown.
     steps = np.where(expected > 0, DIFFERENCE_SHARE / np.sqrt(np.maximum(expected, TINY)), 0.0)
     concerned: list[list[int] | None] = [None] * v.size
     for experiment, states in enumerate(v.split(np.arange(v.size)).initial_states):

@@ -199,6 +199,7 @@ def multistart(
         beginning=beginning,
         options=replace(options, other_starts=0),  # they have been tried
     )
+    # As the caller gave them, the number of starts included.
     best = replace(best, provenance=replace(best.provenance, options=options.to_data()))
     summary = summarise_starts(start_results)
     values = {"left": left, "starts": len(begins), "seconds": time_limit}

@@ -187,6 +187,7 @@ class PredictionErrorObjective:
             p, noise = v.parameters(z, e), v.noise_levels(z)
             x0, dx0 = v.compute_initial_state(z, p, e)
             lanes, dpn = dx0.shape[1], np.zeros((len(p) + len(noise), dx0.shape[1]))
+            # dp/dz of the constants, and dnoise/dz below, in the columns that concern this experiment.
             dpn[v.which, np.arange(len(v.which))] = v.slopes(p, e)
             # The level is noise exp(z): its slope along z is the level itself.
             dpn[len(p) + estimated, lanes - len(estimated) + np.arange(len(estimated))] = noise[estimated]
@@ -212,6 +213,7 @@ class PredictionErrorObjective:
                 return Evaluation(np.inf, *nothing, (e, 0))
             columns = v.columns(e)
             gradient[columns] += sums.gradient
+            # First states of other experiments have no part in it.
             hessian[np.ix_(columns, columns)] += sums.hessian
             cost += sums.cost
             squares += np.bincount(innovations.outputs, innovations.e**2, ny)

@@ -238,7 +238,15 @@ def estimate_by_prediction_error(
     solution = solve(
         prepare_estimation(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
     )
-    sizes = compute_largest_intensities(model, _compute_state_changes(solution))
+    # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
+    changes = [
+        np.diff(x, axis=0) / np.sqrt(r.h)[:, None]
+        for (_, x), r in zip(solution.simulate(), solution.problem.records, strict=True)
+    ]
+    whole = np.concatenate(changes)
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
+    sizes = compute_largest_intensities(model, moved)
     starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
     optimum = search_minimum(select_best_start(starts), options, report)
     if not optimum.status.success:
@@ -259,17 +267,6 @@ def _check_options(options: FitOptions) -> None:
             f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
             " none; leave out transcription and arc_length, or the process noise"
         )
-
-
-def _compute_state_changes(solution: Solution) -> np.ndarray:
-    """Change of each state (nx,) from row to row over the root of the interval, root mean square over the free runs."""
-    changes = [
-        np.diff(x, axis=0) / np.sqrt(r.h)[:, None]
-        for (_, x), r in zip(solution.simulate(), solution.problem.records, strict=True)
-    ]
-    whole = np.concatenate(changes)
-    with np.errstate(invalid="ignore", over="ignore"):
-        return np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
 
 
 def _make_starts(

@@ -18,7 +18,7 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autor
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.prediction_error import MaximumLikelihoodEstimate, estimate_by_prediction_error
+from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.initial_rows import FIRST_ROWS, choose_initial_rows
 from greybox.estimation.transcription.problem import EstimationProblem
@@ -131,6 +131,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     options = replace(given.options, per_experiment=())
     problem = prepare_estimation(frozen, experiments, given.noise, options)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
+    # The free run's own error: what an autoregression would have to predict.
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
     series = {o.name: join_series([e[:, j] for e in errors]) for j, o in enumerate(frozen.outputs)}
     colours = {
@@ -142,26 +143,23 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
     states = find_correctable_states(frozen)
     estimate = estimate_by_prediction_error(frozen.with_process_noise(*states), experiments, given.noise, options)
     colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
-    if estimate.optimum.status.success and _score_states(estimate) < colour_score:
-        return _correct_by_states(frozen, states, estimate)
+    # BIC = -2 log L + k ln N: the filter pays for its intensities and noise levels.
+    evaluation, variables = estimate.optimum.evaluation, estimate.optimum.objective.variables
+    numbers = len(variables.which) + len(variables.estimated_noise)
+    state_score = evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
+    if estimate.optimum.status.success and state_score < colour_score:
+        cost = estimate.optimum.objective
+        values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
+        # The intensities that were found become constants of the model, as its own are.
+        model = frozen.with_process_noise(*states).fix(**{name: values[name] for name in estimate.names})
+        levels = _name_levels(model, cost.noise, cost.records)
+        return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
     return PredictionCorrection(frozen, levels, CorrectionKind.AUTOREGRESSION, colours)
 
 
 def classify_filter(model: Model) -> CorrectionKind:
     """The correction by known process noise; none where all intensities are zero."""
     return CorrectionKind.KALMAN_FILTER if model.noisy_states else CorrectionKind.NONE_ZERO
-
-
-def _correct_by_states(
-    frozen: Model, states: Sequence[str], estimate: MaximumLikelihoodEstimate
-) -> PredictionCorrection:
-    cost = estimate.optimum.objective
-    variables = cost.variables
-    values = dict(zip((q.name for q in variables.model.all_parameters), variables.fixed.tolist(), strict=True))
-    model = frozen.with_process_noise(*states)
-    model = model.fix(**{name: values[name] for name in estimate.names})
-    levels = _name_levels(model, cost.noise, cost.records)
-    return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
 
 
 def find_correctable_states(model: Model) -> tuple[str, ...]:
@@ -177,14 +175,6 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
     """Noise of the outputs that were measured."""
     seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
     return {model.outputs[j].name: float(level[j]) for j in seen}
-
-
-def _score_states(estimate: MaximumLikelihoodEstimate) -> float:
-    """``-2 log L`` of the filter, and what its intensities and noise levels cost."""
-    variables, evaluation = estimate.optimum.objective.variables, estimate.optimum.evaluation
-    numbers = len(variables.which) + len(variables.estimated_noise)
-    # BIC = -2 log L + k ln N
-    return evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
 
 
 def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:
@@ -272,6 +262,7 @@ class Predictor:
         if missing:
             raise ModelError(f"initial: no value for {', '.join(missing)}; give every state, or None to estimate them")
         cost = make_likelihood(replace(given, options=replace(self.options, at_rest=False)), experiment)
+        # As a guess that nothing moves: the likelihood is taken where the caller says.
         begin = replace(cost.variables.initial, guess=np.array([[float(initial[n]) for n in states]]))
         return cost.at(replace(cost.variables, initial=begin))
 
@@ -424,6 +415,7 @@ class SmoothedStates(Printable):
             raise ModelError(f"no state {state!r}; {nearest(state, self.mean)}")
         if not 0 < level < 1:
             raise ModelError(f"level {level:g} of a band; give a probability between 0 and 1")
+        # Normal: (1 + level) / 2 leaves half of the rest on either side.
         reach = float(ndtri((1 + level) / 2)) * self.std[state]
         return self.mean[state] - reach, self.mean[state] + reach
 

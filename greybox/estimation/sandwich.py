@@ -87,6 +87,7 @@ def estimate_residual_colour(
         )
         counts.append(count)
         is_enough = count >= LEAST_SAMPLES
+        # One colour for all records of an output: the sensor and the model are the same in each.
         models.append(
             fit_autoregression(series, overwrite_input=True, policy=noise_policy) if is_enough else AutoRegression()
         )
@@ -213,8 +214,10 @@ def _compute_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) 
     if _is_long(n):
         return _compute_long_form(take, n, rho)
     columns = take(slice(0, n))
+    # T = I: white.
     if not rho[1:].any():
         return columns.T @ columns
+    # Twice the length: a shorter circle would wrap the end of the record on to its beginning.
     size = next_fast_len(2 * n - 1, real=True)
     # T as a corner of a circulant, whose product is a multiplication of spectra: N log N in place of N^2.
     circle = np.concatenate([rho, np.zeros(size - 2 * len(rho) + 1), rho[:0:-1]])
@@ -239,6 +242,7 @@ def _compute_long_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndar
     size = next_fast_len(step + 2 * reach, real=True)
     kernel = np.zeros(size)
     kernel[: reach + 1] = rho[: reach + 1]
+    # Negative lags stand at the end of the circle.
     kernel[size - reach :] = rho[reach:0:-1]
     spectrum = rfft(kernel)
     form = np.zeros((take(slice(0, 0)).shape[1],) * 2)

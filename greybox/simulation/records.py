@@ -47,6 +47,7 @@ def to_record(model: Model, experiment: Experiment) -> Record:
         Where an input of the model is missing, where outputs were measured but none of the model's, and for a band-limited input
         that was not sampled uniformly.
     """
+    # An input that is missing cannot be guessed; an output that is missing is a gap.
     missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
     if missing:
         raise DataError(
@@ -107,6 +108,7 @@ def interpolate_band_limited(u: np.ndarray, points: int) -> np.ndarray:
     if len(u) < 2 or u.shape[1] == 0:
         return np.zeros((points * (len(u) - 1) + 1, u.shape[1])) + u[:1]
     margin = min(HALF_LENGTH, len(u) - 1)
+    # Odd mirror image: value and slope go on at the ends, where an even one would make a corner.
     ends = np.pad(u, ((margin, margin), (0, 0)), mode="reflect", reflect_type="odd")
     half = HALF_LENGTH * points
     # Kaiser-windowed sinc at ``points`` times the rate; its sum is made ``points``, one for each phase, so that a

@@ -90,6 +90,7 @@ def best_black_boxes(
     scans: dict[BlackBoxKind, StructureScan] = {}
     reason = "no kinds asked for"
     for kind in ALL_KINDS:
+        # A kind that nobody asked for is scanned where another one starts from it.
         if kind not in kinds and not any(kind in STARTS_FROM.get(BlackBoxKind(wanted), ()) for wanted in kinds):
             continue
 
@@ -139,6 +140,7 @@ def _split(data: SampledData) -> tuple[tuple[Experiment, ...], tuple[Experiment,
     cut = round((1 - HOLDOUT_SHARE) * record.rows)
     measured = min(int(np.isfinite(part).sum()) for part in np.split(record.outputs[data.output], [cut]))
     inputs = [record.inputs[name] for name in data.inputs]
+    # An end at rest would praise any model with the right gain.
     moving = any(np.ptp(u[cut:]) > HOLDOUT_EXCITATION * np.ptp(u[:cut]) for u in inputs)
     if measured < HOLDOUT_VALUES or not moving:
         return (record,), (), 0
@@ -169,6 +171,7 @@ def _choices(
         delay = _find_delay(data, at_rest)
         delays = sorted({*policy.first_delays, max(delay - 1, 0), delay, delay + 1})
         for na, nk, offset in product(range(1, policy.largest_poles + 1), delays, (False, True)):
+            # Both ways of fitting: the one-step error favours noise models, the free run is what is judged.
             for nb, focus in product(sorted({1, 2, na, na + 1}), ("prediction", "simulation")):
                 yield {"na": na, "nb": nb, "nk": nk, "offset": offset, "focus": focus}
         return

@@ -22,7 +22,7 @@ from greybox.comparison.blackbox.linear_regression import (
     to_sampled_data,
 )
 from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
-from greybox.comparison.blackbox.polynomial import PolynomialModel, PolynomialStructure, to_order
+from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure, to_order
 from greybox.comparison.blackbox.prediction_error import (
     HistoryTreatment,
     PredictionErrorMinimum,
@@ -36,7 +36,6 @@ from greybox.comparison.blackbox.prediction_error import (
     split_records,
     stabilise,
 )
-from greybox.comparison.blackbox.responses import InitialChoice
 from greybox.data.experiment import Experiment
 
 # Static nonlinearities of an input: polynomials and piecewise linear functions, as sums of basis functions.
@@ -62,6 +61,8 @@ class StaticNonlinearity:
         """The functions (N, m) of the input ``u`` (N,)."""
         if self.shape == "polynomial":
             degree = len(self.weights)
+            # Orthogonal on the range: powers of u are nearly collinear. T_j(0) is taken off so that nothing flows at
+            # zero.
             return (chebvander(u / self.size, degree) - chebvander(np.zeros(1), degree))[:, 1:]
         kinks = [np.maximum(u - k, 0.0) - max(-k, 0.0) for k in self.knots]
         return np.column_stack([u, *kinks]) / self.size
@@ -273,6 +274,7 @@ def fit_hammerstein(
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
     refuse_few_rows(data, label, count, problem.size, history)
     starts = sorted(problem.starts(policy), key=lambda start: start[0].evaluate(start[1], False).squares)
+    # Short searches from the best starts, a long one from the best of these.
     minima = [(p, p.minimise(theta, policy, policy.first_iterations)) for p, theta in starts[: policy.starts]]
     problem, best = min(minima, key=lambda pair: pair[1].errors.squares)
     if not best.converged:
@@ -354,6 +356,7 @@ class _HammersteinProblem:
                 left, size, right = np.linalg.svd(np.stack(b[first : first + m]), full_matrices=False)
                 weights.append(left[:, 0])
                 numerators.append(size[0] * right[0])
+                # Of the basis function with the largest weight: its estimate of the poles is the least noisy.
                 poles.append(f[first + int(np.argmax(np.abs(left[:, 0])))])
             curves = tuple(c.with_weights(w) for c, w in zip(self.curves, weights, strict=True))
             problem = replace(self, curves=curves)

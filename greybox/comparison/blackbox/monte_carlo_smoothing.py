@@ -16,8 +16,7 @@ from greybox.base.numerics import NEGLIGIBLE_JUMP
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.linear_regression import to_sampled_data
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding, PolynomialModel
-from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding, InitialChoice, PolynomialModel
 from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
 from greybox.data.experiment import Experiment
 
@@ -135,7 +134,8 @@ def estimate_intervals(time: np.ndarray, y: np.ndarray, sampling_time: float, po
     bin_width = 2 * np.pi / (points * sampling_time)
     decay, size = _estimate_envelope(time, y - level, w, sampling_time)
     ratio = size / abs(level)
-    first, last = (_first_passage(time, y, part * level) for part in _levels(level, low, high))
+    # A level below zero turns the order of the tail's ends: the passage at the smaller share of the level comes first.
+    first, last = (_first_passage(time, y, part * level) for part in sorted((low / level, high / level)))
     if w * first > 2 * np.pi:
         raise DataError(
             f"the final value is first passed {first:.4g} s after the step, {w * first / (2 * np.pi):.1f} periods of the spectrum's"
@@ -164,11 +164,6 @@ def _frequency(y: np.ndarray, level: float, sampling_time: float, points: int) -
             f"the power spectral density of the oscillation is largest at {w[peak]:.4g} rad/s; {NO_OSCILLATION}"
         )
     return float(w[peak])
-
-
-def _levels(level: float, low: float, high: float) -> tuple[float, float]:
-    """The smallest and the largest final value that the tail allows, over their mean."""
-    return tuple(sorted((low / level, high / level)))  # type: ignore[return-value]
 
 
 # An envelope counts while it is this many times what is left of it at the end.
@@ -274,7 +269,10 @@ def search_grid(time: np.ndarray, y: np.ndarray, values: dict[str, np.ndarray]) 
     along = product @ v.T
     square = np.einsum("pij,vi,vj->pv", gram, v, v, optimize=True)
     # |y - A v|^2 = y'y - 2 A v'y + A^2 v'v: lowest at A = v'y / v'v, and on a grid at its nearest point.
-    chosen = _nearest(amplitude, along / square)
+    wanted = along / square
+    above = np.clip(np.searchsorted(amplitude, wanted), 1, max(len(amplitude) - 1, 1))
+    low, high = amplitude[above - 1], amplitude[np.minimum(above, len(amplitude) - 1)]
+    chosen = np.where(wanted - low <= high - wanted, low, high)
     error = (y @ y - 2 * chosen * along + chosen**2 * square) / len(y)
     pair, direction = np.unravel_index(np.argmin(error), error.shape)
     return StepResponseConstants(
@@ -300,13 +298,6 @@ def _grams(time: np.ndarray, y: np.ndarray, w: np.ndarray, sigma: np.ndarray) ->
         product[:, k] = ((wave * y) @ fading.T).ravel()
     gram[:, 1, 2] = gram[:, 2, 1] = ((sine * cosine) @ faded.T).ravel()
     return gram, product
-
-
-def _nearest(drawn: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """For each of ``wanted`` the nearest of the sorted ``drawn``: the lowest point of a parabola among them."""
-    above = np.clip(np.searchsorted(drawn, wanted), 1, max(len(drawn) - 1, 1))
-    low, high = drawn[above - 1], drawn[np.minimum(above, len(drawn) - 1)]
-    return np.where(wanted - low <= high - wanted, low, high)
 
 
 # What Monte-Carlo smoothing finds: equation 17, as a step response, as a difference equation, and in the s-domain.
@@ -437,12 +428,13 @@ class MonteCarloSmoothing(Printable):
                 "samples": self.delay / self.sampling_time,
             }
             findings.append(Finding(BlackBoxFinding.SMOOTHING_FEEDTHROUGH, Severity.WARNING, self.output, values))
-        at_end = [
-            SYMBOLS[axis]
-            for axis in AXES
-            for last in self.rounds[-1:]
-            if _is_near_end(getattr(self.best, axis), getattr(last.intervals, axis), getattr(self.draws, axis))
-        ]
+        at_end = []
+        for axis in AXES if self.rounds else ():
+            low, high = getattr(self.rounds[-1].intervals, axis)
+            # Within the mean distance of the draws from an end: the best draw may be the outermost one.
+            gap = (high - low) / (getattr(self.draws, axis) + 1)
+            if not low + gap < getattr(self.best, axis) < high - gap:
+                at_end.append(SYMBOLS[axis])
         if at_end:
             values = {"constants": at_end}
             findings.append(Finding(BlackBoxFinding.SMOOTHING_AT_INTERVAL_END, Severity.WARNING, values=values))
@@ -502,13 +494,6 @@ class MonteCarloSmoothing(Printable):
     def to_control(self) -> Any:
         """A discrete `control.TransferFunction`."""
         return self.model.to_control()
-
-
-def _is_near_end(value: float, interval: tuple[float, float], count: int) -> bool:
-    """Whether ``value`` lies within the mean distance of ``count`` draws from an end of its ``interval``."""
-    low, high = interval
-    gap = (high - low) / (count + 1)
-    return not low + gap < value < high - gap
 
 
 # Order of the denominator, first and last lag of the numerator: the seven columns of Table 3.
@@ -681,6 +666,7 @@ def monte_carlo_smoothing(
         if len(rounds) > adjustments or _is_good_enough(rounds, specification):
             break
         best_yet = min((r.best for r in rounds), key=lambda c: c.error)
+        # Around the best of all rounds: a round may find nothing better than the one before.
         chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES})
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
@@ -705,6 +691,7 @@ def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | Non
     errors = [r.best.error for r in rounds]
     if specification is not None:
         return min(errors) <= specification
+    # Without a specification it ends where a round gained less than 2 %.
     return len(errors) > 1 and errors[-1] > (1 - SMOOTHING_IMPROVEMENT) * min(errors[:-1])
 
 

@@ -34,11 +34,12 @@ from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPo
 from greybox.comparison.blackbox.polynomial import (
     PolynomialModel,
     PolynomialStructure,
+    compute_initial_responses,
     confine_roots,
+    predict_ahead,
     reflect_roots,
     to_monic,
 )
-from greybox.comparison.blackbox.responses import compute_initial_responses, predict_ahead
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel

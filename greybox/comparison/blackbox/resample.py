@@ -51,6 +51,7 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
             f" {experiment.duration:g} s; give a shorter step"
         )
     old, new = experiment.time, experiment.time[0] + sampling_time * np.arange(rows)
+    # The row in force at each new time, within the rounding of the clock.
     before = np.clip(np.searchsorted(old, new + TIME_ROUNDING * sampling_time, side="right") - 1, 0, len(old) - 1)
 
     def interpolate(values: np.ndarray) -> np.ndarray:
@@ -60,6 +61,7 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
         return values[before]
 
     resampled = {"sampling_time": sampling_time, "rows": experiment.rows}
+    # A held input interpolated would move before it did.
     convert = hold if experiment.hold == "zero" else interpolate
     return replace(
         experiment,
@@ -91,6 +93,8 @@ def keep_measured_rows(experiment: Experiment, output: str) -> Experiment | None
     if experiment.sampling_time is None or output not in experiment.outputs:
         return None
     measured = np.flatnonzero(np.isfinite(experiment.outputs[output]))
+    # The sensor's own step: the greatest that every distance between two readings is a multiple of; a reading that
+    # failed leaves a gap.
     stride = int(np.gcd.reduce(np.diff(measured))) if len(measured) > 2 else 1
     if stride < 2:
         return None
@@ -98,6 +102,7 @@ def keep_measured_rows(experiment: Experiment, output: str) -> Experiment | None
     rows = rows[rows <= measured[-1]]
 
     def average(values: np.ndarray) -> np.ndarray:
+        # Mean over the long step: what a linear plant integrates of a held input.
         ends = np.append(rows[1:], min(rows[-1] + stride, experiment.rows))
         return np.array([values[a:b].mean() for a, b in zip(rows, ends, strict=True)])
 

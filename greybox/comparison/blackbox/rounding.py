@@ -170,6 +170,7 @@ def to_continuous(model: PolynomialModel, input: str | None = None) -> Continuou
             f"{model.label}: {len(numerator_z)} coefficients in the numerator and {order + 1} in the denominator give a pole at z = 0;"
             " a continuous system has none: use nb + nk at most na + 1, or one sample more of delay in nk"
         )
+    # As long as the denominator: trailing zeros are delays within the order.
     numerator_z = np.pad(numerator_z, (0, order + 1 - len(numerator_z)))
     poles = np.roots(denominator_z)
     if np.any((np.abs(poles.imag) < REAL_POLE) & (poles.real <= 0)):
@@ -188,6 +189,7 @@ def to_continuous(model: PolynomialModel, input: str | None = None) -> Continuou
     if np.abs(rates.imag).max() > IMAGINARY_ROUNDING * np.abs(rates).max():
         raise DataError(f"{model.label}: its poles have no real logarithm; take a lower order")
     a, b = rates.real[:order, :order], rates.real[:order, order]
+    # b/a = b0 + (b - b0 a) / a: what is left after the feed-through is strictly proper.
     c = numerator_z[1:] - through * denominator_z[1:]
     denominator = np.poly(a)
     # c (s I - a)^-1 b + d = (det(s I - a + b c) - det(s I - a)) / det(s I - a) + d

@@ -258,6 +258,7 @@ def scan_choices(
         )
     structures = _add_criteria(structures)
     chosen = _choose([s for s in structures if s.model is not None], criterion)
+    # Once more on all rows: what was held out for the choice is worth its information.
     best = fit_structure(final or data, kind, chosen.orders, at_rest=at_rest, policy=policy.final_search)
     known_units = units or {}
     return StructureScan(
@@ -330,6 +331,7 @@ def _free_run_error(
 ) -> float:
     """Root mean square error of the free run over the validation records, or over the estimation records without any."""
     squares, count = 0.0, 0
+    # What determines the initial state is not judged, where it can be spared.
     rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
     for experiment in validation or data.experiments:
         run = model.simulate(experiment, initial="zero" if at_rest else "estimated", rows=rows)[model.output][first:]

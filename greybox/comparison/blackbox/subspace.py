@@ -21,7 +21,7 @@ from greybox.base.findings import Finding
 from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import SampledRecord, to_sampled_record
-from greybox.comparison.blackbox.responses import InitialChoice
+from greybox.comparison.blackbox.polynomial import InitialChoice
 from greybox.data.experiment import Experiment, as_records
 
 WEIGHTS = ("cva", "n4sid")
@@ -267,6 +267,7 @@ def subspace(
             singular[n] ** 2 + np.log(columns) / columns * (2 * n * ny + n * nu + nu * ny)
             for n in range(1, limit + 1)
         ]
+        # Without noise the values fall to rounding, where no criterion is needed, nor sound.
         noise_free = singular[1 : limit + 1] < ZERO_SHARE * singular[0]
         order = 1 + (int(np.argmax(noise_free)) if noise_free.any() else int(np.argmin(costs)))
     if not 1 <= order <= ny * (horizon - 1):
@@ -281,6 +282,7 @@ def subspace(
     model = StateSpaceModel(
         names[1], names[0], step, A, B, C, D, np.zeros((order, ny)), np.eye(ny), offset, singular, weight, columns
     )
+    # Last: it takes the free run of the model as it stands.
     K, noise = _estimate_gain(model, parts, horizon)
     return StateSpaceModel(names[1], names[0], step, A, B, C, D, K, noise, offset, singular, weight, columns)
 
@@ -459,6 +461,7 @@ def _estimate_start(model: StateSpaceModel, u: np.ndarray, y: np.ndarray, rows: 
     """The first state (n,) that the outputs of the first rows show, by least squares."""
     count = len(u) if rows is None else min(rows, len(u))
     driven = _simulate(model, u[:count], np.zeros(model.order))
+    # y_k = C A^k x0 + driven: linear in x0.
     power, blocks = np.eye(model.order), []
     for _ in range(count):
         blocks.append(model.C @ power)

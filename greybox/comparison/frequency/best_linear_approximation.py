@@ -176,6 +176,7 @@ def estimate_best_linear_approximation(
     rules = (LinearityCheck.EVEN_LINES_ARE_NOISE, LinearityCheck.ODD_LINES_ARE_NOISE)
     for name, parity, rule in zip(("even", "odd"), (0, 1), rules, strict=True):
         lines = np.arange(fundamental, excited.max() + 1)
+        # Even orders of a nonlinearity show at even lines, odd ones at odd lines, of an odd multisine.
         lines = lines[(lines % 2 == parity) & ~np.isin(lines, excited)]
         levels[name] = None
         if len(lines):
@@ -228,6 +229,7 @@ def find_rows_of_period(experiment: Experiment, input: str) -> int:
     n = len(u)
     spread = float(np.std(u))
     if spread:
+        # Padded to twice the length: products at a lag, not around the circle.
         transform = np.fft.rfft(u, 2 * n)
         products = np.fft.irfft(np.abs(transform) ** 2)[:n]
         square = np.concatenate(([0.0], np.cumsum(u**2)))
@@ -239,6 +241,7 @@ def find_rows_of_period(experiment: Experiment, input: str) -> int:
         moved = np.flatnonzero(change > spread**2)
         later = repeats[repeats > (moved[0] + 1 if len(moved) else n)]
         if len(later):
+            # Neighbouring lags repeat nearly as well: the best of the first run of them.
             run = later[: 1 + int(np.argmax(np.append(np.diff(later) > 1, True)))]
             return int(run[np.argmin(change[run - 1])])
     raise DataError(

@@ -153,6 +153,7 @@ def fit_frequency_response(
     )
     search = _ScaledSearch.of(model, names, start)
     low, high = search.bounds
+    # The logarithm first, whose valley is wide; the response itself last, whose errors are normal.
     for residual, iterations in ((rows.log_residual, LOG_ITERATIONS), (rows.residual, RESPONSE_FIT_ITERATIONS)):
         outcome = minimise(
             search.quadratic_model(residual, RESPONSE_FIT_DIFFERENCE),
@@ -180,6 +181,7 @@ def fit_frequency_response(
     if time_fit is not None:
         resolved = resolve_options(options)
         problem = prepare_estimation(_with_values(model, names, values), records, time_fit.noise.std, resolved)
+        # Squares of the responses in units of their noise, as those of the records are in theirs.
         weight = 1 / max(scale, RESPONSE_FIT_EXACT**2)
         joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, RESPONSE_FIT_DIFFERENCE)
         minimum = search_minimum(joint, resolved)
@@ -288,6 +290,7 @@ class _ScaledSearch:
         """The unknowns from a start."""
         lows = np.array([model.parameter(n).bounds[0] for n in names])
         sizes = np.where(start != 0, np.abs(start), 1.0)
+        # By its bounds: a constant that may be zero has no logarithm there.
         return cls(model, names, start, (lows > 0) & (start > 0), sizes)
 
     @property

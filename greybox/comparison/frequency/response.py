@@ -209,6 +209,7 @@ def read_frequency_response(
         response = np.asarray(gain * np.exp(1j * angle))
     else:
         raise DataError(f"{file.path.name}: give the columns real and imag, or magnitude and phase")
+    # Files of swept sines may run downwards.
     order = np.argsort(frequency)
     known: dict[str, np.ndarray] = {}
     if "coherence" in parts:

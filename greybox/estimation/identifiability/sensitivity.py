@@ -46,6 +46,7 @@ def simulate_generic_record(model: Model) -> tuple[Experiment, Finding]:
         generator = np.random.default_rng(RANDOM_EXPERIMENT_SEED)
         inputs = {i.name: draw_levels(generator, rows, low) for i in model.inputs}
         run = simulate(model, {"time": time, **inputs})
+        # At a bound the equations are cut off, and constants beside it do not show.
         if run.overflow is None and not touches_bounds(model, np.column_stack(list(run.states.values()))):
             break
     if run.overflow is not None:
@@ -100,6 +101,7 @@ def fastest_and_slowest_rate(model: Model) -> tuple[float, float]:
     moving = size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)
     if not moving.any():
         return 0.0, 0.0
+    # Decays alone end a motion: an unstable or undamped mode has no time constant to wait for.
     decays = -eigenvalues.real[moving & (eigenvalues.real < -INTEGRATING_POLE * size.max())]
     return float(size[moving].max()), float(decays.min() if len(decays) else size[moving].min())
 
@@ -122,6 +124,7 @@ def touches_bounds(model: Model, x: np.ndarray) -> bool:
 
 def draw_levels(generator: np.random.Generator, rows: int, low: float) -> np.ndarray:
     """Random levels (rows,), each kept for a random number of samples, short and long ones alike."""
+    # Uniform in the logarithm: fast and slow parts of a model are both excited.
     lengths = np.ceil(np.exp(generator.uniform(0, np.log(rows / 20), rows))).astype(int)
     return np.repeat(generator.uniform(low, 1, rows), lengths)[:rows]
 
@@ -162,6 +165,7 @@ def _draw_value(value: float, bounds: tuple[float, float], exponent: float) -> f
     low, high = bounds
     if value == 0.0:  # off: a little of it, on the side where it may be
         span = high - low if math.isfinite(high - low) else 1.0
+        # A hundredth of the range: enough that a slope along the constant shows.
         drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
     else:
         drawn = value * math.exp(exponent)
@@ -183,12 +187,14 @@ class Sensitivity:
         """The same information in as few rows as there are columns."""
         small = {}
         for name, (states, constants) in self.blocks.items():
+            # R'R = X'X: rank and singular values are those of all the rows.
             r = np.asarray(np.linalg.qr(np.hstack([states, constants]), mode="r"))
             small[name] = r[:, : states.shape[1]], r[:, states.shape[1] :]
         return Sensitivity(small, self.doubtful)
 
     def decompose(self, outputs: Sequence[str]) -> ColumnDecomposition:
         """Slopes along the constants that no change of the initial states can undo, columns scaled to length one before that."""
+        # Initial states are unknown, too: what they can make up for tells nothing of the constants.
         basis = range_basis(np.vstack([self.blocks[name][0] for name in outputs]))
         constants = np.vstack([self.blocks[name][1] for name in outputs])
         for _ in range(2):  # the second time for what rounding left
@@ -229,6 +235,7 @@ def compute_rank(point: Sensitivity, outputs: Sequence[str]) -> SensitivityRank:
 def highest_ranks(points: Sequence[Sensitivity], outputs: Sequence[str]) -> list[SensitivityRank]:
     """The ranks at the generic points: where it is highest, among those that are certain if there are any."""
     ranks = [replace(compute_rank(point, outputs), point=k) for k, point in enumerate(points)]
+    # Rank drops on special points alone: the highest one that was seen is that of almost all.
     ranks = [r for r in ranks if r.certain] or ranks
     highest = max(r.rank for r in ranks)
     return [r for r in ranks if r.rank == highest]
@@ -272,6 +279,7 @@ def compute_free_run_sensitivities(
         )
         point = _compute_point(set_parameters(model, p), at_rest, amplitude, generator)
         if point is not None:
+            # Cut off at a bound the slopes are those of other equations.
             (touching if point.doubtful > INTEGRATION_DOUBT else points).append((point, p))
     points = points or touching[:count]
     if not points:
@@ -355,18 +363,22 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
     def compute(finer: int) -> Sensitivity | None:
         return _compute_sensitivity(model, records, start * nudges, at_rest, finer)
 
+    # A coarse step may overflow where a finer one does not.
     runs = ((finer, compute(finer)) for finer in (1, factor))
     finer, coarse = next(((finer, s) for finer, s in runs if s is not None), (1, None))
     if coarse is None:
         return None
     names = list(coarse.blocks)
     before = _singular_values(coarse, names)
+    # Neither rounding nor surely information: only these are worth a second run.
     small = (before > COLUMN_CUTOFF) & (before < RECHECK_BELOW)
     if not small.any():
         return coarse
     fine = compute(factor * finer)
     if fine is None:
         return coarse
+    # Information stays where the step is refined; the error of a method of order four falls by far more than the
+    # factor.
     shrunk = before[small & (_singular_values(fine, names) < before / factor)]
     return replace(coarse, doubtful=max(coarse.doubtful, 2 * float(shrunk.max(initial=0.0))))
 
@@ -394,6 +406,7 @@ def choose_sampling_times(model: Model) -> list[float]:
     if not fastest:
         return [0.01]
     short = 1 / (RUN_SAMPLES_PER_TIME_CONSTANT * fastest)
+    # Two records, one for each end, in the place of one that is as long as the slow end and as fine as the fast one.
     long = min(RUN_SLOW_TIME_CONSTANTS / (slowest * RUN_ROWS), LONGEST_STEP / fastest)
     return [short] if long < 2 * short else [short, long]
 
@@ -444,10 +457,12 @@ def _compute_sensitivity(
     blocks = {}
     for j, output in enumerate(model.outputs):
         size = max(float(movement[j]) for movement, _ in jacobians) or 1.0
+        # Over the movement of the output: outputs of any unit weigh alike.
         parts = [jacobian[:, j, :] / size for _, jacobian in jacobians]
         states = np.zeros((sum(len(part) for part in parts), states_each * len(parts)))
         row = 0
         for e, part in enumerate(parts):
+            # First states of each record have columns of their own: a block diagonal.
             states[row : row + len(part), states_each * e : states_each * (e + 1)] = part[:, n:]
             row += len(part)
         blocks[output.name] = states, np.vstack([part[:, :n] for part in parts])

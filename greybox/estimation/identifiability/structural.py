@@ -24,7 +24,6 @@ from greybox.estimation.identifiability.sensitivity import (
     RANDOM_EXPERIMENT_CONSTANT_SPREAD,
     RANDOM_EXPERIMENT_TRIES,
     Sensitivity,
-    SensitivityRank,
     compute_free_run_sensitivities,
     draw_constants,
     highest_ranks,
@@ -217,9 +216,10 @@ def _find_revealing_outputs(
 ) -> tuple[str, ...]:
     """The outputs that would show a change along the direction."""
     v = np.array([direction.weights.get(name, 0.0) for name in names])
-    return tuple(o for o in others if _is_shown(v, highest_ranks(points, [*measured, o])[0]))
-
-
-def _is_shown(v: np.ndarray, rank: SensitivityRank) -> bool:
-    rest = v - rank.null @ (rank.null.T @ v)
-    return bool(np.linalg.norm(rest) > DIRECTION_CUTOFF * np.linalg.norm(v))
+    revealing = []
+    for o in others:
+        null = highest_ranks(points, [*measured, o])[0].null
+        # What is left of v outside of the directions that stay open with this output: it shows there.
+        if np.linalg.norm(v - null @ (null.T @ v)) > DIRECTION_CUTOFF * np.linalg.norm(v):
+            revealing.append(o)
+    return tuple(revealing)

@@ -40,6 +40,7 @@ def scale_states(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> ScaledStateSpac
     """``a, b, c`` with states balanced by powers of two (exact in floating point), columns of ``b`` and rows of ``c`` of length one."""
     n = len(a)
     whole = np.zeros((n + 1, n + 1))
+    # Inputs and outputs take part as one more state: balancing A alone could leave B and C of very different sizes.
     whole[:n, :n], whole[:n, n], whole[n, :n] = a, np.abs(b).sum(axis=1), np.abs(c).sum(axis=0)
     factors = _factors(whole)
     t = factors[:n] / factors[n]
@@ -65,7 +66,10 @@ def _factors(a: np.ndarray) -> np.ndarray:
             column, row = size[:, k] @ (1 / t) * t[k], size[k] @ t / t[k]
             if column and row:
                 exponents[k] = np.clip(
-                    exponents[k] + round(np.log2(row / column) / 2), -LARGEST_SCALING_EXPONENT, LARGEST_SCALING_EXPONENT
+                    # t_k = sqrt(row / column) makes both equally long; a power of two keeps every digit.
+                    exponents[k] + round(np.log2(row / column) / 2),
+                    -LARGEST_SCALING_EXPONENT,
+                    LARGEST_SCALING_EXPONENT,
                 )
         if np.array_equal(before, exponents):
             break
@@ -82,6 +86,7 @@ def compute_poles(a: np.ndarray, dt: float) -> np.ndarray:
     values = np.linalg.eigvals(balance_matrix(a)[0]).astype(complex) if len(a) else np.empty(0, complex)
     values = np.where(is_at_rest(values, dt), 1.0 if dt else 0.0, values)
     values.imag[np.abs(values.imag) <= REAL_PART_ONLY * np.abs(values)] = 0.0
+    # Slowest first, rounded: a conjugate pair whose parts differ in the last digit must not be torn apart.
     speed = np.abs(values - 1.0) if dt else np.abs(values)
     return values[np.lexsort((values.imag, np.round(speed / max(speed.max(initial=0.0), TINY), 9)))]
 
@@ -165,6 +170,7 @@ class Linearisation(Printable):
         w = np.atleast_1d(np.asarray(omega, float))
         point = np.exp(1j * w * self.dt) if self.dt else 1j * w
         resolvent = point[:, None, None] * np.eye(len(self.A)) - self.A
+        # G = (C (p I - A)^-1 B + D) e^{-j w delay}
         response = self.C @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(w), *self.B.shape))) + self.D
         return response * np.exp(-1j * w[:, None, None] * self.delay)
 
@@ -220,10 +226,13 @@ def compute_reachable_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     scale = 1.0
     while basis.shape[1] < len(a):
         rest = new - basis @ (basis.T @ new)
+        # Twice is enough: the second projection takes away what rounding of the first one left (Kahan, Parlett).
         rest = rest - basis @ (basis.T @ rest)
         new = range_basis(rest, REACHABILITY, np.full(new.shape[1], scale))
         if not new.shape[1]:
             break
+        # [B, A B, A^2 B, ...] in steps: only what is new is multiplied again, so that its size says whether it is
+        # there.
         basis = np.hstack([basis, new])
         new, scale = a @ new, size
     return basis
@@ -245,6 +254,7 @@ def _keep_reachable(model: Linearisation) -> tuple[Linearisation, list[str]]:
 
 def _keep_observable(model: Linearisation) -> tuple[Linearisation, list[str]]:
     s = scale_states(model.A, model.B, model.C)
+    # Observability of (A, C) is reachability of (A', C').
     basis = compute_reachable_basis(s.a.T, s.c.T)
     r = basis.shape[1]
     if r == len(s.a):

@@ -51,6 +51,8 @@ def _differentiate(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> t
         sliding = np.where([d.state in at_rest for d in functions.system.dry], way, direction)
         results.append(_differentiate_by_column(functions, z, p, sizes, sliding, dict.fromkeys(at_rest, way)))
     (forward, kinks), (backward, _) = results
+    # (df/dv|+ + df/dv|-) / 2: a level that falls with the velocity has opposite slopes either way, and the jump
+    # itself none.
     return (forward + backward) / 2, kinks
 
 
@@ -69,6 +71,7 @@ def _differentiate_by_column(
     if not len(edges):
         return jacobian, []
     jacobian, kinks = jacobian.copy(), []
+    # Rows of a column have units of their own: each counts by what a typical move changes in it.
     weight = 1 / np.maximum(np.abs(jacobian * sizes).sum(axis=1), TINY)
     for column in range(len(z)):
         move = np.zeros(len(z))
@@ -77,7 +80,10 @@ def _differentiate_by_column(
         if decided and column in decided:
             jacobian[:, column] = above if decided[column] > 0 else below
             continue
+        # Derivatives from both sides: the same expressions at a point moved along one variable, with only its
+        # switches thrown.
         differs = np.abs(above - below) > SAME_DERIVATIVE * np.maximum(np.abs(above), np.abs(below))
+        # The larger one, which does not understate what the variable does.
         larger = 1 if np.linalg.norm(weight * above) >= np.linalg.norm(weight * below) else -1
         jacobian[:, column] = above if larger > 0 else below
         if differs.any():
@@ -115,6 +121,7 @@ def _describe_kink(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, colu
         if column >= len(functions.names) or functions.names[column] not in reduced.names:
             continue
         number = reduced.names.index(functions.names[column])
+        # An effect without which the kink is gone is the one that makes it.
         if number not in [c for c, _ in _differentiate(reduced, reduced_z, reduced_p)[1]]:
             responsible.append(effect.name)
     name = functions.names[column]
@@ -207,6 +214,7 @@ def _linearise_continuous(
     model, system, nx = plant.model, functions.system, functions.nx
     derivatives = differentiate_one_sided(functions, point.z, p)
     rates, outputs, closed = _close_play(functions, derivatives, point.z, p)
+    # After play is closed: its slopes may cancel against others.
     sizes = functions.sizes(point.z, p)
     rates, outputs = _remove_cancelled(rates, sizes), _remove_cancelled(outputs, sizes)
     rated = np.flatnonzero(functions.rated)
@@ -239,6 +247,7 @@ def _linearise_continuous(
 
 def _remove_cancelled(jacobian: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The Jacobian without entries that a typical move of their variable would lose in the rounding error of the row."""
+    # Terms of a row add up: what is below the rounding error of their sum is what cancellation left.
     moves = np.abs(jacobian * sizes)
     finite = np.isfinite(moves)
     row = np.nansum(moves, axis=1, keepdims=True, where=finite)
@@ -257,6 +266,7 @@ def _close_play(
                 f"effect {update.effect!r} cannot be linearised: its state {name!r} depends on its own past at every operating point; leave"
                 f" the effect out with model.without({update.effect!r}), or export the sampled nonlinear model"
             )
+        # w+ = g' z: dx/dt = f_x x + f_w w becomes (f_x + f_w g') x.
         rates = rates + np.outer(rates[:, update.state], slope)
         outputs = outputs + np.outer(outputs[:, update.state], slope)
         values = {"state": name}
@@ -267,6 +277,7 @@ def _close_play(
 def _engaged_slope(functions: ModelFunctions, k: int, z: np.ndarray, p: np.ndarray) -> np.ndarray | None:
     """Slope (nx + nu,) of what a state is set to, where that does not depend on the state itself; None if it always does."""
     state = functions.system.updates[k].state
+    # Far on either side play is engaged: there w = s -+ gap, whose slope does not hold w itself.
     far = 1e6 * (1.0 + np.abs(z).max(initial=0.0))
     for shift in (-far, far):
         shifted = z.copy()

@@ -67,6 +67,7 @@ class ParameterDistribution:
         """Values (k,) of the parameters that vary, regardless of bounds."""
         centre, step = self.p[self.indices], self.root @ z
         with np.errstate(over="ignore"):
+            # value exp(step / value): the delta method backwards, positive whatever is drawn.
             factors = np.exp(np.clip(step / np.where(self.logarithmic, centre, 1.0), -50, 50))
         return np.where(self.logarithmic, centre * factors, centre + step)
 
@@ -105,6 +106,7 @@ def make_parameter_distribution(plant: Plant) -> ParameterDistribution:
         raise ModelError(f"{model.title} is not a fit: it has no covariance to draw from; give what gb.fit returns")
     free, covariance = fit.uncertainty.free, np.asarray(fit.uncertainty.covariance, float)
     of_model = np.array([n in model.values for n in free], bool)  # not a parameter of one experiment alone
+    # Infinite: not determined; NaN: at its bound; neither has a spread to draw from.
     varies = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0) & of_model
     names = tuple(n for n, v in zip(free, varies, strict=True) if v)
     fixed = [n for n, v in zip(free, varies, strict=True) if not v]
@@ -252,11 +254,13 @@ class ModelFamily(Printable):
             return _linearise_member(self._plant, self._functions, p, self.settings)
 
         surface = generator.standard_normal((max(len(self.members), 2 * starts), distribution.dimensions))
+        # Uniform directions in z, on the surface: a monotonic criterion has its worst case there.
         surface *= radius / np.linalg.norm(surface, axis=1, keepdims=True)
         points = np.vstack([surface, np.zeros(distribution.dimensions)])
         values = np.array([criterion(linearise_with(z)) for z in points])
         best = points[np.argmax(values)]
         for start in points[np.argsort(-values)[:starts]]:
+            # One search from each of the worst points: the criterion may have several maxima on the set.
             result = minimize(
                 lambda z: -criterion(linearise_with(z)),
                 start,

@@ -94,6 +94,7 @@ class ModelFunctions:
     def sizes(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Typical sizes of states and inputs (nx + nu,)."""
         start = np.abs(self.start(p))
+        # As declared where that is not zero: a variable at zero has a size all the same.
         return np.maximum(np.abs(z), np.where(start > 0, start, SMALLEST_TYPICAL_SIZE))
 
     def direction(self, z: np.ndarray) -> np.ndarray:
@@ -135,6 +136,7 @@ class ModelFunctions:
             k = self.system.state_names.index(balance.state)
             # At standstill friction takes up any push to its static level.
             held = static[k] if k in self.bodies and z[k] == 0 else 0.0
+            # Share of the terms that cancel, of what a typical move changes, and what dry friction may hold.
             tolerance = BALANCE_MET * amounts[k] + BALANCE_MET_OF_MOVE * moves[k] * abs(storages[k]) + held
             residuals.append(
                 BalanceResidual(
@@ -252,6 +254,7 @@ def solve_operating_point(
     z = functions.start(p)
     known = np.isin(functions.names, list(given))
     z[known] = [given[name] for name in functions.names if name in given]
+    # No state is asked for: then the inputs are as given, or zero, and the states follow.
     if not known[: functions.nx].any():
         known[functions.nx :] = True
     known[: functions.nx] |= ~functions.rated
@@ -276,8 +279,9 @@ def solve_operating_point(
         if all(residual.met for residual in _residuals_of_rows(functions, solution, p, to_meet)):
             rates = functions.rates(solution, p, functions.direction(solution))
             moving = [k for k in rated if k not in to_meet and rates[k]]
+            # A position may move if nothing depends on where it is, or if its speed was asked for: a moment of a motion is meant.
             if all(
-                _position_is_irrelevant(functions, solution, p, k) or _speed_is_given(functions, k, given)
+                _position_is_irrelevant(functions, solution, p, k) or functions.system.rhs[k].name() in given
                 for k in moving
             ):
                 return _describe_point(functions, solution, p, moving)
@@ -288,11 +292,6 @@ def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndar
     """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
     moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))
     return bool(np.all(moves[:, k] <= FREE_POSITION * moves.sum(axis=1)))
-
-
-def _speed_is_given(functions: ModelFunctions, k: int, given: Mapping[str, float]) -> bool:
-    """Whether the rate of the position ``k`` was asked for: then it is a moment of a motion that is meant."""
-    return functions.system.rhs[k].name() in given
 
 
 def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
@@ -335,6 +334,8 @@ def _solve(
         start = z.copy()
         if attempt:  # a derivative may vanish where the search starts: a valve that is just shut
             reach = np.where(z == 0, 10.0 ** (attempt % RESTART_DECADES), RESTART_REACH) * sizes
+            # From random points: a vanishing derivative, or a wrong side of a kink, holds a search that starts
+            # there.
             start[free] += (reach * generator.standard_normal(len(z)))[free]
         solution = _run_newton(functions, start, p, free, rows)
         # Again, with friction against the motion of this solution.

@@ -62,6 +62,7 @@ class Plant:
             if not ranges:
                 continue
             low, high = float(min(r[0] for r in ranges)), float(max(r[1] for r in ranges))
+            # A signal that never moved has no range to go by: its size stands for it.
             reach = margin * (high - low) if high > low else abs(high)
             if not low - reach <= value <= high + reach:
                 unit = format_unit(units[name])

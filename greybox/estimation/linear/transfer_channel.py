@@ -62,6 +62,7 @@ class TransferChannel:
         if self.integrators or self.gain == 0:
             return np.nan
         w = self._grid()
+        # The last crossing: a resonance above a dip still belongs to the band.
         above = np.flatnonzero(np.abs(self.response(w)) > HALF_POWER * abs(self.gain))
         if not len(above) or above[-1] + 1 >= len(w):
             return np.inf
@@ -103,9 +104,12 @@ class TransferChannel:
         """Angular frequencies around all of the poles and zeros, more of them where a mode rings."""
         roots = np.concatenate([self.poles, self.zeros])
         if self.dt:
+            # s = ln(z) / dt
             roots = np.log(roots[np.abs(roots) > 1e-12].astype(complex)) / self.dt
         speeds = np.abs(roots[np.abs(roots) > 0])
         low, high = (speeds.min(initial=1.0), speeds.max(initial=1.0)) if len(speeds) else (1.0, 1.0)
+        # Natural frequencies and imaginary parts are on the grid themselves: a sharp resonance may lie between two
+        # points.
         w = np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, points), np.abs(roots.imag), speeds])
         w = np.unique(w[w > 0])
         return w[w <= np.pi / self.dt] if self.dt else w
@@ -170,6 +174,7 @@ def extract_channel(model: Linearisation, output: str | None = None, input: str 
     zeros, factor = _find_zeros(small.A, small.B, small.C, float(small.D[0, 0]))
     poles = compute_poles(small.A, model.dt) if factor else np.empty(0, complex)
     fastest = np.abs(np.concatenate([poles, zeros])).max(initial=0.0)
+    # A zero and a pole at rest must cancel to the last digit.
     zeros = np.where(is_at_rest(zeros, model.dt, fastest), 1.0 if model.dt else 0.0, zeros)
     unit = f"({single.output_units[0] or '1'})/({single.input_units[0] or '1'})"
     return TransferChannel(
@@ -193,6 +198,7 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
     """
     n = len(a)
     if d:
+        # With feed-through the zeros are the poles of the inverse system, A - B C / d.
         return np.linalg.eigvals(balance_matrix(a - b @ c / d)[0]).astype(complex) if n else np.empty(0, complex), d
     if not n:
         return np.empty(0, complex), 0.0
@@ -208,6 +214,7 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
             factor = float((c @ np.linalg.matrix_power(a, degree - 1) @ b)[0, 0])
             zeros = np.linalg.eigvals(zero_states.T @ inner @ zero_states) if zero_states.shape[1] else np.empty(0)
             return zeros.astype(complex), factor
+        # Divided by the size of A, so that rows of high degree neither overflow nor fade.
         row = row @ s.a / size
         rows.append(row)
     return np.empty(0, complex), 0.0

@@ -115,7 +115,11 @@ def run_gradient_sampling(
     for radius in policy.radii:
         for _ in range(MAX_ROUNDS):
             before = search.best_cost
-            axes = _sampling_axes(search.best_value, radius)  # type: ignore[arg-type]
+            value = search.best_value
+            assert value is not None  # a search keeps its start
+            directions, curvature = value.principal_axes()
+            # d'Hd / 2 = radius cost along each axis: one step in each row, in the units of the unknowns.
+            axes = (directions / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost)
             direction = _find_descent_direction(search, axes, low, high)
             _search_line(search, direction @ axes, low, high)
             if search.stop:
@@ -169,10 +173,3 @@ def _search_line(search: Minimisation, step: np.ndarray, low: np.ndarray, high: 
     for factor in GRADIENT_SAMPLING_SHORTER:
         if _evaluate(search, start + factor * step, low, high).cost < before:
             return
-
-
-def _sampling_axes(value: QuadraticModel, radius: float) -> np.ndarray:
-    """Steps (k, n), one in each row, along which the quadratic part of the cost is ``radius`` times the cost."""
-    axes, curvature = value.principal_axes()
-    # d'Hd / 2 = radius cost along each axis
-    return np.asarray((axes / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost))

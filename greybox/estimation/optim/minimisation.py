@@ -236,6 +236,7 @@ def measure_room(z: np.ndarray, low: np.ndarray | float, high: np.ndarray | floa
     An interior-point search stays a little off a bound that it is pressed against.
     """
     below, above = low - z, high - z
+    # Nearly on it counts as on it: otherwise a decrease would be promised that the bound forbids.
     return np.where(below >= -AT_BOUND, 0.0, below), np.where(above <= AT_BOUND, 0.0, above)
 
 
@@ -308,6 +309,7 @@ class Minimisation:
     def remember(self, z: np.ndarray, value: QuadraticModel) -> None:
         """Remember the value at ``z``, which becomes the best point if its cost is lower."""
         self._last = z.tobytes(), value
+        # An impossible point says nothing of the direction.
         self.shortenings += np.isfinite(value.cost)
         if self.best_value is None or value.cost < self.best_cost:
             self.best, self.best_value, self.best_cost, self.shortenings = z.copy(), value, value.cost, 0

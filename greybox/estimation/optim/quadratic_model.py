@@ -98,6 +98,7 @@ class QuadraticModel:
             # |R d + rho|^2 + damping |d|^2 as one least-squares problem
             root, target = np.vstack([root, np.sqrt(damping) * np.eye(n)]), np.append(target, np.zeros(n))
         bounds = low * self.scale, high * self.scale
+        # In scaled unknowns: bounds scale with them.
         step = _solve_bounded_least_squares(root, target, *bounds, cutoff, free * self.scale) / self.scale
         return np.clip(step, low, high)
 
@@ -151,6 +152,7 @@ class QuadraticModel:
         """Eigenvectors (n, k) of the scaled matrix, without those that are rounding; curvatures (k,) and slopes (k,) along them."""
         if self.factor is None:
             curvature, axes = np.linalg.eigh(self._scaled)
+            # Of J'J: half the digits of J's singular values are left, hence the larger cut-off.
             usable = curvature > RANK_CUTOFF * curvature.max(initial=0.0)
             axes = axes[:, usable]
             return axes, curvature[usable], axes.T @ (self.gradient / self.scale)
@@ -205,6 +207,7 @@ def _solve_bounded_least_squares(
             # Least-norm Newton step over the free unknowns: of many minima the nearest.
             end[is_free] -= right[:kept].T @ (remainder / size[:kept])
         beyond = np.flatnonzero((end < low) | (end > high))
+        # On to the first bound only: behind it the minimum over the free unknowns is another one.
         if len(beyond):
             bound = np.where(end[beyond] < low[beyond], low[beyond], high[beyond])
             # Share of the step up to each bound that it would cross; the first one becomes active.

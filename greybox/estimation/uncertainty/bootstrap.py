@@ -230,6 +230,7 @@ def _draw_scores(
     places = np.arange(block)
     result = np.empty((replicates, jacobian.shape[2]))
     for b in range(replicates):
+        # Blocks may overlap, and begin anywhere (Kunsch 1989).
         starts = generator.integers(0, n - block + 1, size=-(-n // block))
         chosen = (starts[:, None] + places).ravel()[:n]
         result[b] = filled[chosen].ravel() @ slopes
@@ -256,6 +257,7 @@ def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: Bootstr
     for k, name in enumerate(v.names):
 
         def place(step: np.ndarray, k: int = k) -> np.ndarray:
+            # value + scale z, or value exp(z), as the decision vector has it
             linear, factor = v.base[k] + v.scale[k] * step, np.exp(np.clip(step, -300, 300))
             return np.clip(v.base[k] * factor if v.logarithmic[k] else linear, v.low[k], v.high[k])
 

@@ -24,7 +24,6 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict
 from greybox.discovery.pipeline import discover
-from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -215,6 +214,7 @@ class Knowledge:
         for trace in self.best.traces:
             for name, measured in trace.measured.items():
                 movement = float(np.nanstd(measured))
+                # Noise is no movement left unexplained.
                 left = max(float(np.nanstd(trace.residual(name))) - self.best.noise.std.get(name, 0.0), 0.0)
                 shares.append(left / movement if movement else 0.0)
         return max(shares, default=0.0)
@@ -259,6 +259,7 @@ def run_campaign(
         For a folder with another campaign or one that is at work, a rig that fails, and a record of another input.
     """
     place = Path(folder)
+    # Held by the rig's process as well: a campaign that was killed may have left its rig playing.
     with hold_file(place / "campaign.lock") as held:
         if held is None:
             raise DataError(
@@ -303,9 +304,12 @@ def _carry_on(
             fresh = True
         else:
             fresh = False
+        # What was played is compared with what was asked: a record of another input would be fitted as if it were
+        # this one.
         record = read_record(target, asked, plan.model)
         broken = find_broken_limits(record, plan.limits, plan.noise)
         records.append(record)
+        # Once, where it was just taken: the next call goes on with the record, which is a good one.
         if broken and fresh:
             steps[-1] = replace(steps[-1], broken=broken)
             name, value = next(iter(broken.items()))
@@ -367,6 +371,7 @@ def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
         return {}
     data = read_json(path, ResultKind.CAMPAIGN)
     before = data.get("question") or {}
+    # A folder holds one question; another one would mix its records.
     changed = [name for name, value in plan.question.items() if name in before and before[name] != value]
     if changed:
         raise DataError(
@@ -420,11 +425,18 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
     It is to tell explanations apart while several are left; to show what may hide while no effect is established, though something is
     missing or nothing seems to be; else to narrow intervals. Every explanation that is left keeps the limits.
     """
-    models: list[Model] = [plan.model if knowledge.best is None else _away_from_bounds(plan, knowledge.best)]
+    models: list[Model] = [plan.model]
+    if knowledge.best is not None:
+        # A constant that a missing effect drove to its bound is where the user has it: at a bound it says nothing of the rig, and may make
+        # every prediction stiff (an inductance of next to nothing).
+        begun, best = plan.model.values, knowledge.best
+        stated = {n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun}
+        models = [best.model.start(**stated)]
     if knowledge.plain is not None:
         for names in knowledge.alternatives[:CAMPAIGN_RIVALS]:
             models.append(fit_rival(knowledge.plain, "+".join(names) or "none"))
     hidden = _hidden_effects(plan) if knowledge.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN) else ()
+    # Which explanation first: intervals of a wrong one are worth nothing, and what hides would change them.
     goal = GoalName.DISCRIMINATION if len(models) > 1 else GoalName.DETECTION if hidden else GoalName.PRECISION
     question = DesignProblem(
         tuple(models),
@@ -441,15 +453,6 @@ def design_next(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Expe
         policy=plan.design_policy,
     )
     return answer(question)
-
-
-def _away_from_bounds(plan: CampaignPlan, best: Fit) -> Model:
-    """The fitted model; a constant that a missing effect drove to its bound is where the user has it.
-
-    At a bound it says nothing of the rig, and may make every prediction stiff (an inductance of next to nothing).
-    """
-    begun = plan.model.values
-    return best.model.start(**{n: begun[n] for n, e in best.parameters.items() if e.at_bound and n in begun})
 
 
 def _hidden_effects(plan: CampaignPlan) -> tuple[str, ...]:
@@ -491,6 +494,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
             _reached_share(r.outputs[name], limit, plan.noise.get(name, 0.0)) for r in records if name in r.outputs
         ]
         if reached:
+            # Not beyond where the rig has been: a contradicted model says little about what is far away.
             shares[name] = min(share, CAMPAIGN_GROWTH * max(reached) / caution)
     return shares
 
@@ -498,6 +502,7 @@ def choose_shares(plan: CampaignPlan, knowledge: Knowledge, records: Sequence[Ex
 def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> float:
     """Share of the way from where it began to its limits that a measured signal went, its noise left out."""
     known = values[np.isfinite(values)]
+    # Every designed input begins at rest.
     rest = float(known[0])
     excursions = ((float(known.max()) - rest, limit.high - rest), (rest - float(known.min()), rest - limit.low))
     return max(
@@ -526,6 +531,7 @@ def _learn(
         return Knowledge(plain, plain)
     discovery = discover(
         plan.model,
+        # The last record was chosen to decide: it judges, and has not been fitted.
         records[:-1],
         validation=records[-1],
         noise=dict(plan.noise),
@@ -537,19 +543,14 @@ def _learn(
     )
     discovery.save(place / "discovery.json")
     show(place / "discovery.html", discovery)
-    names = _explanation(discovery)
+    # The effects to go on with: those of the best model, none where no effect is established.
+    is_open = discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN)
+    names: tuple[str, ...] = () if is_open else tuple(e["name"] for e in discovery.effects)
     best = fit_explanation(plain, "+".join(names)) if names else plain
     best.save(place / "fit.json")
     show(place / "fit.html", best)
     alternatives = tuple(tuple(a) for a in discovery.alternatives if tuple(a) != names)
     return Knowledge(plain, best, names, alternatives, str(discovery.verdict))
-
-
-def _explanation(discovery: Discovery) -> tuple[str, ...]:
-    """The effects to go on with: those of the best model, none where no effect is established."""
-    if discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN):
-        return ()
-    return tuple(e["name"] for e in discovery.effects)
 
 
 def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignStep] | None = None) -> bool:

@@ -241,6 +241,7 @@ def make_discrimination(question: DesignProblem, draws: int, step: float | None 
     count = len(plants)
     pairs = [RivalPair(a, b) for a in range(count) for b in range(count) if a != b]
     everything = list(plants)
+    # Each draw is right once, and every other explanation has to be far from it.
     for a in range(count):
         for drawn in draw_plants(plants[a], question, draws):
             everything.append(drawn)

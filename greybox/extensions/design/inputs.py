@@ -204,6 +204,7 @@ def compress_multisine(
     from scipy.optimize import minimize
 
     k, a = np.asarray(harmonics, int), np.asarray(amplitudes, float)
+    # Sixteen points in a period of the highest line: peaks between points are small.
     n = 16 * (int(k.max()) + 1)
     time = np.arange(n) / n
     basis = np.exp(2j * np.pi * np.outer(k, time))
@@ -274,6 +275,7 @@ def play(
         deviation = middle + half * shapes[i.name].sample(t) - rest
         if question.hold != "zero":
             deviation = smooth(deviation, PLAY_SMOOTHING)
+        # About the rest, not the middle of the range: an amplitude of zero is no input.
         u = rest + amplitude * envelope(len(t), question.policy.play) * deviation
         inputs[i.name] = limit_rate(u, rest, limit, float(t[1] - t[0]))
     return inputs

@@ -124,12 +124,14 @@ def design(
     filled = [
         n for n in ranges if not np.isfinite([given.get(n, SignalLimit()).low, given.get(n, SignalLimit()).high]).all()
     ]
+    # A rate that was given stays; the range comes from the records.
     merged = given | {n: replace(ranges[n], rate=given[n].rate) if n in given else ranges[n] for n in filled}
     longest = max(known.earlier, key=lambda e: e.duration, default=None)
     question = DesignProblem(
         known.models,
         merged,
-        duration or _length_of(longest),
+        # Its last interval included; zero where there is no record: the question says what is missing.
+        duration or (longest.rows * float(np.median(longest.intervals)) if longest else 0.0),
         sampling_time or (longest.sampling_time if longest else None) or 0.0,
         {**known.noise, **(noise or {})},
         known.earlier,
@@ -143,7 +145,10 @@ def design(
         options=known.options,
         policy=policy,
     )
-    found_ranges = [Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values=_range(merged[n])) for n in filled]
+    found_ranges = [
+        Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values={"low": merged[n].low, "high": merged[n].high})
+        for n in filled
+    ]
     return replace(answer(question, extra=found_ranges), seconds=time.perf_counter() - began)
 
 
@@ -174,6 +179,7 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     if question.goal is GoalName.DETECTION:
         _, bands = find_bands(question)
         shape = {name: flat_multisine(bands[-1], question.policy.search) for name in question.driven}
+        # Effects are made ready by the size of things in a run that the limits allow.
         _, inputs, _ = fit_into_limits(keeper, shape)
         hidden = list_hidden_effects(question, plants[0], inputs)
 
@@ -222,11 +228,14 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
     """Standard deviation of every free constant before and after the record, at the best constants."""
     spread, n = GOAL_PRIOR_SPREAD, plant.count
     goal = Precision([plant], np.arange(n), question.criterion, spread)
+    # (M + I / s^2)^-1 with the order of magnitude s that is known anyway
     before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
     after = goal.covariance(0, plant.run(best.inputs))
     constants = {}
     for k, name in enumerate(plant.variables.names):
         variables: DecisionVector = plant.variables
+        # Relative, back into the unit; an earlier fit with a coloured residual says by how much white noise would
+        # flatter.
         size = abs(float(variables.spans[k])) * question.inflation.get(name, 1.0)
         stds = []
         for covariance in (before, after):
@@ -254,6 +263,7 @@ def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInpu
         known = plant.earlier.any()
         before = goal.amplitude_std(k, None) if known else np.inf
         after = goal.amplitude_std(k, plant.run(best.inputs))
+        # A tenth of what the amplitude's own prior allows: as large an amount is that prior's, not the record's.
         largest = 0.1 * goal.prior_spread / np.sqrt(goal.least_prior)
         amounts = [float(size * s) if s < largest else None for s in (before, after)]
         result[each.name] = PredictedDetection(each.amplitude, amounts[0], amounts[1], each.unit)
@@ -303,15 +313,6 @@ def _remedies(question: DesignProblem) -> list[str]:
     return [str(finding) for finding in structure.recommendations]
 
 
-def _length_of(record: Experiment | None) -> float:
-    """The seconds that an earlier record takes, its last interval included; zero where there is none: the question says what is missing."""
-    return 0.0 if record is None else record.rows * float(np.median(record.intervals))
-
-
-def _range(limit: SignalLimit) -> dict[str, float]:
-    return {"low": limit.low, "high": limit.high}
-
-
 def list_alternatives(
     question: DesignProblem,
     keeper: LimitKeeper,
@@ -321,18 +322,16 @@ def list_alternatives(
 ) -> tuple[Alternative, ...]:
     """What else could be done; ``tried`` inputs, of which the first is the design. Those that cannot be run are left out."""
     everything = [
-        *_other_inputs(tried),
+        # The best of each other kind, against the design.
+        *(
+            Alternative(AlternativeKind.INPUT, each.kind, float(np.exp(each.value - tried[0].value)))
+            for each in kinds_of(tried)
+            if each.kind != tried[0].kind
+        ),
         *_more_time(question, make_goal, goal, tried),
         *_more_sensors(question, goal, tried[0]),
     ]
     return tuple(a for a in everything if np.isfinite(a.gain))
-
-
-def _other_inputs(tried: Sequence[TriedInput]) -> Iterator[Alternative]:
-    best = tried[0]
-    for each in kinds_of(tried):
-        if each.kind != best.kind:
-            yield Alternative(AlternativeKind.INPUT, each.kind, float(np.exp(each.value - best.value)))
 
 
 def _more_time(
@@ -369,9 +368,6 @@ def _more_sensors(question: DesignProblem, goal: Goal, best: TriedInput) -> Iter
             largest = float(np.abs(outputs[:, j]).max())
             sensors[output.name] = GOAL_NEW_SENSOR_NOISE * max(largest, TINY)
     for name, std in sensors.items():
-        with_sensor = _with_plants(goal, {name: std})
+        plants = [plant.with_sensors({name: std}) for plant in goal.plants]
+        with_sensor = replace(goal, plants=plants)  # type: ignore[type-var]
         yield Alternative(AlternativeKind.SENSOR, name, float(np.exp(evaluate(with_sensor, best.inputs) - best.value)))
-
-
-def _with_plants(goal: Goal, sensors: Mapping[str, float]) -> Goal:
-    return replace(goal, plants=[plant.with_sensors(sensors) for plant in goal.plants])  # type: ignore[type-var]

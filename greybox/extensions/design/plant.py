@@ -119,6 +119,7 @@ class PlantScenario:
         y, x = self.problem.kernel.simulate(record, point.q, point.p, point.x0)
         y, x, slopes = (record.samples(v) for v in (y, x, slopes))
         finite = bool(np.isfinite(y).all() and np.isfinite(x).all() and np.isfinite(slopes[:, self.measured]).all())
+        # The kernel's residual is measured minus simulated: the slope of the output has the other sign.
         slopes = np.where(self.measured[None, :, None], -slopes, np.nan)
         return PlantRun(y, x, slopes, finite)
 
@@ -148,12 +149,16 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     """``model`` as a plant that answers ``question``; ``step``: another sampling time than the question's."""
     period = question.sampling_time if step is None else step
     noise = question.noise_model()
+    # Readings before anything moves are ones that a record may have, where zero may be none (an absolute pressure).
+    u, p = [question.rest(i.name) for i in model.inputs], list(model.values.values())
+    y = np.asarray(model.system.output_function(declared_initial_state(model), u, p)).ravel()
+    at_rest = {o.name: float(v) for o, v in zip(model.outputs, y, strict=True) if o.name in question.noise}
     rows = 2
     template = Experiment(
         "designed",
         period * np.arange(rows),
         {i.name: np.full(rows, question.rest(i.name)) for i in model.inputs},
-        {name: np.full(rows, value) for name, value in _outputs_at_rest(question, model).items()},
+        {name: np.full(rows, value) for name, value in at_rest.items()},
         question.hold,
     )
     problem = _lay_out(question, model, template, noise)
@@ -162,13 +167,6 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
     earlier = information_of_records(question, model, problem.variables)
     return PlantScenario(model, weight, measured, earlier, problem, template, number)
-
-
-def _outputs_at_rest(question: DesignProblem, model: Model) -> dict[str, float]:
-    """What the sensors show before anything moves: readings that a record may have, where zero may be none (an absolute pressure)."""
-    u, p = [question.rest(i.name) for i in model.inputs], list(model.values.values())
-    y = np.asarray(model.system.output_function(declared_initial_state(model), u, p)).ravel()
-    return {o.name: float(value) for o, value in zip(model.outputs, y, strict=True) if o.name in question.noise}
 
 
 def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise: NoiseModel) -> EstimationProblem:
@@ -180,6 +178,7 @@ def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise:
     declared = guess_initial_states(model, problem.records, True)
     free = np.array([not options.at_rest or s.free_start for s in model.all_states], bool)
     variables = DecisionVector.of(model, replace(declared, free=free))
+    # Priors count once: they are in ``earlier``.
     unknown = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
     if problem.step.past is not None and len(variables.names) == 0:
         raise ModelError(f"{model.title}: no free constant")
@@ -207,6 +206,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         policy=options.policy,
     )
     variables = problem.variables
+    # The same here: priors were added above.
     without = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
     problem = replace(problem, variables=replace(variables, prior=without))
     evaluation = problem.shooting(problem.variables).evaluate(problem.variables.here)
@@ -214,6 +214,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         return prior
     whole = evaluation.hessian / 2
     kept, states = np.arange(n), np.arange(n, len(whole))
+    # First states of earlier records were unknown, too.
     reduced = (eliminate(whole, kept, states) @ whole)[:, :n] if len(states) else whole
     return prior + (reduced + reduced.T) / 2
 

@@ -137,8 +137,10 @@ class DesignProblem(ReadOnly):
         """White noise of the sensors, and of ``more`` of them."""
         std = {**self.noise, **(more or {})}
         names = tuple(o.name for o in self.model.outputs)
+        # NaN: no sensor, hence no row that counts.
         levels = np.array([std.get(name, np.nan) for name in names])
         sources = dict.fromkeys(std, NoiseSource.GIVEN)
+        # White: what a coloured residual adds comes in by ``inflation``, afterwards.
         return NoiseModel(names, levels, sources, tuple(AutoRegression() for _ in names), True)
 
 
@@ -207,13 +209,10 @@ def _check(problem: DesignProblem) -> None:
     for other in problem.models[1:]:
         if [i.name for i in other.inputs] != inputs or [o.name for o in other.outputs] != outputs:
             raise ModelError(f"{other.title} has other inputs or outputs than {model.title}; rivals describe one rig")
-    _check_rest(problem, dict(zip(states, declared_initial_state(model), strict=True)))
-
-
-def _check_rest(problem: DesignProblem, start: Mapping[str, float]) -> None:
+    # Every record begins where the plant rests: a limit that leaves it out is broken before anything moves.
+    start = dict(zip(states, declared_initial_state(model), strict=True))
     for name, limit in problem.limits.items():
-        value = start.get(name)
-        if value is not None and not limit.low <= value <= limit.high:
+        if name in start and not limit.low <= start[name] <= limit.high:
             raise DataError(
-                f"limit of {name!r}: the plant starts at {value:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
+                f"limit of {name!r}: the plant starts at {start[name]:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
             )

@@ -68,12 +68,15 @@ def run_rig(
         For a program that is not there, fails, hangs, or writes nothing.
     """
     with tempfile.TemporaryDirectory(prefix="greybox-rig-") as folder:
+        # The record appears in the campaign's folder whole or not at all: what a killed program has half written is
+        # thrown away.
         part = Path(folder) / "record.csv"
         words = _split(command)
         if not any("{input}" in w or "{record}" in w for w in words):
             words += ["{input}", "{record}"]
         values = dict(zip(PLACES, (str(asked.absolute()), str(part), str(number)), strict=True))
         typed = [_fill(word, values) for word in words]
+        # Beyond the record's own length: a rig plays in real time.
         code, output = _run(typed, policy.timeout + duration, number, held)
         last = shorten(output.strip().splitlines()[-1] if output.strip() else "", MESSAGE_LENGTH)
         if code != 0:
@@ -122,6 +125,7 @@ def read_record(path: Path, asked: Experiment, model: Model) -> Experiment:
     """
     record = read_csv(path, model, hold=asked.hold)
     step = asked.sampling_time or 0.0
+    # Rows are those that were asked for; the clock of a rig may be a little off.
     if record.rows != asked.rows or not math.isclose(record.duration, asked.duration, rel_tol=INPUT_TOLERANCE):
         raise DataError(
             f"{path}: another record: {record.rows} rows over {record.duration:g} s, and {asked.rows} rows every {step:g} s were asked for;"
@@ -138,7 +142,7 @@ def read_record(path: Path, asked: Experiment, model: Model) -> Experiment:
     return record
 
 
-# Share of the range of a limit by which a measured signal may pass it, beside three standard deviations of its noise.
+# Share of the range of a limit by which a measured signal may pass it, beside its noise.
 RIG_LIMIT_TOLERANCE = 0.01
 # Standard deviations of the noise by which a measured signal may pass a limit.
 NOISE_DEVIATIONS = 4.0
@@ -192,7 +196,9 @@ def _run(words: list[str], seconds: float, number: int, held: BinaryIO | None) -
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
+            # A group of its own, so that what the program starts ends with it.
             start_new_session=True,
+            # The open file keeps the lock as long as the program runs, whatever becomes of this process.
             pass_fds=() if held is None or sys.platform == "win32" else (held.fileno(),),
         )
     except OSError as error:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from greybox.base.errors import DataError, FitError, ModelError
@@ -102,7 +102,11 @@ def read_source(
     noise = {name: float(std) for name, std in best.noise.std.items()}
     # A residual with a colour widens intervals; one that is whiter than white by chance narrows none.
     inflation = {name: max(1.0, float(factor)) for name, factor in best.uncertainty.inflation.items()}
-    return KnownPlant(_unique(models), tuple(t.experiment for t in best.traces), noise, chosen, inflation)
+    # Each set of effects once, the first of it.
+    distinct: dict[str, Model] = {}
+    for model in models:
+        distinct.setdefault(model.title, model)
+    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, inflation)
 
 
 def fit_rival(plain: Fit, text: str) -> Model:
@@ -137,11 +141,3 @@ def fit_explanation(plain: Fit, text: str) -> Fit:
     options = FitOptions.from_data(plain.provenance.options)
     records = [t.experiment for t in plain.traces]
     return fit(model, records, noise=dict(plain.noise.std), options=replace(options, progressive=False))
-
-
-def _unique(models: Iterable[Model]) -> tuple[Model, ...]:
-    """Each set of effects once."""
-    kept: dict[str, Model] = {}
-    for model in models:
-        kept.setdefault(model.title, model)
-    return tuple(kept.values())

@@ -72,6 +72,7 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
     starts = list(best_of_kind.values())[:count]
     if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
         refined = [s for start in starts for s in refine(question, keeper, make_goal, start.shapes, start.inputs)]
+        # Refined inputs are judged like any other, by the compiled kernel and the whole record.
         tried += try_shapes(question, keeper, goal, refined)
     return sorted(tried, key=lambda t: -t.value)
 

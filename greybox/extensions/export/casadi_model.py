@@ -117,6 +117,7 @@ def to_do_mpc(plant: Fit | Model, dt: float | None = None, *, free: Sequence[str
     for k, name in enumerate(e.states):
         model.set_rhs(name, motion[k])
     for k, name in enumerate(e.outputs):
+        # As a measurement for an estimator, and as an expression for a cost: do-mpc keeps them apart.
         model.set_meas(f"y_{name}", y[k], meas_noise=True)
         model.set_expression(f"y_{name}", y[k])
     model.setup()
@@ -160,6 +161,7 @@ def to_acados(plant: Fit | Model, dt: float | None = None, *, free: Sequence[str
     model.cost_y_expr = e.y
     if dt is None:
         model.xdot = ca.SX.sym("xdot", e.x.numel())
+        # f_impl(x, xdot, u) = xdot - f(x, u): acados' implicit integrators want the residual.
         model.f_expl_expr, model.f_impl_expr = e.motion, model.xdot - e.motion
     else:
         model.disc_dyn_expr = e.motion
@@ -203,6 +205,7 @@ def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], subste
         late = [name for name in free if name in find_delay_parameters(model)]
         if late:
             raise ModelError(f"{', '.join(late)}: a delay decides how many states there are; it cannot be free")
+        # The exact hold has its constants in numbers; a free one must stay in the equations.
         step = make_discrete_step(plant, dt, substeps=substeps, method="rk4" if free else "automatic")
         x = ca.SX.sym("x", s.x.numel() + step.past)
         state_names += name_past_inputs(step)
@@ -225,6 +228,7 @@ def _write_interval(step: DiscreteStep, x: ca.SX, u: ca.SX, values: ca.SX) -> tu
     """States after an interval, with the earlier inputs behind them, and the outputs at its beginning."""
     nx, n = len(step.x0), step.step.substeps
     past = x[nx:]
+    # The entries of the discrete matrices as numbers, or the constants themselves.
     q = ca.SX(ca.DM(step.coefficients())) if step.step.per_interval else values
 
     def row(share: float) -> ca.SX:

@@ -107,6 +107,7 @@ def to_fmu(
     }
     if binary and platform is not None:
         folder, suffix = platform
+        # For this platform alone; others compile the sources, which are in the archive.
         contents[f"binaries/{folder}/{name}{suffix}"] = _compile_binary(text, f"{name}{suffix}", target)
 
     def write_archive(file: BinaryIO) -> None:
@@ -159,7 +160,8 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         root,
         "CoSimulation",
         modelIdentifier=name,
-        canHandleVariableCommunicationStepSize=_to_boolean(not step.past and not isinstance(step, ObserverInterval)),
+        # Past inputs, and the measurements of an observer, belong to samples: such a step cannot be divided.
+        canHandleVariableCommunicationStepSize="false" if step.past or isinstance(step, ObserverInterval) else "true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         canNotUseMemoryManagementFunctions="true",
@@ -219,6 +221,7 @@ def _variables(
         if isinstance(signal, Input):
             # A measurement is there at its sample; between two of them there is nothing to interpolate.
             kind = {"causality": "input", "variability": "discrete" if signal.name in measured else "continuous"}
+            # Missing until the simulator sets it: the observer then predicts.
             real["start"] = "NaN" if signal.name in measured else "0"
         elif isinstance(signal, Output):
             kind = {"causality": "output", "variability": "continuous", "initial": "calculated"}
@@ -240,10 +243,6 @@ def _variables(
             {"name": name, "valueReference": str(reference), "description": to_line(description), **kind},
         )
         ET.SubElement(variable, "Real", {**real, **({"unit": unit} if unit not in ("", "-", "1") else {})})
-
-
-def _to_boolean(value: bool) -> str:
-    return "true" if value else "false"
 
 
 # ---- The binary ----

@@ -272,6 +272,7 @@ def write_mat(
         "C": model.C,
         "D": model.D,
         "Ts": model.dt,
+        # Apart from the matrices, as `ss` takes it: exact in MATLAB, not approximated.
         "InputDelay": model.delay.reshape(-1, 1),
         "StateName": _cell(to_identifiers(model.state_names)),
         "InputName": _cell(to_identifiers(model.input_names)),
@@ -296,6 +297,7 @@ def write_mat(
         values["Origin"] = _cell(plant.origin())
     if family is not None:
         members = _members(family)["family"]
+        # MATLAB counts pages last: family.A(:, :, k).
         pages = {key: np.moveaxis(np.asarray(members[key]), 0, -1) for key in ("A", "B", "C", "D")}
         values["family"] = pages | {
             "constants": members["constants"],

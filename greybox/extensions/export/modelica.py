@@ -21,7 +21,6 @@ from greybox.model.balance import Balance
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, Printed, Printer
 from greybox.model.model import Model
-from greybox.model.system import DryFrictionTerm
 
 RESERVED = frozenset(
     re.findall(
@@ -80,6 +79,7 @@ def modelica_text(plant: Plant) -> str:
         )
     names = ModelicaNames.of(model)
     printer = Printer(MODELICA, names.symbols)
+    # The library's equations are cut off at the bounds of states; those of Modelica have to be as well.
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
     printer.count_uses([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
@@ -118,28 +118,30 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
     dry = [d for d in s.dry if d.balance == b.name]
     others = {name: term for name, term in b.terms.items() if name not in [d.effect for d in dry]}
     storage = printer.print(b.storage)
-    left = f"der({state})" if storage.text == "1" else f"{_bracketed(storage)} * der({state})"
+    factor = storage.text if storage.binding == Binding.ATOM else f"({storage.text})"
+    left = f"der({state})" if storage.text == "1" else f"{factor} * der({state})"
     total = _sum([printer.print(term) for term in others.values()])
     label = f'"{_string(b.name)}: {_string(", ".join(b.terms))}"'
     if not dry:
         return [f"  {left} = {total} {label};"]
+    sliding = _sum([printer.print(d.sliding) for d in dry])
+    # The static level at standstill, whatever it is of the velocity.
+    at_rest = s.x[dry[0].state]
+    static = _sum([printer.print(ca.substitute(d.static, at_rest, 0)) for d in dry])
     return [
         f"  push_{state} = {total};",
-        *_levels(dry, state, model, printer),
+        f"  level_{state} = {sliding};",
+        f"  most_{state} = {static};",
+        # At standstill the velocity is constant; while it slides friction points against the way, which changes at
+        # events alone.
         f"  {left} = if way_{state} == 0 then 0 else push_{state} - way_{state} * level_{state} {label};",
         f"  when {{pre(way_{state}) > 0 and {state} <= 0, pre(way_{state}) < 0 and {state} >= 0,"
         f" pre(way_{state}) == 0 and abs(push_{state}) > most_{state}}} then",
         f"    way_{state} = if push_{state} > most_{state} then 1 elseif push_{state} < -most_{state} then -1 else 0;",
+        # Exactly zero: the conditions of the events compare with it.
         f"    reinit({state}, 0);",
         "  end when;",
     ]
-
-
-def _levels(dry: Sequence[DryFrictionTerm], state: str, model: Model, printer: Printer) -> list[str]:
-    sliding = _sum([printer.print(d.sliding) for d in dry])
-    at_rest = model.system.x[dry[0].state]
-    static = _sum([printer.print(ca.substitute(d.static, at_rest, 0)) for d in dry])
-    return [f"  level_{state} = {sliding};", f"  most_{state} = {static};"]
 
 
 def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
@@ -149,6 +151,7 @@ def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
     lines = ["initial equation"]
     for k in bodies:
         v = names.states[k]
+        # A body that starts at rest slides at once where the push exceeds what friction holds.
         pushed = f"if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0"
         lines.append(f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else ({pushed});")
     return lines
@@ -182,10 +185,6 @@ def _sum(terms: Sequence[Printed]) -> str:
     return text or "0"
 
 
-def _bracketed(value: Printed) -> str:
-    return value.text if value.binding == Binding.ATOM else f"({value.text})"
-
-
 @dataclass(frozen=True)
 class ModelicaNames:
     """What everything is called: ``is_state`` outputs are states as they are and have no name of their own."""
@@ -202,6 +201,7 @@ class ModelicaNames:
     def of(cls, model: Model) -> ModelicaNames:
         """The names of ``model`` as Modelica allows them; outputs that are states share theirs."""
         s = model.system
+        # Made different together: two names that Modelica cannot tell apart would be one variable.
         inner = to_identifiers([*s.state_names, *s.input_names, *s.parameter_names], RESERVED)
         nx, nu = len(s.state_names), len(s.input_names)
         states, inputs, parameters = inner[:nx], inner[nx : nx + nu], inner[nx + nu :]

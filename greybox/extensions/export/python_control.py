@@ -146,6 +146,7 @@ def to_state_space(model: Linearisation, pade: int = 4) -> Any:
         inputs=to_identifiers(finite.input_names),
         outputs=to_identifiers(finite.output_names),
         name=to_identifier(finite.name),
+        # States keep their names and number, also where nothing reaches them: the model says which they are.
         remove_useless_states=False,
     )
     system.linearisation = model
@@ -208,13 +209,16 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
     for j, seconds in enumerate(model.delay):
         if not seconds:
             continue
+        # P(s T): time in units of the delay divides A and B by it.
         a, b, c, d = unit[0] / seconds, unit[1] / seconds, unit[2], unit[3]
         corner = np.zeros((len(a), len(A)))
+        # u_late = c x_d + d u enters where u did: B_j c beside A, B_j d in its own column.
         A = np.block([[A, np.outer(B[:, j], c)], [corner, a]])
         C = np.hstack([C, np.outer(D[:, j], c)])
         D[:, j] *= d
         B = np.vstack([B, np.zeros((len(a), B.shape[1]))])
         B[:, j] *= d
+        # The chain itself is driven by the input as it is.
         B[-len(a) :, j] = b.ravel()
         names += [f"{model.input_names[j]}_late_{i + 1}" for i in range(len(a))]
         units += [model.input_units[j]] * len(a)

@@ -80,6 +80,7 @@ def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
 def python_text(plant: Plant) -> str:
     """The text of the file."""
     model, name = plant.model, to_identifier(plant.model.name)
+    # The body first: what is imported follows from what it names.
     text = "\n".join([*_balances(model), "", f"{name} = {_model(plant)}", *_additions(model, name)])
     imports = [word for word in PUBLIC if f"{word}(" in text]
     lines = [*_docstring(plant), ""]
@@ -124,6 +125,7 @@ def _plant_names(model: Model) -> dict[str, str]:
 def _balances(model: Model) -> list[str]:
     stated = model.balances(*_plant_symbols(model))
     printer = Printer(PYTHON, _plant_names(model))
+    # Counted over all balances: what several of them use is written once, before them.
     printer.count_uses(value for b in stated for value in (b.storage, *b.terms.values()))
     rows = [balance(b, b.state, printer, 2) for b in stated]
     shared = [f"{INDENT}{name} = {text}" for name, text in printer.shared]
@@ -233,6 +235,7 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
+    # By its functions, not by its name alone: an effect that somebody has changed is written out.
     entries = [entry for entry in all_effects() if effect.name.startswith(entry.name)]
     placed = [place_effect(e, effect.site) for e in entries if effect.name == f"{e.name}{AT}{effect.site}"]
     return next((entry for entry in (*entries, *placed) if parts(entry) == parts(effect)), None)

@@ -156,6 +156,7 @@ def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = No
         raise DataError(f"{file.name}: FMI {description.fmiVersion}; FMUs of FMI 2 and 3 are run")
     if description.coSimulation is None and description.modelExchange is None:
         raise DataError(f"{file.name}: neither for co-simulation nor for model exchange; export it as one of them")
+    # Arrays and other types are no signals of a record.
     scalars = [v for v in description.modelVariables if v.type in REAL and not v.dimensions]
     measured = {v.name for v in scalars if v.causality == "output"} if outputs is None else set(outputs)
     by_name = {v.name: v for v in scalars}
@@ -168,6 +169,7 @@ def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = No
     groups = ([v for v in scalars if v.causality == "input"], [v for v in scalars if v.name in measured], settable)
     labels = iter(to_identifiers([v.name for group in groups for v in group]))
     inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
+    # With its own solver, where it brings one.
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
     return FmuPlant(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
 
@@ -197,6 +199,7 @@ def _to_variable(variable: Any, label: str) -> FmuVariable:
     unit = variable.unit or getattr(declared, "unit", None) or "1"
     bounds = (number(variable.min, -math.inf), number(variable.max, math.inf))
     is_initial = variable.causality in (None, "local")
+    # A start that is not stated counts as zero.
     start, text = number(variable.start, 0.0), variable.description or ""
     return FmuVariable(variable.name, label, _known_unit(str(unit)), text, start, bounds, is_initial)
 

@@ -201,7 +201,7 @@ def prepare_fmu(
     FmuRunError
         Where the FMU does not run over a validation record.
     """
-    records, others = _as_tuple(estimation), _as_tuple(validation)
+    records, others = as_records(estimation), as_records(validation)
     with FmuSimulator(result.plant, policy) as simulator:
         objective, z = _restore_objective(result, simulator, records, policy)
         longest = max(records, key=lambda record: record.rows)
@@ -267,6 +267,7 @@ def fit_fmu_effects(
             model = _add(local.model, effects).start(**values)
             fitted = fit(model, records, noise=std, options=AT_REST)
             names, plain = [v.label for v in objective.unknowns], {q.name for q in local.model.parameters}
+            # The next round begins where this one ended; constants of the FMU go into its own run.
             values = {name: e.value for name, e in fitted.parameters.items() if name not in plain}
             z = np.array([fitted.parameters[name].value for name in names]) / objective.sizes
             with_inputs = _add(build_local_model(objective, z, local.response, show_inputs=True).model, effects)
@@ -276,10 +277,13 @@ def fit_fmu_effects(
             longest = max(behind, key=lambda record: record.rows)
             answer = estimate_linear_response(simulator, objective.settings(z), longest) or local.response
             local = build_local_model(objective, z, answer)
+            # Runs of the FMU with the inputs as they arrive behind the effects: the local model is exact there, not
+            # only near by.
             records = _extend(objective.over(behind), z, local, prepared.records)
             model = _add(local.model, effects).start(**values)
             errors = _measure(model, prepared.records, records, result)
             expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
+            # The FMU itself errs as much as its local model: then what was fitted on that holds for the FMU.
             agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
         checked: dict[str, Misfit] = {}
         validation: tuple[Experiment, ...] = ()
@@ -421,6 +425,7 @@ def compare_fmu(
         prepared.estimation,
         skip=skip,
         beginning=beginning,
+        # One step is always compared.
         steps=[k for k in steps if k],
         findings=findings,
     )
@@ -472,16 +477,13 @@ def _apply(
             if record.hold == "zero":
                 ends = np.append(values[1:], values[-1:])
                 # At a row of the record a step belongs to the interval that begins there.
-                means = np.where(_is_last(len(values), FMU_RESPONSE_REFINED), values, (values + ends) / 2)
+                is_last = np.arange(len(values)) % FMU_RESPONSE_REFINED == FMU_RESPONSE_REFINED - 1
+                means = np.where(is_last, values, (values + ends) / 2)
                 arriving[name] = means.reshape(record.rows, -1).mean(axis=1)
             else:
                 arriving[name] = values[::FMU_RESPONSE_REFINED]
         result.append(replace(record, inputs={**record.inputs, **arriving}))
     return tuple(result)
-
-
-def _is_last(count: int, parts: int) -> np.ndarray:
-    return np.arange(count) % parts == parts - 1
 
 
 def _refine(record: Experiment, parts: int) -> Experiment:
@@ -507,7 +509,3 @@ def _measure(
     """Error of the FMU with the effects: that of the model where it is exact."""
     simulated = {r.name: simulate(model, e).outputs for r, e in zip(records, extended, strict=True)}
     return compute_misfits(result.plant, records, simulated, result.std)
-
-
-def _as_tuple(records: Experiment | Sequence[Experiment]) -> tuple[Experiment, ...]:
-    return as_records(records)

@@ -169,6 +169,7 @@ def fit_fmu(
     if not unknowns:
         raise DataError(f"{plant.title} has no parameter to fit")
     given = {plant.find(n).name: float(v) for n, v in (fixed or {}).items()}
+    # Start values of what is not fitted are settings like others.
     begin = {v.name: v.start for v in unknowns} | {plant.find(n).name: float(x) for n, x in (start or {}).items()}
     given |= {name: value for name, value in begin.items() if name not in {v.name for v in unknowns}}
     std = {o.label: _find_noise(o, records, noise) for o in plant.outputs}
@@ -180,6 +181,7 @@ def fit_fmu(
         values = objective.values(outcome.z)
         rows, failures = simulator.rows, simulator.failures
         runs = simulator.runs
+        # After the search is counted: validation is no cost of the fit.
         checked = {record.name: simulator.run(record, objective.settings(outcome.z)) for record in others}
     covariance = _estimate_covariance(outcome.rows, outcome.slopes, sizes, noise is not None)
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
@@ -230,6 +232,7 @@ def _estimate_covariance(
     pairs = list(zip(rows, slopes, strict=True))
     colour = estimate_residual_colour(pairs, len(sizes), noise_given)
     sums = sum_scores(_AllColumns(len(sizes)), pairs, colour)
+    # (J'J)^-1 J'RJ (J'J)^-1, in the units of the unknowns; there are no initial states beside them.
     bread = pseudo_inverse(sums.information)
     return sizes[:, None] * (bread @ np.asarray(sums.coloured) @ bread) * sizes
 
@@ -246,6 +249,7 @@ def _find_noise(output: FmuVariable, records: Sequence[Experiment], noise: Mappi
         return float(noise[output.label])
     movement = float(np.nanstd(np.concatenate(columns)))
     estimate = estimate_noise_of_records(columns)
+    # The level scales the outputs against each other; a simulated record has none, and a division by it none either.
     return max(estimate if np.isfinite(estimate) else 0.0, LEAST_STD * movement) or 1.0
 
 

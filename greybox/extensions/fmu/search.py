@@ -145,6 +145,7 @@ class FmuObjective:
             try:
                 self._known[key] = [self._run_record(record, z) for record in self.records]
             except FmuRunError:
+                # A failure is remembered, too: an optimiser asks the same point for its cost and for its slopes.
                 self._known[key] = None
                 raise
         rows = self._known[key]
@@ -179,6 +180,7 @@ class FmuObjective:
         for k in range(len(z)):
             width = FMU_FIT_DIFFERENCE * max(abs(float(z[k])), 1.0)
             each = []
+            # Inwards first, where the upper bound is near.
             for sign in (1.0, -1.0) if z[k] + width <= high[k] else (-1.0, 1.0):
                 moved = z.copy()
                 moved[k] += sign * width
@@ -192,7 +194,9 @@ class FmuObjective:
                 if not self.central:
                     break
             for e, sides in enumerate(zip(*each, strict=True)):
+                # Both sides cancel the second order: half the sum of the two one-sided slopes.
                 result[e][:, :, k] = np.mean(sides, axis=0)
+        # Runs beside the point are not its runs.
         self.simulated = last
         self._slopes[key] = result
         return result
@@ -238,13 +242,16 @@ class FmuObjective:
         slopes: list[np.ndarray],
     ) -> list[np.ndarray] | None:
         step = z - before
+        # r(z0) + J d: what the slopes before promised.
         expected = [r + s @ step for r, s in zip(rows_before, slopes, strict=True)]
         cost_before, cost_now, cost_expected = (
             sum(float(np.nansum(r**2)) for r in group) for group in (rows_before, rows, expected)
         )
+        # A step that fell short shows that the slopes are wrong beyond what one secant can mend.
         if cost_before - cost_now < SECANT_SHARE * (cost_before - cost_expected):
             return None
         return [
+            # Broyden: J+ = J + (r - e) d' / d'd, the least change that explains the step.
             s + np.where(np.isfinite(r - e), r - e, 0.0)[:, :, None] * step / (step @ step)
             for s, r, e in zip(slopes, rows, expected, strict=True)
         ]
@@ -284,6 +291,7 @@ def search_parameters(objective: FmuObjective, z: np.ndarray) -> SearchResult:
     policy = objective.policy
     for share in policy.shares:
         beginnings = [_cut(record, share) for record in objective.records]
+        # Nearly the whole costs as much as the whole.
         if sum(r.rows for r in beginnings) >= FMU_FIT_ALMOST_WHOLE * sum(r.rows for r in objective.records):
             continue
         part = objective.over(beginnings)
@@ -342,6 +350,7 @@ def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, Termin
         ):  # slopes by differences, and no step gains: their own error may be what is left
             if objective.central:
                 return z, status
+            # Twice the runs, but without the error of first order in the width.
             objective.central = True
             objective.forget_slopes()
         z = outcome.z

@@ -58,7 +58,10 @@ class SensitivityRunner:
         self.folder, self.description, self.plant, self.policy = folder, description, plant, policy
         by_name = {v.name: v for v in description.modelVariables}
         self.rates = [d.variable.valueReference for d in description.derivatives]
-        self.states = [_state_reference(d.variable, description) for d in description.derivatives]
+        # Of each rate the state that it belongs to, as itself or as its number in the list.
+        derived = [d.variable.derivative for d in description.derivatives]
+        states = [description.modelVariables[s - 1] if isinstance(s, int) else s for s in derived]
+        self.states = [int(s.valueReference) for s in states]
         self.inputs = [by_name[i.name].valueReference for i in plant.inputs]
         self.outputs = [by_name[o.name].valueReference for o in plant.outputs]
         self.references = {v.name: v.valueReference for v in description.modelVariables}
@@ -170,7 +173,9 @@ class SensitivityRunner:
             instance.setTime(float(t))
             _set_states(instance, x)
             if self.inputs:
-                _set(instance, self.inputs, u.tolist())
+                # FMI 2 names it so, FMI 3 by the type.
+                write = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+                write(self.inputs, u.tolist())
 
     def _get_states(self, instance: Any) -> np.ndarray:
         return _read_vector(instance, "getContinuousStates", len(self.states))
@@ -201,20 +206,8 @@ class SensitivityRunner:
         return instance
 
 
-def _state_reference(rate: Any, description: Any) -> int:
-    """The value reference of the state whose rate this variable is."""
-    state = rate.derivative
-    if isinstance(state, int):
-        state = description.modelVariables[state - 1]
-    return int(state.valueReference)
-
-
 def _get(instance: Any, references: Sequence[int]) -> list[float]:
     return list(instance.getReal(references) if hasattr(instance, "getReal") else instance.getFloat64(references))
-
-
-def _set(instance: Any, references: Sequence[int], values: Sequence[float]) -> None:
-    (instance.setReal if hasattr(instance, "setReal") else instance.setFloat64)(references, values)
 
 
 def _read_vector(instance: Any, name: str, size: int) -> np.ndarray:

@@ -138,6 +138,7 @@ class FmuSimulator:
             ) from error
         outputs = {}
         for o in self.plant.outputs:
+            # The solver's own grid has rounding in its times; at the times of the record there is one value each.
             values_at = np.interp(time, result["time"], np.asarray(result[o.name], dtype=float))
             if not np.isfinite(values_at).all() or result["time"][-1] < time[-1] - step:
                 self.failures += 1
@@ -153,6 +154,7 @@ class FmuSimulator:
                 self._instance = fmpy.instantiate_fmu(self._folder, self._description, self.plant.kind)
             else:
                 self._instance.reset()
+                # The instance is used again: what followed the inputs of the last record must not see this one.
                 vars(self._instance).pop("setTime", None)
             if self.plant.kind == "ModelExchange" and self.plant.inputs and experiment.hold != "zero":
                 self._follow_inputs(experiment, time)
@@ -163,6 +165,7 @@ class FmuSimulator:
                 stop_time=float(time[-1]),
                 output_interval=step,
                 step_size=step,
+                # Far below the difference of a slope, which would measure the solver otherwise.
                 relative_tolerance=RELATIVE_TOLERANCE,
                 record_events=False,
                 fmi_type=self.plant.kind,
@@ -229,6 +232,8 @@ class FmuSimulator:
             self._may_differentiate = False
             return None
         expected = np.column_stack([outputs[o.label] for o in self.plant.outputs])
+        # The run with slopes is integrated here, the other one by fmpy: where they part, something switches that was
+        # not declared.
         error = np.abs(run - expected).max(axis=0)
         if not (np.isfinite(slopes).all() and np.all(error <= SENSITIVITY_ERROR * np.ptp(expected, axis=0))):
             self._may_differentiate = False

@@ -39,6 +39,7 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
     """The sheet with numbers; where several have a time column of their own, all of them as channels. Other sheets are not read."""
     from openpyxl import load_workbook
 
+    # A workbook is an archive: what it unpacks to is known before it is unpacked.
     with zipfile.ZipFile(path) as archive:
         unpacked = sum(member.file_size for member in archive.infolist())
     if unpacked > policy.largest_unpacked:
@@ -46,6 +47,7 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
             f"the workbook unpacks to {unpacked / 1e6:.0f} MB, at most {policy.largest_unpacked / 1e6:.0f} MB are read; save the"
             f" needed sheet as CSV, or raise the limit {raise_limit('largest_unpacked')}"
         )
+    # Rows as they come, values in the place of formulas.
     book = load_workbook(path, read_only=True, data_only=True)
     try:
         sheets = [sheet for page in book.worksheets if (sheet := _read_sheet(page, policy)) is not None]
@@ -54,12 +56,11 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
     if not sheets:
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
     timed = [sheet for sheet in sheets if sheet.clock]
-    return _to_channels(timed, policy) if len(timed) > 1 else _to_table((timed or sheets)[0], policy)
-
-
-def _to_table(sheet: _Sheet, policy: ReadingPolicy) -> ArrayTable:
-    infos = {header: ArrayInfo(values.shape) for header, values in sheet.columns.items()}
-    return ArrayTable.from_infos(infos, lambda names: {name: sheet.columns[name] for name in names}, policy)
+    if len(timed) > 1:
+        return _to_channels(timed, policy)
+    columns = (timed or sheets)[0].columns
+    infos = {header: ArrayInfo(values.shape) for header, values in columns.items()}
+    return ArrayTable.from_infos(infos, lambda names: {name: columns[name] for name in names}, policy)
 
 
 def _to_channels(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:
@@ -85,6 +86,7 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     head: Sequence[Any] | None = None
     for row in rows:
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
+        # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
         if texts and texts == sum(cell is not None for cell in row):
             head = row if head is None or texts > sum(c is not None for c in head) else _join_units(head, row)
         elif head is not None and any(_to_number(cell) is not None for cell in row):
@@ -126,6 +128,7 @@ def _read_block(
     columns: dict[str, np.ndarray] = {}
     for k, header in named.items():
         values = np.array(cells[k])
+        # A record begins at zero: dates count from its first one.
         if isinstance(first[k] if k < len(first) else None, datetime.datetime) and len(values):
             values = values - values[0]
         columns[header] = values

@@ -38,6 +38,7 @@ def read_hdf5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
         by_matlab = "MATLAB_class" in {key for _, _, data in _walk(h5py, file, "", 1) for key in data.attrs}
         for name, place, data in _walk(h5py, file, "", policy.deepest_nesting):
             shape = tuple(int(n) for n in data.shape or ())
+            # MATLAB stores column by column, HDF5 counts row by row: its arrays stand transposed in the file.
             infos[name] = ArrayInfo(shape[::-1] if by_matlab else shape, _describe_content(data))
             places[name] = (place, by_matlab)
             check_width(len(infos), policy)
@@ -120,6 +121,7 @@ def _is_time(place: str) -> bool:
 
 def _read_stamps(data: Any, clocks: Mapping[str, Any]) -> _StampSource | None:
     """The nearest stamps that fit a data set."""
+    # The nearest clock of the same length: a group may share that of the one above.
     for group in (data.parent, data.parent.parent):
         clock = clocks.get(group.name)
         if clock is not None and clock.shape == data.shape:
@@ -151,6 +153,7 @@ def _attribute(node: Any, *names: str) -> Any:
 def _walk(h5py: Any, group: Any, prefix: str, levels: int) -> Iterator[tuple[str, str, Any]]:
     """Name, path and data set of all in ``group``, but for MATLAB's own bookkeeping and links to other files."""
     for key in group:
+        # An external link may lead to any file of the reader's machine.
         if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
             continue
         inner = group[key]

@@ -80,7 +80,11 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     members: dict[str, np.ndarray] = {}
     variables: dict[str, MatVariable] = {}
     with open(path, "rb") as file:
-        order, end = _read_order(file), path.stat().st_size
+        mark, end = file.read(HEADER)[126:128], path.stat().st_size
+        if mark not in (b"IM", b"MI"):
+            raise ValueError("its header is not that of a MATLAB file")
+        # The mark is a number of two bytes: it reads IM where the file has the lower byte first.
+        order = "<" if mark == b"IM" else ">"
         room = policy.largest_unpacked
         for variable in _list_variables(file, order, end):
             check_width(len(infos) + 1, policy)
@@ -88,6 +92,7 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
                 infos[variable.name], variables[variable.name] = variable.info, variable
                 continue
             content = _unpack(file, variable, order, room)
+            # One limit for all structs together: many small ones unpack to as much as a large one.
             room -= len(content)
             for name, leaf in _list_leaves(memoryview(content), order, policy.deepest_nesting):
                 check_width(len(infos) + 1, policy)
@@ -107,19 +112,13 @@ def read_mat5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     return ArrayTable.from_infos(infos, load, policy)
 
 
-def _read_order(file: BinaryIO) -> str:
-    mark = file.read(HEADER)[126:128]
-    if mark not in (b"IM", b"MI"):
-        raise ValueError("its header is not that of a MATLAB file")
-    return "<" if mark == b"IM" else ">"
-
-
 def _list_variables(file: BinaryIO, order: str, end: int) -> Iterator[MatVariable]:
     """Every variable of the file, from its head."""
     place = HEADER
     while place + 8 <= end:
         file.seek(place)
         kind, size = struct.unpack(f"{order}II", file.read(8))
+        # Checked before it is read: a damaged size would ask for any amount of memory.
         if place + 8 + size > end:
             raise ValueError(f"it is cut short: {size} bytes should follow byte {place + 8} of {end}")
         if kind not in (MATRIX, COMPRESSED):
@@ -175,6 +174,7 @@ def _next_element(data: memoryview, place: int, order: str) -> tuple[int, memory
         return kind, data[place + 4 : place + 4 + size], place + 8
     if place + 8 + size > len(data):
         raise ValueError("a variable is cut short")
+    # Elements are filled up to whole multiples of eight bytes.
     return kind, data[place + 8 : place + 8 + size], place + 8 + size + (-size % 8)
 
 
@@ -199,6 +199,7 @@ def _read_numbers(data: memoryview, head: _Head, order: str) -> np.ndarray:
     if kind not in STORED_AS:
         raise ValueError(f"variable {head.name!r} is damaged: numbers of type {kind}")
     values = np.frombuffer(content, dtype=np.dtype(f"{order}{STORED_AS[kind]}"))
+    # In Python's integers: the product of damaged dimensions overflows.
     if len(values) != int(np.prod(head.shape, dtype=object)):
         raise ValueError(f"variable {head.name!r} is damaged: {len(values)} numbers for {head.shape}")
     return values.reshape(head.shape, order="F")

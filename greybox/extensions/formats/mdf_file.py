@@ -47,14 +47,14 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
                 scaled = conversion is not None and bool(getattr(conversion, "conversion_type", 0))
                 rows = int(getattr(head, "cycles_nr", 0))
                 holds = "" if kind in NUMBERS else "text or bytes"
-                channels.append(
-                    Channel(channel.name, _unit_of(channel), name, clock, rows, holds, kind in INTEGERS and not scaled)
-                )
+                # A conversion may have a unit where the channel states none.
+                unit = str(channel.unit or (conversion.unit if conversion is not None else "") or "").strip()
+                channels.append(Channel(channel.name, unit, name, clock, rows, holds, kind in INTEGERS and not scaled))
                 places.append((g, c))
 
     def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
         with open(path, "rb") as stream, _open(stream) as file:
-            return {k: _to_samples(_get(file, *places[k])) for k in wanted}
+            return {k: _read_samples(file, *places[k]) for k in wanted}
 
     return ChannelTable.from_channels(channels, load, policy)
 
@@ -76,24 +76,16 @@ def _open(stream: Any) -> Any:
         raise
 
 
-def _unit_of(channel: Any) -> str:
-    conversion = channel.conversion
-    return str(channel.unit or (conversion.unit if conversion is not None else "") or "").strip()
-
-
-def _get(file: Any, group: int, index: int) -> Any:
+def _read_samples(file: Any, group: int, index: int) -> Samples:
     signal = file.get(group=group, index=index, ignore_invalidation_bits=False)
     if signal.samples.dtype.kind in "SU":  # a table of texts stands for the numbers
         signal = file.get(group=group, index=index, ignore_invalidation_bits=False, raw=True)
-    return signal
-
-
-def _to_samples(signal: Any) -> Samples:
     if signal.samples.dtype.kind not in "biuf" or signal.samples.ndim != 1:
         raise ValueError(f"channel {signal.name!r} does not hold one number for each stamp")
     values = signal.samples.astype(np.float64)
     invalid = getattr(signal, "invalidation_bits", None)
     if invalid is not None and len(invalid) == len(values):
+        # An invalid sample is a gap, not a number.
         values = np.where(np.asarray(invalid, dtype=bool), np.nan, values)
     return Samples(np.asarray(signal.timestamps, dtype=np.float64), values)
 

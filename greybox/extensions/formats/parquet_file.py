@@ -5,7 +5,7 @@ from __future__ import annotations
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -24,31 +24,21 @@ def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTab
     with pq.ParquetFile(path) as file:
         check_width(len(file.schema_arrow), policy)
         rows = file.metadata.num_rows
-        infos = {
-            column.name: ArrayInfo((rows,), "" if _is_number(pa.types, column.type) else _describe_type(column.type))
-            for column in file.schema_arrow
-        }
+        types, infos = pa.types, {}
+        for column in file.schema_arrow:
+            # A column without any value has the type null: gaps alone.
+            numeric = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
+            kind = "text" if str(column.type) in ("string", "large_string") else str(column.type)
+            infos[column.name] = ArrayInfo((rows,), "" if any(is_kind(column.type) for is_kind in numeric) else kind)
 
     def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
         with pq.ParquetFile(path) as file:
             table = file.read(columns=list(names), use_threads=False)
-        return {name: _to_array(table.column(name).cast(pa.float64(), safe=False)) for name in names}
+        # Numbers, NaN for nulls.
+        columns = {name: table.column(name).cast(pa.float64(), safe=False) for name in names}
+        return {name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in columns.items()}
 
     return ArrayTable.from_infos(infos, load, policy)
-
-
-def _is_number(types: Any, kind: Any) -> bool:
-    known = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
-    return any(is_kind(kind) for is_kind in known)
-
-
-def _describe_type(kind: Any) -> str:
-    return "text" if str(kind) in ("string", "large_string") else str(kind)
-
-
-def _to_array(column: Any) -> np.ndarray:
-    """Numbers with NaN for nulls."""
-    return np.asarray(column.to_numpy(), dtype=np.float64)
 
 
 # Archives of NumPy arrays (.npz): headers first, arrays when they are wanted, nothing unpickled.

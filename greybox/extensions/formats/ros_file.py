@@ -132,6 +132,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             leaves[message.topic] = dict(_list_numbers(content, "", policy))
             stamped[message.topic] = _find_stamp(content) is not None
             check_width(sum(map(len, leaves.values())), policy)
+        # The first message of each topic shows its numbers; the file is not read to the end for that.
         if len(leaves) == len(filled):
             break
     channels: list[Channel] = []
@@ -159,10 +160,14 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             made = _find_stamp(content) if stamped[message.topic] else message.recorded
             made = message.recorded if made is None else made
             stamps[message.topic].append(made)
+            # Least delay from the stamp to the recorder: what is more than that was spent waiting in the network,
+            # and is no offset of clocks.
             shortest[message.topic] = min(shortest.get(message.topic, message.recorded - made), message.recorded - made)
             numbers = dict(_list_numbers(content, "", policy))
             for k in by_topic[message.topic]:
                 values[k].append(float(numbers.get(places[k][1], np.nan)))
+        # Differences in whole nanoseconds: as doubles, stamps since 1970 are exact to a quarter of a microsecond
+        # only.
         times = {topic: (np.array(t, dtype=np.int64) - start) / NANOSECONDS for topic, t in stamps.items()}
         return {
             k: Samples(times[topic := places[k][0]], np.array(values[k]), shortest[topic] / NANOSECONDS) for k in wanted

@@ -38,7 +38,8 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
     with TdmsFile.open(path) as file:
         check_width(sum(len(group.channels()) for group in file.groups()), policy)
         for group in file.groups():
-            clock = next((c for c in group.channels() if _is_time(c.name)), None)
+            bare = {c.name: parse_header(c.name, 0).name for c in group.channels()}
+            clock = next((c for c in group.channels() if bare[c.name] == "t" or bare[c.name].lower() == TIME), None)
             for channel in group.channels():
                 if clock is not None and channel.name == clock.name:
                     continue
@@ -57,6 +58,7 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                 places.append((group.name, channel.name, stamps))
     if not channels:
         raise DataError("no channel has stamps (wf_increment, or a channel 'time' in its group); export it as CSV")
+    # The earliest start is the origin: groups that began later keep their distance, and say so.
     known = [start for start in starts.values() if np.isfinite(start)]
     origin = min(known, default=0.0)
     findings = [
@@ -83,13 +85,9 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
     return ChannelTable.from_channels(channels, load, policy, findings)
 
 
-def _is_time(name: str) -> bool:
-    bare = parse_header(name, 0).name
-    return bare == "t" or bare.lower() == TIME
-
-
 def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
     properties = channel.properties
+    # A time channel of the group goes before the increments: it was measured.
     if clock is not None and len(clock) == len(channel):
         absolute = np.dtype(clock.dtype).kind == "M"
         return _Stamps(_to_epoch(clock[0]) if absolute and len(clock) else np.nan, 0.0, 0.0, clock.name)

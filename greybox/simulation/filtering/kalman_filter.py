@@ -66,6 +66,7 @@ def discretise_process_noise(system: System) -> CoefficientFunction:
     rate = to_lower_triangle(
         a @ to_symmetric(covariance, nx) + to_symmetric(covariance, nx) @ a.T + ca.diag(system.diffusion**2)
     )
+    # m + 1: the triangle and the constant one behind it.
     size = covariance.numel() + 1
     generator = ca.SX.zeros(size, size)
     generator[:-1, :-1] = ca.jacobian(rate, covariance)
@@ -96,6 +97,7 @@ def _exponential_column(
         over="ignore", invalid="ignore"
     ):  # of an unstable model far off; the run that follows tells what is not finite
         values = expm(scaled)[:, :-1, -1]
+    # Directions along which the generator stands still have zero slope: no exponential of twice the size for them.
     moving = np.flatnonzero(slopes.any(axis=(1, 2)))
     change = np.zeros((nh, size - 1, n))
     if len(moving):
@@ -504,6 +506,7 @@ class KalmanFilter:
         y, z = self.kernel.simulate(rows, q, pn, self._initial_filter_state(rows, q, pn, x0, covariance))
         is_measured = np.isfinite(record.y)
         e, logarithm = np.where(is_measured, y[:, :ny], np.nan), y[:, ny:]
+        # log L = -1/2 sum (e^2 + log s^2 + log 2 pi)
         likelihood = -0.5 * float(np.sum(e[is_measured] ** 2 + logarithm[is_measured] + LOG_TWO_PI))
         return FilterRun(z[:, :nx], to_symmetric_arrays(z[:, nx:], nx), e, likelihood)
 

@@ -33,7 +33,12 @@ def make_step(name: str, system: System, method: IntegrationMethod, substeps: in
         # One substep at least on either side of the cut where the delayed input changes its row.
         substeps = max(substeps, 2)
         advance, outputs = delay_input(system, advance, past), delay_outputs(system, past)
-    return Step(name, _make_advance(system, advance, past), outputs, as_coefficients, substeps, past=past)
+    x, p, h = ca.SX.sym("x", system.x.numel()), ca.SX.sym("p", system.p.numel()), ca.SX.sym("h")
+    columns = system.u.numel() + count_history_columns(past)
+    ua, ub = ca.SX.sym("ua", columns), ca.SX.sym("ub", columns)
+    # Stages repeat subexpressions of the equations; without `cse` each would be an instruction of its own, with its tangent.
+    whole = ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
+    return Step(name, whole, outputs, as_coefficients, substeps, past=past)
 
 
 def make_rate_function(system: System) -> ca.Function:
@@ -45,15 +50,6 @@ def as_coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tu
     """Coefficients of a step that takes the parameters as they are: one row for every interval length."""
     # q = p, so dq / dp[which] is the columns ``which`` of the identity.
     return p[None, :], np.eye(len(p))[None, :, which]
-
-
-def _make_advance(system: System, advance: AdvanceFunction, past: InputHistory | None) -> ca.Function:
-    x, p, h = ca.SX.sym("x", system.x.numel()), ca.SX.sym("p", system.p.numel()), ca.SX.sym("h")
-    columns = system.u.numel() + count_history_columns(past)
-    ua, ub = ca.SX.sym("ua", columns), ca.SX.sym("ub", columns)
-    # Stages repeat subexpressions of the equations; without `cse` each would be an instruction of its own, with its
-    # tangent.
-    return ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
 
 
 def apply_updates(system: System, advance: AdvanceFunction) -> AdvanceFunction:

@@ -123,6 +123,8 @@ def _flags(compiler: Compiler, is_quick: bool) -> tuple[str, ...]:
 
 
 def _name_of_library(compiler: Compiler, flags: Sequence[str], key: str) -> str:
+    # All that the machine code depends on: equations, generator, flags, compiler, processor. Nothing has to be
+    # cleared by hand.
     cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
     return f"{hashlib.sha256(cache_key.encode(errors='backslashreplace')).hexdigest()}{SUFFIX}"
 
@@ -131,6 +133,7 @@ def _load_cached(path: Path) -> ctypes.CDLL | None:
     if _is_intact(path):
         with contextlib.suppress(OSError):  # another process may have cleared it away meanwhile
             library = ctypes.CDLL(str(path))
+            # By this time the oldest go first when the cache is full.
             os.utime(path)  # used last now
             return library
     return None
@@ -142,7 +145,11 @@ def _load(path: Path, compiler: Compiler, flags: Sequence[str], source: Callable
     if library is not None:
         return library
     _compile(compiler, flags, source(), path)
-    _prune_once(path.parent)
+    # Once in a process: a search compiles some thirty kernels.
+    if path.parent not in _pruned:
+        _pruned.add(path.parent)
+        with contextlib.suppress(OSError):
+            prune_cache(path.parent)
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
@@ -184,6 +191,7 @@ def prune_cache(folder: Path, policy: CachePolicy = CACHE_POLICY) -> None:
             elif path.suffix == SUFFIX:
                 libraries.append((status.st_mtime, status.st_size, path))
     kept = 0
+    # Newest first: what comes after the limit is what was used longest ago.
     for used, size, path in sorted(libraries, reverse=True):
         kept += size
         if kept > policy.largest_bytes or now - used > LONGEST_UNUSED_DAYS * 86_400:
@@ -197,6 +205,7 @@ def hash_generator() -> str:
     """What distinguishes one version of the program that writes the C text from another: its own text."""
     digest = hashlib.sha256()
     for file in sorted(Path(__file__).parent.rglob("*")):
+        # Any change of this package may change the text that it writes.
         if file.suffix in (".py", ".c", ".h"):
             digest.update(file.read_bytes())
     return digest.hexdigest()
@@ -251,6 +260,7 @@ def _usual_cache() -> Path | None:
 def _writable(folder: Path) -> Path:
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # Tried, not asked for: rights say nothing of a full disk or one that is mounted read-only.
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError):
@@ -277,14 +287,6 @@ _temporary: list[tempfile.TemporaryDirectory[str]] = []
 _pruned: set[Path] = set()
 
 
-def _prune_once(folder: Path) -> None:
-    """Prune once in a process: a search compiles some thirty kernels."""
-    if folder not in _pruned:
-        _pruned.add(folder)
-        with contextlib.suppress(OSError):
-            prune_cache(folder)
-
-
 def _is_private(path: Path, is_kind: Callable[[int], bool]) -> bool:
     """Whether a file or folder is of this kind, belongs to the user and is writable by nobody else. Windows has no such mode."""
     try:
@@ -293,6 +295,7 @@ def _is_private(path: Path, is_kind: Callable[[int], bool]) -> bool:
         return False
     if not hasattr(os, "geteuid"):
         return is_kind(status.st_mode)
+    # A library is code: one that somebody else may replace would run with this user's rights.
     others_write = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
     return is_kind(status.st_mode) and status.st_uid == os.geteuid() and not others_write
 
@@ -332,6 +335,7 @@ def _version(command: tuple[str, ...]) -> str:
     """What ``--version`` says, remembered as long as the program is the same file."""
     program = os.path.realpath(command[0])
     with _as_compiler_error(f"C compiler {' '.join(command)} cannot be read"):
+        # An update of the compiler has another time of change.
         stamp = f"{' '.join(command)} {program} {os.stat(program).st_mtime_ns}"
     try:
         versions_file: Path | None = find_cache_folder() / "compilers.json"

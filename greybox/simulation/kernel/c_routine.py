@@ -47,6 +47,8 @@ class CRoutine:
 
     def text(self) -> str:
         """``struct <name>_once``, ``prepare_<name>`` and ``<name>``."""
+        # Two parts: what does not change from substep to substep is computed where the coefficients are set, and
+        # kept in a struct.
         once, each = self._statements(False), self._statements(True)
         fields = [
             f"    {self._type(n)} t{k};"
@@ -73,6 +75,7 @@ class CRoutine:
         return "\n".join(
             [
                 f"struct {self.name}_once {{",
+                # C has no empty struct.
                 *(fields or ["    int none;"]),
                 "};",
                 "",
@@ -108,6 +111,8 @@ class CRoutine:
     def _order(self) -> list[tuple[str, int]]:
         """The instructions as they run; tangents after all values where calls of functions would come between their registers."""
         values = [(kind, k) for kind, k in self.tape.order if kind == "node"]
+        # A call may use every vector register: tangents that are in them would be saved and fetched again around
+        # each call.
         if len(values) > MOST_VALUES_AHEAD or not any(self._is_call(self.tape.nodes[k]) for _, k in values):
             return self.tape.order
         return [*values, *((kind, k) for kind, k in self.tape.order if kind != "node")]
@@ -149,11 +154,13 @@ class CRoutine:
         text = ""
         for sign, coefficient, k in order_terms(tangent):
             number = None if coefficient is None else self.tape.nodes[coefficient].number
+            # The sign of the term and a coefficient of -1 in one.
             minus = "-" if (sign < 0) != (number == -1) else ""
             lane = self._lane(k, block)
             if coefficient is None or number in (1, -1):
                 text = f"{text} {minus or '+'} {lane}" if text else minus + lane
             else:
+                # A fused multiply-add, in the order of the tape: the machine rounds at the same places.
                 product = f"{minus}{self._value(coefficient)}"
                 text = f"FMA_LANES({product}, {lane}, {text})" if text else f"{product} * {lane}"
         return text

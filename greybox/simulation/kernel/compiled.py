@@ -95,6 +95,7 @@ class CompiledKernel:
 
     def _key(self, shape: LibraryShape) -> str:
         """What `source` is made from, which takes longer to write than a library to load."""
+        # Sorted: a set has no order, and the same library must have the same key.
         free = shape.free and sorted(shape.free)
         return f"{self._statement} {shape.width} {shape.blocks} {shape.first_order} {self._is_one_step} {free}"
 
@@ -129,6 +130,7 @@ class CompiledKernel:
         # Coefficients are input 3 of the step and input 2 of the outputs; for a step whose q is p both are numbered
         # alike.
         of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
+        # Tangents come in by the state and the coefficients: inputs and interval lengths are given.
         advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2), elements=of_step)
         outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
         return fuse_products(simplify_tape(advance)), fuse_products(simplify_tape(outputs))
@@ -151,6 +153,7 @@ class CompiledKernel:
         ]
         parts += [f"#define {name} {size}" for name, size in sizes.items()]
         if blocks:
+            # Sizes as constants of the text: loops over lanes and states are unrolled by the compiler.
             parts += [f"#define W {shape.width}", f"#define NB {blocks}", read_template("lanes.h")]
             parts.append(f"#define FIRST_ORDER {'first_order' if shape.first_order else 0}")
             parts.append(f"#define SUBSTEPS {1 if self._is_one_step else 'substeps'}")
@@ -164,6 +167,7 @@ class CompiledKernel:
 
     def with_substeps(self, substeps: int) -> CompiledKernel:
         """The same step with another number of substeps in an interval; nothing is compiled anew."""
+        # Libraries are shared: the number of substeps is an argument of theirs.
         other = copy.copy(self)
         other.step = replace(self.step, substeps=substeps)
         other.description = f"compiled C, {other.step.label}"
@@ -271,6 +275,7 @@ class CompiledKernel:
         # A direction along a parameter outside of ``free`` would have lost its tangent: such a pass takes the
         # library with all of them.
         is_free = self._free is not None and self._free.issuperset(np.flatnonzero(arguments.dp.any(axis=1)).tolist())
+        # Directions in whole blocks: a fit of 5 and one of 7 constants share a library of 8.
         shape = _choose_shape(arguments.directions, record.first_order, self._free if is_free else None)
         return self._get_functions(shape).sums(
             *self._leading_arguments(record, samples), *map(_get_address, (*arrays, *results))
@@ -324,6 +329,7 @@ def _drop_padding(array: np.ndarray, directions: int) -> None:
     numbers = array.reshape(-1)
     for first in range(0, rows, ROWS_AT_A_TIME):
         last = min(first + ROWS_AT_A_TIME, rows)
+        # Copied before it is written: source and target of a lot overlap.
         kept = numbers[first * padded : last * padded].reshape(-1, padded)[:, :directions].copy()
         numbers[first * directions : last * directions] = kept.reshape(-1)
     del numbers

@@ -122,6 +122,7 @@ def _forget_translated(most: int) -> None:
         for name, order in list(_orders.items())  # in one piece: other threads add to it
         if name[1] is CompilerKind.TRANSLATED and order.result is not None
     ]
+    # The dictionary keeps the order of use: `_find_order` puts what is asked for at its end.
     for name in translated[: len(translated) - most]:
         _orders.pop(name, None)
 
@@ -215,6 +216,7 @@ class GradualKernel(CompiledKernel):
         result = course.order.result
         if isinstance(result, TapeMachine):
             return _count_seconds(self._declare_machine(result, shape), course.full, (result.address,))
+        # What the quick library spends is what a better one could save.
         return _count_seconds(self._declare(result, shape), course.full)
 
     def _run_by_machine(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
@@ -257,6 +259,7 @@ class GradualKernel(CompiledKernel):
             machine, key = TapeMachine(self._machine_sizes(shape), self.read_tapes(shape)), self._key(shape)
             # The exact hold is a few lines in a loop: it wants the loop well compiled, and that takes no longer.
             few = CompilerKind.FULL if self.step.per_interval else CompilerKind.QUICK
+            # LLVM is done sooner than the quickest compilation of C.
             kind = CompilerKind.TRANSLATED if has_llvm() else few
             order, full = (_find_order(key, each, self._policy) for each in (kind, CompilerKind.FULL))
             self._courses[shape] = _Course(machine, self._declare_machine(machine, shape), kind, order, full)

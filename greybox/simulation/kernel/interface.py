@@ -110,6 +110,7 @@ def check_sums(
     # Numbers of Python overflow without a warning, and so few are summed up sooner than an array is.
     cost, size = float(sum(squares.tolist())), float(sum(gauss_newton.diagonal().tolist()))
     # |J'r|^2 is at most J'J r'r, and an entry of J'J at most the product of two on its diagonal.
+    # One test for cost, gradient and matrix: the diagonal bounds the rest, see above.
     if failed_at is None and not math.isfinite(2 * (cost + size)):  # both are doubled later
         failed_at = samples
     if failed_at is not None:
@@ -207,6 +208,7 @@ def chain_coefficients(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.nd
 
 
 def _array(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:
+    # Compiled code reads them by address: order and type have to be what it expects.
     array = np.ascontiguousarray(np.zeros(shape) if values is None else values, dtype=np.float64)
     if array.shape != shape:
         raise DataError(f"kernel: {name} has shape {array.shape}, the step needs {shape}")

@@ -122,9 +122,11 @@ class InterpretedKernel:
         with np.errstate(all="ignore"):  # what is not finite is left NaN
             for chunk in self._chunks(record, len(record.y), arguments):
                 failed_at = _first_failure(chunk)
+                # What was computed before the failure is good.
                 rows = slice(chunk.start, chunk.start + len(chunk.y) if failed_at is None else failed_at)
                 size = rows.stop - rows.start
                 r[rows], chunk_jacobian = (values[:size] for values in _residuals(record, chunk, arguments.weight))
+                # A gap has no residual, hence no slope that could be summed.
                 jacobian[rows] = np.where(np.isnan(r[rows])[:, :, None], np.nan, chunk_jacobian)
                 if failed_at is not None:
                     break
@@ -209,6 +211,7 @@ class InterpretedKernel:
         dq = _rows(symbols["dq"] * ca.DM(used_dq.ravel().astype(float)), sizes.nq, directions)
         dp = _rows(symbols["dp"] * ca.DM(used_dp.ravel().astype(float)), sizes.np, directions)
         advance, outputs = self._tapes
+        # Outputs at the beginning of the interval, before the state moves on.
         y, dy = evaluate_tape(outputs, [x, symbols["u"], symbols["p"]], {0: dx, 2: dp}, directions)
         for j in range(substeps):
             ends = [
@@ -218,6 +221,7 @@ class InterpretedKernel:
             x, dx = evaluate_tape(advance, [x, *ends, symbols["q"], symbols["h"]], {0: dx, 3: dq}, directions)
         initial = ca.vertcat(symbols["x"], symbols["dx"])
         names = ("u", "after", "h", "q", "dq", "p", "dp")
+        # Row by row, as numpy has tangents: the transpose turns CasADi's columns.
         results = [ca.vertcat(x, ca.vec(dx.T)), y, ca.vec(dy.T)]
         return ca.Function("sample", [initial, *(symbols[name] for name in names)], results)
 

@@ -111,6 +111,7 @@ def _run_generator(llvm: ModuleType, source: str, instructions: int) -> Any:
             raise RuntimeError(str(error)) from error
         if run.returncode or not code.exists():
             raise RuntimeError(f"the process of the code generator ended with code {run.returncode}")
+        # An empty module carries the object file that the other process has made.
         engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), create_target(llvm))
         engine.add_object_file(llvm.object_file.ObjectFileRef.from_data(code.read_bytes()))
     engine.finalize_object()

@@ -86,6 +86,7 @@ class FallbackKernel:
                 return getattr(kernel, method)(*arguments, **options)
             except (CompilerError, UnsupportedOperationError) as error:
                 self._on_failure(error)
+                # For good: the next library would fail by the same compiler or disk.
                 self._kernel = InterpretedKernel(kernel.step, str(error))
         return getattr(self._kernel, method)(*arguments, **options)
 
@@ -141,6 +142,7 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
     if forced == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
     try:
+        # Forced, the simulation is compiled before anything runs; else the machine begins at once.
         make = _make_compiled if forced == "compiled" else _make_fallback
         return make(step, None if free is None else tuple(sorted(set(map(int, free)))))
     except (CompilerError, UnsupportedOperationError) as error:

@@ -87,6 +87,7 @@ class Tape:
         self.order.append(("node", k))
 
     def _node(self, op: int, args: tuple[int, ...], number: float | None, varying: bool) -> Scalar:
+        # By its text: 0.0 and -0.0 are equal and not the same.
         key = (op, args, repr(number))
         if key not in self._known:
             self.nodes.append(Node(op, args, number, varying))
@@ -196,6 +197,7 @@ def read_tape(
             tangent = tape.tangent(Tangent((), None, (which, element), which in varying)) if is_active else None
             work[target[0]] = (scalar, tangent)
         elif op in (ca.OP_ASSIGN, ca.OP_LIFT):
+            # A copy of a register is the same scalar.
             work[target[0]] = work[source[0]]
         else:
             work[target[0]] = _step(tape, op, [work[s] for s in source])
@@ -278,7 +280,18 @@ def simplify_tape(tape: Tape, max_terms: int = 6) -> Tape:
             # Elimination pays where it saves an instruction on lanes for few products of scalars; with many uses
             # each would be multiplied out again.
             short = len(terms) == 1 or (uses[k] == 1 and len(terms) <= max_terms)
-            expanded[k] = terms if short and k not in pinned else {_append_instruction(result, terms): (1.0, None)}
+            if short and k not in pinned:
+                expanded[k] = terms
+                continue
+            # A sum begins with what is computed once, then follows the tape: the last term is the one that is waited for.
+            ordered = sorted(terms.items(), key=lambda item: (result.tangents[item[0]].varying, item[0]))
+            moving = any(
+                result.tangents[t].varying or (c is not None and result.nodes[c].varying) for t, (_, c) in ordered
+            )
+            whole = Tangent(
+                tuple((c, t) for t, (_, c) in ordered), None, None, moving, tuple(s for _, (s, _) in ordered)
+            )
+            expanded[k] = {result.tangent(whole): (1.0, None)}
     result.outputs = [[(n, None if k is None else _only(expanded[k])) for n, k in output] for output in tape.outputs]
     return result
 
@@ -295,7 +308,12 @@ def _multiply_out(tape: Tape, tangent: Tangent, expanded: dict[int, Terms]) -> T
         outer = _split_sign(tape, coefficient)
         for base, inner in expanded[source].items():
             term = _product(tape, outer, inner)
-            terms[base] = _add_terms(tape, terms[base], term) if base in terms else term
+            if base in terms:
+                sign, node = terms[base]
+                first, second = (tape.constant(1.0) if n is None else Scalar(tape, n) for n in (node, term[1]))
+                # s1 a + s2 b = s1 (a + s1 s2 b): the sign of the first stays outside.
+                term = sign, (first + second if sign == term[0] else first - second).index
+            terms[base] = term
     return terms
 
 
@@ -315,22 +333,6 @@ def _product(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None
         return a[0] * b[0], a[1] if b[1] is None else b[1]
     sign, node = _split_sign(tape, (Scalar(tape, a[1]) * Scalar(tape, b[1])).index)
     return a[0] * b[0] * sign, node
-
-
-def _add_terms(tape: Tape, a: tuple[float, int | None], b: tuple[float, int | None]) -> tuple[float, int | None]:
-    first, second = (tape.constant(1.0) if node is None else Scalar(tape, node) for _, node in (a, b))
-    # s1 a + s2 b = s1 (a + s1 s2 b): the sign of the first stays outside.
-    return a[0], (first + second if a[0] == b[0] else first - second).index
-
-
-def _append_instruction(tape: Tape, terms: Terms) -> int:
-    """The terms as one instruction, those that are ready first in front."""
-    # A sum begins with what is computed once, then follows the tape: the last term is the one that is waited for.
-    ordered = sorted(terms.items(), key=lambda item: (tape.tangents[item[0]].varying, item[0]))
-    moving = any(tape.tangents[k].varying or (c is not None and tape.nodes[c].varying) for k, (_, c) in ordered)
-    return tape.tangent(
-        Tangent(tuple((c, k) for k, (_, c) in ordered), None, None, moving, tuple(s for _, (s, _) in ordered))
-    )
 
 
 # Products and sums of a tape as fused multiply-adds, so that every engine rounds at the same places.
@@ -370,8 +372,10 @@ def _fuse(tape: Tape, node: Node) -> Node:
     # The later of two products is the one that waits for more.
     for place in sorted((0, 1), key=lambda i: -node.args[i]):
         product = tape.nodes[node.args[place]]
+        # Both in the same part: a product that is computed once stays out of the sum that is not.
         if product.op in (ca.OP_MUL, ca.OP_SQ) and product.varying == node.varying:
             a, b = product.args if product.op == ca.OP_MUL else product.args * 2
+            # a b + c; of a difference the product may stand in front (a b - c) or behind (c - a b).
             op = FMA if node.op == ca.OP_ADD else (FMS, FNMA)[place]
             return Node(op, (a, b, node.args[1 - place]), None, node.varying)
     return node
