@@ -31,6 +31,9 @@ linear between rows, and the interval's length in seconds."""
 
 # Longest delay of an input in sampling intervals: each interval adds a column to the input of the step.
 MAX_DELAY_ROWS = 200
+# Share of the lengths of the intervals that may be shorter than the one that says how many of them fit into a delay: with a few that are
+# much shorter (two stamps of one sample) as many others are between.
+SHORT_INTERVALS = 0.1
 
 
 def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
@@ -44,7 +47,8 @@ def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
     names = ", ".join(d.effect for d in system.delays)
     if len(columns) > 1:
         raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
-    longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
+    longest = sum(d.longest for d in system.delays)
+    shortest = float(np.quantile(lengths, SHORT_INTERVALS, method="lower")) if len(lengths) else math.inf
     rows = max(1, math.ceil(longest / shortest - TIME_ROUNDING)) if np.isfinite(shortest) else 1
     most = MAX_DELAY_ROWS
     if rows > most:
