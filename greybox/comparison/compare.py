@@ -157,7 +157,7 @@ def compare(
         The estimation records: their errors are kept apart and give BIC. None: those of the fits among ``models``.
     skip
         Rows at the start of each validation record that do not count. The initial state of each is estimated from these (0: from
-        the first 50), for every model in the same way.
+        the first 50), that of a physical model from more where these do not determine it.
     beginning
         Rows from which the initial state is estimated instead, not counted either.
     steps

@@ -250,7 +250,7 @@ class ResidualLocalisation(Printable, ReadOnly):
     Parameters
     ----------
     misfit, threshold
-        Rms over noise on the records that it was fitted to, and the largest that chance explains.
+        Misfit over noise on the records that it was fitted to (`CandidateFit.noise_ratio`), and from which on something is missing.
     sites
         Sites, likeliest first.
     sets
@@ -261,6 +261,8 @@ class ResidualLocalisation(Printable, ReadOnly):
         The unexplained signal at the likeliest site.
     dependences
         The signal as a function of each variable, best first.
+    is_noise_bounded
+        Whether the noise is only known to be no larger, so that the misfit is at least so many times the noise.
     """
 
     misfit: float
@@ -270,12 +272,16 @@ class ResidualLocalisation(Printable, ReadOnly):
     windows: tuple[MisfitWindow, ...] = ()
     signal: ResidualSignal | None = None
     dependences: tuple[Dependence, ...] = ()
+    is_noise_bounded: bool = False
 
     @classmethod
     def without_sites(cls, candidate: CandidateFit) -> ResidualLocalisation:
         """The misfit alone, where its site cannot be estimated."""
-        misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count) ** 0.5
-        return cls(misfit, threshold)
+        misfit, weighed = candidate.noise_ratio, candidate.per_sample**0.5
+        # The limit is one of the cost that the search weighs: on the scale of the misfit.
+        scale = misfit / weighed if 0 < weighed < np.inf else 1.0
+        threshold = scale * clean_cost_limit(candidate.count) ** 0.5
+        return cls(misfit, threshold, is_noise_bounded=candidate.is_noise_bounded)
 
     @property
     def is_missing(self) -> bool:
@@ -332,15 +338,15 @@ def localise_residual(
     selection = selection or SelectionPolicy()
     residuals = normalised_residuals(candidate)
     experiments = candidate.problem.experiments
-    misfit, threshold = candidate.per_sample**0.5, clean_cost_limit(candidate.count) ** 0.5
-    if misfit <= threshold:
-        return ResidualLocalisation(misfit, threshold)
+    alone = ResidualLocalisation.without_sites(candidate)
+    if not alone.is_missing:
+        return alone
     names, times = [e.name for e in experiments], [e.time for e in experiments]
     windows = divide_misfit(names, times, residuals, LOCALISATION_WINDOWS)
     line = linearise_run(candidate, *find_worst_stretch(residuals, LOCALISATION_MOST_ROWS))
     ranked = _rank_sites(candidate, line)
     if not ranked:
-        return ResidualLocalisation(misfit, threshold, windows=windows)
+        return replace(alone, windows=windows)
     sites = tuple(
         RankedSite(site.name, site.kind, smoothed.gain, float(np.sqrt(np.mean(smoothed.value**2))), site.unit)
         for site, smoothed in ranked
@@ -349,7 +355,9 @@ def localise_residual(
     variables = {name: (values, signal.units[name]) for name, values in signal.variables.items()}
     run = np.column_stack([line.x, line.u])[ranked[0][1].rows]
     dependences = tuple(rank_dependences(signal.time, signal.value, variables, run))
-    return ResidualLocalisation(misfit, threshold, sites, _group_sites(sites), windows, signal, dependences)
+    return replace(
+        alone, sites=sites, sets=_group_sites(sites), windows=windows, signal=signal, dependences=dependences
+    )
 
 
 def to_candidate_fit(fit: Fit) -> CandidateFit:

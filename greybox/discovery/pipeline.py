@@ -344,8 +344,8 @@ def _select_and_judge(
     on_message: MessageCallback,
 ) -> JudgedSelection:
     """Noise, screening, selection and holdout."""
-    misfit = problem.baseline.per_sample**0.5
-    on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values={"misfit": misfit})))
+    values = {"misfit": problem.baseline.noise_ratio, "bounded": problem.baseline.is_noise_bounded}
+    on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values=values)))
     selection = StepwiseSelection(problem, candidates, scales, policy, on_message)
     if is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
         selected = selection.select()
@@ -611,7 +611,7 @@ def _conclude(
         values = {"correction": added}
         findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
     fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
-    ranking = [RankedCandidate(f.effects, f.per_sample**0.5, f.criterion - fits[0].criterion) for f in fits]
+    ranking = [RankedCandidate(f.effects, f.noise_ratio, f.criterion - fits[0].criterion) for f in fits]
     search = answer.search if answer is not None else None
     has_law = search is not None and answer is not None and answer.best is not None
     alternatives = [rival.effects for rival in judged.rivals]
@@ -904,7 +904,12 @@ def _summarise(
         look_alike += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
     missing: list[Finding] = []
     if not location.is_missing:
-        missing.append(Finding(DiscoveryCode.HARDLY_VISIBLE, values={"misfit": location.misfit}))
+        missing.append(
+            Finding(
+                DiscoveryCode.HARDLY_VISIBLE,
+                values={"misfit": location.misfit, "bounded": location.is_noise_bounded},
+            )
+        )
     elif location.likeliest:
         missing.append(_missing_signal(judged, location, surrogate))
     if surrogate is None:

@@ -72,6 +72,29 @@ class CandidateFit:
         """Cost over the number of samples: 1 where only noise is left; infinite for a model whose run overflows at once."""
         return self.cost / self.count if self.count else np.inf
 
+    @cached_property
+    def noise_ratio(self) -> float:
+        """Misfit over noise of the output where that is largest, as a fit has it: the rms error of the run over the level of the noise, or
+        over its ceiling where only that is known (`is_noise_bounded`).
+
+        It is the same whatever level and colour a search weighs its residuals with.
+        """
+        if not np.isfinite(self.cost):
+            return np.inf
+        noise, evaluation = self.problem.noise, self.evaluation
+        if noise.coloured or self.problem.loss is not None:
+            evaluation = self.problem.with_plain_squares().shooting(self.variables).evaluate(self.variables.here)
+        measured = np.flatnonzero(evaluation.counts)
+        errors = noise.std[measured] * np.sqrt(evaluation.squares[measured] / evaluation.counts[measured])
+        bounds = [noise.bound(noise.outputs[j]) for j in measured]
+        levels = [noise.std[j] if bound is None else bound.level for j, bound in zip(measured, bounds, strict=True)]
+        return float(np.max(errors / np.array(levels), initial=0.0))
+
+    @property
+    def is_noise_bounded(self) -> bool:
+        """Whether the level of the noise of some output is not known, so that the misfit is at least so many times the noise."""
+        return not self.problem.noise.is_level_known
+
     @property
     def criterion(self) -> float:
         """Schwarz's criterion: cost plus ``ln(samples)`` for each free constant."""

@@ -34,7 +34,7 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """One candidate on the estimation records: misfit over noise, and how far its criterion is behind the best."""
+    """One candidate on the estimation records: misfit over noise (`CandidateFit.noise_ratio`), and how far its criterion lies behind."""
 
     effects: tuple[str, ...]
     misfit: float

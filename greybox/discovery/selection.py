@@ -637,7 +637,7 @@ class StepwiseSelection:
         return decision.passed
 
     def _tell(self, code: DiscoveryCode, fit: CandidateFit) -> None:
-        values = {"before": self.baseline.per_sample**0.5, "after": fit.per_sample**0.5}
+        values = {"before": self.baseline.noise_ratio, "after": fit.noise_ratio, "bounded": fit.is_noise_bounded}
         self.on_message(str(Finding(code, subject=" + ".join(fit.effects), values=values)))
 
 

@@ -313,7 +313,7 @@ class Study:
         "records.beginning",
         (*_FITS, DISCOVER),
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
-        " --skip ignores rows. 0: those of --skip, or the first 50, which then count.",
+        " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.",
         metavar="N",
         show_default=True,
     )

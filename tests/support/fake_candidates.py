@@ -22,7 +22,19 @@ CONVERGED = SimpleNamespace(predicted_decrease=lambda *_: 0.0, bounds=tuple)
 def candidate(cost: float, *effects: str, count: int = COUNT, free: int = 0) -> CandidateFit:
     """A fit of the plain model with these effects, of this cost."""
     model = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects], values={})
-    return CandidateFit(model, cost, count, free or 5 + len(effects), None, CONVERGED, CONVERGED)
+    return FakeFit(model, cost, count, free or 5 + len(effects), None, CONVERGED, CONVERGED)
+
+
+class FakeFit(CandidateFit):
+    """A fit without residuals: its misfit is its cost."""
+
+    @property
+    def noise_ratio(self) -> float:  # type: ignore[override]
+        return self.per_sample**0.5
+
+    @property
+    def is_noise_bounded(self) -> bool:
+        return False
 
 
 @dataclass
@@ -55,7 +67,7 @@ class FakeProblem:
         names = frozenset(e.name for e in model.effects)
         self.refits.append(names)
         free = 5 + sum(len(e.parameters) for e in model.effects)
-        return CandidateFit(model, self._cost(model), COUNT, free, None, CONVERGED, CONVERGED)
+        return FakeFit(model, self._cost(model), COUNT, free, None, CONVERGED, CONVERGED)
 
     def _cost(self, model: Model) -> float:
         names = frozenset(e.name for e in model.effects)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 
 from greybox.discovery.certainty import Grade
@@ -156,7 +155,7 @@ def _explained(error: HoldoutError) -> str:
 def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
     """The models on the way to the best one, one effect after the other, with their misfit over noise where they were fitted."""
     wanted = {e.name for e in discovery.best.model.effects}
-    path = [("plain model", max((m.noise_ratio for m in discovery.base.misfit.values()), default=math.nan))]
+    path = [("plain model", discovery.localisation.misfit)]
     held: set[str] = set()
     while held != wanted:
         nearer = [r for r in discovery.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]

@@ -115,9 +115,15 @@ def sites_text(labels: Sequence[str]) -> str:
     return site_text(labels[0]) if labels else "no particular site"
 
 
+def ratio_text(ratio: float, bounded: bool, digits: int = 3) -> str:
+    """``2.91 times the noise``, or at least so many times, where the noise is only known to be no larger."""
+    return f"{'at least ' * bounded}{ratio:.{digits}g} times the noise"
+
+
 @renders("ResidualLocalisation")
 def _localisation(location: ResidualLocalisation) -> str:
-    lines = [f"misfit {location.misfit:.4g} times the noise; noise alone stays below {location.threshold:.4g}"]
+    limit = "" if location.is_noise_bounded else f"; noise alone stays below {location.threshold:.4g}"
+    lines = [f"misfit {ratio_text(location.misfit, location.is_noise_bounded, 4)}{limit}"]
     if not location.is_missing:
         return "\n".join([*lines, "no effect is missing"])
     lines.append(f"when:  {timing_text(location.timing)}")
@@ -387,7 +393,8 @@ def _discovery(d: Discovery) -> str:
 def _ranking(d: Discovery) -> Iterator[str]:
     if d.ranking:
         yield ""
-        yield "  candidate                                misfit/noise   behind the best"
+        least = "at least " * d.localisation.is_noise_bounded
+        yield f"  {'candidate':31s}{least:>9s} misfit/noise   behind the best"
         for rank in d.ranking[:10]:
             yield f"  {' + '.join(rank.effects):40s} {rank.misfit:12.4g}   {rank.behind:15.4g}"
 
@@ -528,7 +535,9 @@ def _noise_from_residual(finding: Finding) -> str:
 
 def _first_effect(finding: Finding) -> str:
     v = finding.values
-    return f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise"
+    return (
+        f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise{' at least' * v['bounded']}"
+    )
 
 
 def _look_at_stretch(finding: Finding) -> str:
@@ -558,8 +567,10 @@ register(
         DiscoveryCode.NO_LOOK_ALIKE: "What follows the estimation records best, {subject}, does no better than the plain model on the"
         " validation records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
-        DiscoveryCode.HARDLY_VISIBLE: "The estimation records hardly show it: the misfit of the plain model there is {misfit:.3g}"
-        " times the noise.",
+        DiscoveryCode.HARDLY_VISIBLE: lambda f: (
+            "The estimation records hardly show it: the misfit of the plain model there is"
+            f" {ratio_text(f.values['misfit'], f.values['bounded'])}."
+        ),
         DiscoveryCode.MISSING_SIGNAL: _missing_signal,
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
         DiscoveryCode.LAW_ESTABLISHED: _law_established,
@@ -657,11 +668,15 @@ register(
         ),
         # Steps of the search.
         DiscoveryCode.LAW_TERMS_RANKED: "{terms} terms of equations ranked",
-        DiscoveryCode.BASELINE_FITTED: "plain model: misfit {misfit:.3g} times the noise",
+        DiscoveryCode.BASELINE_FITTED: lambda f: (
+            f"plain model: misfit {ratio_text(f.values['misfit'], f.values['bounded'])}"
+        ),
         DiscoveryCode.NOISE_WHITE: "noise: white, as the best effect leaves it",
         DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
         DiscoveryCode.FIRST_EFFECT: _first_effect,
-        DiscoveryCode.FURTHER_EFFECT: "{subject}: misfit {after:.3g} times the noise",
+        DiscoveryCode.FURTHER_EFFECT: lambda f: (
+            f"{f.subject}: misfit {ratio_text(f.values['after'], f.values['bounded'])}"
+        ),
         DiscoveryCode.SHAPE_CORRECTION_SUFFICES: "the remaining misfit is due to the shape of {subject}: no further effect",
         DiscoveryCode.LEARNING_FROM_VALIDATION: "the plain model fails only on the validation records: the search uses their first half",
         DiscoveryCode.REFINEMENT_STARTED: "{subject}: misfit on the validation records {misfit:.3g} times that of the fit",

@@ -118,7 +118,7 @@ def run_step(
     u = np.asarray(inputs, float)[:rows]
     if step.past is not None:
         # The delayed input is held like the others: this run measures the step alone.
-        u = add_input_history(u, np.array([length]), step.past, first_order=False)
+        u = add_input_history(u, np.full(len(u) - 1, length), step.past, first_order=False)
     q, _ = step.coefficients(p, np.array([length]), np.empty(0, int))
     path = np.empty((len(u), len(x0)))
     path[0] = x0
@@ -199,7 +199,13 @@ def discretise(
     # An exact hold costs one exponential for each length, once in each pass; RK4 costs the same whatever the lengths
     # are.
     few_lengths = len(lengths) <= MAX_INTERVAL_LENGTHS
-    if method == "exact" or (method == "automatic" and system.linear and few_lengths):
+    uneven_delay = past is not None and past.uneven
+    if method == "exact" and uneven_delay:
+        raise ModelError(
+            f"the exact hold with a delayed input needs one sampling time, the intervals run from {min(lengths):g} to {max(lengths):g} s;"
+            " use RK4, or resample the record"
+        )
+    if method == "exact" or (method == "automatic" and system.linear and few_lengths and not uneven_delay):
         return _make_exact(system, past)
     longest = float(np.max(lengths, initial=0.0))
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing

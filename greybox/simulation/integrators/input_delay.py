@@ -4,26 +4,36 @@ With a delay of ``n + f`` intervals the input arriving during an interval is the
 share ``f`` of it, and then the beginning of that of ``n`` intervals ago. The step is cut where the two meet, so nothing is lost of the
 method's order, and what comes out is continuous in the delay and has a slope along it. Before the first row the input is zero;
 one that is linear between rows rises from there to its first value during the interval before the first row.
+
+Where rows lie unevenly, an interval may see two rows or none arrive. It is cut at the first; what a held input brings after that is
+taken as its mean, and of a linear one the line to its end.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
+from greybox.base.errors import ModelError
 from greybox.base.numerics import TIME_ROUNDING
 from greybox.model.system import System
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory
 
 FLAG_COLUMNS = ("parity", "linear", "length")
-"""Columns after the earlier rows: 0 and 1 in turn, whether the input is linear between rows, and the interval's length in seconds."""
+"""Columns after the earlier rows (and after their ages in intervals, where rows lie unevenly): 0 and 1 in turn, whether the input is
+linear between rows, and the interval's length in seconds."""
 
 
 # Longest delay of an input in sampling intervals: each interval adds a column to the input of the step.
 MAX_DELAY_ROWS = 200
+# Share of the lengths of the intervals that may be shorter than the one that says how many of them fit into a delay: with a few that are
+# much shorter (two stamps of one sample) as many others are between.
+SHORT_INTERVALS = 0.1
 
 
 def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
@@ -37,8 +47,9 @@ def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
     names = ", ".join(d.effect for d in system.delays)
     if len(columns) > 1:
         raise ModelError(f"delays of two different inputs at once ({names}) are not supported; delay one input")
-    longest, shortest = sum(d.longest for d in system.delays), float(np.min(lengths, initial=np.inf))
     # By the upper bound of the delay, not its value: columns must not change while a search moves it.
+    longest = sum(d.longest for d in system.delays)
+    shortest = float(np.quantile(lengths, SHORT_INTERVALS, method="lower")) if len(lengths) else math.inf
     rows = max(1, math.ceil(longest / shortest - TIME_ROUNDING)) if np.isfinite(shortest) else 1
     most = MAX_DELAY_ROWS
     if rows > most:
@@ -46,31 +57,32 @@ def require_history(system: System, lengths: np.ndarray) -> InputHistory | None:
             f"effect {names!r}: a delay of up to {longest:g} s is {rows} intervals of {shortest:g} s, more than {most}; give"
             f" its parameter an upper bound of {most * shortest:.4g} s or less, or shift the record by whole samples first"
         )
-    return InputHistory(columns.pop(), rows)
+    return InputHistory(columns.pop(), rows, uneven=len(lengths) > 1)
 
 
 def count_history_columns(past: InputHistory | None) -> int:
     """How many columns `add_input_history` adds."""
-    return 0 if past is None else past.rows + len(FLAG_COLUMNS)
+    return 0 if past is None else past.rows * (1 + past.uneven) + len(FLAG_COLUMNS)
 
 
-def add_input_history(u: np.ndarray, lengths: np.ndarray, past: InputHistory, first_order: bool) -> np.ndarray:
+def add_input_history(u: np.ndarray, intervals: np.ndarray, past: InputHistory, first_order: bool) -> np.ndarray:
     """Inputs (N, nu) and, in each row, the delayed input 1, 2, ... rows ago (zero before the first row) and the flags.
 
-    Intervals have the one length in ``lengths`` (s). Raises DataError where there are several: a delay in rows then has no meaning.
+    ``intervals`` are the lengths (N - 1,) between the rows in s. Where they differ each row also says how long ago these rows were, in
+    intervals of its own length.
     """
-    if len(lengths) > 1:
-        raise DataError(
-            f"a delayed input needs uniform sampling, the intervals run from {min(lengths):g} to {max(lengths):g} s; resample the record"
-        )
-    rows = len(u)
-    earlier = np.zeros((rows, past.rows))
-    for j in range(1, min(past.rows, rows - 1) + 1):
-        earlier[j:, j - 1] = u[:-j, past.column]
-    flags = np.column_stack(
-        [np.arange(rows) % 2, np.full(rows, float(first_order)), np.full(rows, max(lengths, default=1.0))]
-    )
-    return np.ascontiguousarray(np.hstack([u, earlier, flags]))
+    rows, reach = len(u), np.arange(1, past.rows + 1)
+    length = np.append(intervals, intervals[-1:] if len(intervals) else 1.0)
+    number = past.rows + np.arange(rows)[:, None] - reach
+    earlier = np.concatenate([np.zeros(past.rows), u[:, past.column]])[number]
+    flags = [np.arange(rows) % 2, np.full(rows, float(first_order)), length]
+    if not past.uneven:
+        return np.ascontiguousarray(np.column_stack([u, earlier, *flags]))
+    # Before the record its first interval repeats itself.
+    start = np.concatenate([[0.0], np.cumsum(intervals)])
+    time = np.concatenate([-length[0] * reach[::-1], start])
+    ages = (start[:, None] - time[number]) / length[:, None]
+    return np.ascontiguousarray(np.column_stack([u, earlier, ages, *flags]))
 
 
 def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) -> AdvanceFunction:
@@ -84,34 +96,32 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
         # the division.
         n = ca.floor(1 / ca.fabs(ub[-3] - ua[-3]) + 0.5)
         number = ca.floor(ca.if_else(ub[-3] > ua[-3], ua[-3], 1 - ua[-3]) * n + 0.5)
-        u_ramp = (ub[:nu] - ua[:nu]) * n
-        u_start = ua[:nu] - number / n * u_ramp
-        u_ramp = u_ramp * ua[-2]
-        whole, part = _split_delay(seconds(p), n * h, past.rows)
+        ramp = (ub - ua) * n
+        row = ua - number / n * ramp
+        u_ramp = ramp[:nu] * ua[-2]
+        arrival = _find_arrival(row, row + ramp, seconds(p) / (n * h), past, nu)
+        is_linear = ua[-2] > 0
         # Half of the substeps on either side whatever the share is: instructions do not depend on the delay, so it
         # can be differentiated.
         before = ca.floor(n / 2)
         is_before_cut = number < before
         steps = (number, number + 1)
         a, b = (
-            ca.if_else(is_before_cut, part * (k / before), part + (1 - part) * ((k - before) / (n - before)))
+            ca.if_else(
+                is_before_cut,
+                arrival.cut * (k / before),
+                arrival.cut + (1 - arrival.cut) * ((k - before) / (n - before)),
+            )
             for k in steps
         )
-        columns = [past.column, *range(nu, nu + past.rows)]
-        # Two neighbours of the past at both ends of the substep, then their value and ramp over the whole interval.
-        ends = [_select_two(u[columns], whole) for u in (ua, ub)]
-        ramps = [(b - a) * n for a, b in zip(*ends, strict=True)]
-        starts = [a - number / n * ramp for a, ramp in zip(ends[0], ramps, strict=True)]
-        ramps = [ramp * ua[-2] for ramp in ramps]
-        # Lines of the arriving input over the interval: the row of n + 1 ago (k = 1) is at 1 - f of its ramp when
-        # the interval begins; that of n ago (k = 0) arrives at the share f, so its line begins f of its ramp below.
-        newer, older = (starts[k] + ramps[k] * (k - part) for k in (0, 1))
-        slope = ca.if_else(is_before_cut, ramps[1], ramps[0])
-        arrived = ca.if_else(is_before_cut, older, newer)
+        held = ca.if_else(is_before_cut, arrival.older, arrival.mean)
+        rest = ca.fmax(1 - arrival.cut, SHORTEST_PIECE)
+        slope = ca.if_else(is_before_cut, arrival.slope, (arrival.last - arrival.newer) / rest)
+        line = ca.if_else(is_before_cut, arrival.first, arrival.newer - arrival.cut * slope)
 
         def at(share: ca.SX) -> ca.SX:
-            values = u_start + u_ramp * share
-            values[past.column] = arrived + slope * share
+            values = row[:nu] + u_ramp * share
+            values[past.column] = ca.if_else(is_linear, line + slope * share, held)
             return values
 
         return advance(x, at(a), at(b), p, (b - a) * n * h)
@@ -123,14 +133,9 @@ def delay_outputs(system: System, past: InputHistory) -> ca.Function:
     """``(x, row of with_past, p) -> y``."""
     nu = system.u.numel()
     row = ca.SX.sym("u", nu + count_history_columns(past))
-    whole, part = _split_delay(make_delay_function(system)(system.p), row[-1], past.rows)
-    row_inputs = row[[past.column, *range(nu, nu + past.rows)]]
-    newer, older = _select_two(row_inputs, whole)
-    # A held input has at a row the value that arrives there: that of n + 1 rows ago unless the delay is a whole
-    # number.
-    held = ca.if_else(part > 0, older, newer)
+    arrival = _find_arrival(row, row, make_delay_function(system)(system.p) / row[-1], past, nu)
     u = ca.SX(row[:nu])
-    u[past.column] = ca.if_else(row[-2] > 0, newer + part * (older - newer), held)
+    u[past.column] = ca.if_else(row[-2] > 0, arrival.first, arrival.older)
     y = ca.substitute(system.outputs, system.u, u)
     return ca.Function("outputs", [system.x, row, system.p], [y])
 
@@ -140,20 +145,61 @@ def make_delay_function(system: System) -> ca.Function:
     return ca.Function("seconds", [system.p], [sum((d.seconds for d in system.delays), ca.SX(0))])
 
 
-def _split_delay(seconds: ca.SX, interval: ca.SX, rows: int) -> tuple[ca.SX, ca.SX]:
-    """A delay as whole intervals and the share (0 to 1) of one more."""
-    delay = ca.fmin(ca.fmax(seconds / interval, 0), rows)
-    # The longest delay is the end of the last pair of rows, not the beginning of one that is not seen.
-    whole = ca.fmin(ca.floor(delay), rows - 1)
-    return whole, delay - whole
+class _Arrival(NamedTuple):
+    """What arrives of a delayed input during an interval, in shares of it.
+
+    ``cut``: when the first row arrives. Held: the ``older`` value before it, and the ``mean`` after it. Linear: the ``first`` value and its
+    ``slope`` before the cut, the ``newer`` one there, and the ``last`` one.
+    """
+
+    cut: ca.SX
+    older: ca.SX
+    mean: ca.SX
+    first: ca.SX
+    slope: ca.SX
+    newer: ca.SX
+    last: ca.SX
 
 
-def _select_two(values: ca.SX, number: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Element ``number`` and the one after it."""
-    # An index that depends on parameters: a sum of choices, which every kernel runs. `floor` has slope zero, so the
-    # delay's slope comes from the share alone.
-    flags = [number == k for k in range(values.numel() - 1)]
-    first, second = (
-        sum((ca.if_else(flag, values[k + later], 0) for k, flag in enumerate(flags)), ca.SX(0)) for later in (0, 1)
+# Shortest piece of an interval, as a share of it, that an input can move in.
+SHORTEST_PIECE = 1e-12
+
+
+def _find_arrival(row: ca.SX, following: ca.SX, delay: ca.SX, past: InputHistory, nu: int) -> _Arrival:
+    """What arrives after a ``delay`` in intervals, from a row of `add_input_history` and the one after it."""
+    count = past.rows
+    values = [row[past.column], *(row[nu + j] for j in range(count))]
+    ages = [ca.SX(0), *(row[nu + count + j] if past.uneven else ca.SX(j + 1) for j in range(count))]
+    following_value = following[past.column]
+    delay = ca.fmin(ca.fmax(delay, 0), ages[-1])
+
+    # Rows that arrive during the interval or after it, the newest first: each when its age is the delay.
+    is_late = [*(delay > age for age in ages[:-1]), ca.SX(0)]
+    arrives = [*(ca.fmin(ca.fmax(delay - age, 0), 1) for age in ages[:-1]), ca.SX(0)]
+    is_older = [1 - is_late[0], *(late * (1 - next_late) for late, next_late in pairwise(is_late))]
+
+    def of_older(numbers: Sequence[ca.SX]) -> ca.SX:
+        return sum((ca.if_else(flag, value, 0) for flag, value in zip(is_older, numbers, strict=True)), ca.SX(0))
+
+    def slope_at(ago: ca.SX) -> ca.SX:
+        """Slope, an interval, of the linear input so many intervals ago, and its value there."""
+        newer_than = [ca.SX(-1), *ages]
+        bounds = [following_value, *values]
+        inside = [ago <= 0, *((ago > a) * (ago <= b) for a, b in pairwise(ages))]
+        slopes = [(bounds[j] - bounds[j + 1]) / (newer_than[j + 1] - newer_than[j]) for j in range(count + 1)]
+        slope = sum((ca.if_else(flag, s, 0) for flag, s in zip(inside, slopes, strict=True)), ca.SX(0))
+        node = sum(
+            (ca.if_else(f, v + s * a, 0) for f, v, s, a in zip(inside, values, slopes, ages, strict=True)), ca.SX(0)
+        )
+        return ca.vertcat(slope, node - slope * ago)
+
+    cut = of_older([ca.SX(0), *arrives[:-1]])
+    shares = [1 - arrives[0], *(a - b for a, b in pairwise(arrives))]
+    brought = sum((ca.if_else(late, s * v, 0) for late, s, v in zip(is_late, shares, values, strict=True)), ca.SX(0))
+    newer = of_older([values[0], *values[:-1]])
+    older = of_older(values)
+    mean = ca.if_else(
+        1 - cut > SHORTEST_PIECE, ca.if_else(cut > 0, brought / ca.fmax(1 - cut, SHORTEST_PIECE), older), newer
     )
-    return first, second
+    begin, end = slope_at(delay), slope_at(delay - 1)
+    return _Arrival(cut, older, mean, begin[1], begin[0], newer, end[1])

@@ -42,10 +42,11 @@ IntegrationMethod = Callable[[RateFunction], AdvanceFunction]  # what one subste
 
 
 class InputHistory(NamedTuple):
-    """The past inputs that a step reads: ``rows`` earlier rows of input number ``column``."""
+    """The past inputs that a step reads: ``rows`` earlier rows of input number ``column``, with their times where rows lie unevenly."""
 
     column: int
     rows: int
+    uneven: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,12 +81,9 @@ class Record:
         return values[:: self.rows_per_sample]
 
     def read_by(self, step: Step) -> Record:
-        """The record as ``step`` reads it: one row of coefficients where one is enough, the past of a delayed input beside the inputs.
-
-        Raises DataError for a delayed input and intervals of different lengths.
-        """
+        """The record as ``step`` reads it: one row of coefficients where one is enough, the past of a delayed input beside the inputs."""
         record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
         if step.past is None:
             return record
-        u = add_input_history(self.u, self.lengths, step.past, self.first_order)
+        u = add_input_history(self.u, self.h, step.past, self.first_order)
         return replace(record, u=u, first_order=True)

@@ -79,7 +79,7 @@ FINDINGS = [
     ),
     (
         Code.HARDLY_VISIBLE,
-        *("", {"misfit": 1.02}),
+        *("", {"misfit": 1.02, "bounded": False}),
         "The estimation records hardly show it: the misfit of the plain model there is 1.02 times the noise.",
     ),
     (
@@ -279,7 +279,12 @@ FINDINGS = [
         *("p_a, p_b", {"outputs": ["p_a", "p_b"]}),
         "measure p_a and p_b as well, to narrow down the site",
     ),
-    (Code.BASELINE_FITTED, *("", {"misfit": 113.2}), "plain model: misfit 113 times the noise"),
+    (Code.BASELINE_FITTED, *("", {"misfit": 113.2, "bounded": False}), "plain model: misfit 113 times the noise"),
+    (
+        Code.BASELINE_FITTED,
+        *("", {"misfit": 2.91, "bounded": True}),
+        "plain model: misfit at least 2.91 times the noise",
+    ),
     (Code.NOISE_WHITE, *("", {}), "noise: white, as the best effect leaves it"),
     (
         Code.NOISE_FROM_RESIDUAL,
@@ -288,17 +293,17 @@ FINDINGS = [
     ),
     (
         Code.FIRST_EFFECT,
-        *("coulomb_friction", {"before": 113.2, "after": 1.01}),
+        *("coulomb_friction", {"before": 113.2, "after": 1.01, "bounded": False}),
         "coulomb_friction: misfit 113 -> 1.01 times the noise",
     ),
     (
         Code.FURTHER_EFFECT,
-        *("coulomb_friction + backlash", {"before": 113.2, "after": 1.01}),
+        *("coulomb_friction + backlash", {"before": 113.2, "after": 1.01, "bounded": False}),
         "coulomb_friction + backlash: misfit 1.01 times the noise",
     ),
     (
         Code.SHAPE_CORRECTION_SUFFICES,
-        *("viscoelastic_creep", {"before": 113.2, "after": 1.01}),
+        *("viscoelastic_creep", {"before": 113.2, "after": 1.01, "bounded": False}),
         "the remaining misfit is due to the shape of viscoelastic_creep: no further effect",
     ),
     (

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from greybox import Effect, Model, Output, Parameter
-from greybox.base.errors import DataError, ModelError, UnitError
+from greybox.base.errors import ModelError, UnitError
 from greybox.model.effects.catalogue import effect
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.exact_hold import exact_hold
@@ -59,7 +59,7 @@ def shifted(model, u, seconds, first_order=False):
 def test_the_exact_hold_shifts_the_input_exactly(intervals, first_order):
     model = at_delay(LATE, intervals)
     step = discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
-    assert (step.name, step.past) == ("exact hold", (0, 4))
+    assert (step.name, step.past) == ("exact hold", (0, 4, False))
     exact = shifted(model, INPUT, intervals * T, first_order)
     for kernel in KERNELS:
         _, found = path(step, record(INPUT, T, 2, first_order), values(model), np.zeros(3), kernel)
@@ -199,14 +199,78 @@ def test_the_longest_delay_decides_how_much_of_the_past_is_kept():
     ):
         discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
     short = model.fix(delay=2.5 * T)
-    assert discretise(short.system, values(short), np.zeros((1, 3)), np.array([T])).past == (0, 3)
-    u = np.zeros((5, 1))
-    uneven = Record(u, np.zeros((5, 2)), np.array([1, 2, 1, 2]) * T, np.array([0, 1, 0, 1]), np.array([1, 2]) * T)
-    step = discretise(short.system, values(short), np.zeros((1, 3)), uneven.lengths)
-    with pytest.raises(
-        DataError, match=r"a delayed input needs uniform sampling, the intervals run from 0.00025 to 0.0005 s"
-    ):
-        uneven.read_by(step)
+    assert discretise(short.system, values(short), np.zeros((1, 3)), np.array([T])).past == (0, 3, False)
+
+
+def uneven_record(jitter, hold, first_order=False, rows=300):
+    """Stamps off an even grid by up to ``jitter`` of a step, and an input that moves every ``hold`` rows."""
+    rng = np.random.default_rng(5)
+    time = T * (np.arange(rows) + jitter * rng.uniform(-1, 1, rows))
+    u = np.repeat(rng.normal(0, 3, rows // hold + 1), hold)[:rows, None]
+    h = np.diff(time)
+    lengths, row = np.unique(h, return_inverse=True)
+    return time - time[0], Record(u, np.full((rows, 2), np.nan), h, row, lengths, first_order)
+
+
+def run_uneven(model, time, u, seconds, first_order):
+    """States at the rows, by scipy from one moment at which something arrives to the next."""
+    f, p = model.system.rhs_function, values(model)
+    edges = time + seconds
+
+    def arriving(t, middle):
+        if not first_order:
+            k = np.searchsorted(edges, middle) - 1
+            return u[k] if k >= 0 else 0.0
+        return np.interp(t, np.append(2 * edges[0] - edges[1], edges), np.append(0.0, u), left=0.0)
+
+    cuts = np.unique(np.concatenate([time, edges, [2 * edges[0] - edges[1]]]))
+    cuts = cuts[(cuts >= 0) & (cuts <= time[-1])]
+    x, found = np.zeros(model.system.x.numel()), {cuts[0]: np.zeros(model.system.x.numel())}
+    for a, b in pairwise(cuts):
+        rate = lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel()  # noqa: E731
+        x = solve_ivp(rate, (a, b), x, method="RK45", rtol=1e-7, atol=1e-12).y[:, -1]
+        found[b] = x
+    return np.array([found[t] for t in time])
+
+
+@pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
+@pytest.mark.parametrize("intervals", [0.0, 0.3, 1.7, 3.25])
+def test_an_input_arrives_late_at_uneven_stamps_too(intervals, first_order):
+    model = at_delay(LATE, intervals)
+    time, data = uneven_record(0.1, 7, first_order)
+    exact = run_uneven(model, time, data.u[:, 0], intervals * T, first_order)
+    late = run_uneven(model, time, data.u[:, 0], (intervals + 0.01) * T, first_order)
+    step = discretise(model.system, values(model), np.zeros((1, 3)), data.lengths, substeps=32)
+    error, hundredth = (
+        np.sqrt(np.mean((x - exact) ** 2, axis=0)) for x in (path(step, data, values(model), np.zeros(3))[1], late)
+    )
+    # Only an interval in which two rows arrive is not exact.
+    assert np.all(error < hundredth)
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+@pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
+def test_the_slope_along_the_delay_at_uneven_stamps_is_that_of_finite_differences(first_order, kernel):
+    model = at_delay(LATE, 1.7)
+    p, (_, data) = values(model), uneven_record(0.1, 1, first_order, rows=60)
+    step = discretise(model.system, p, np.zeros((1, 3)), data.lengths)
+    jacobian = slopes(step, data, p, np.zeros(3), kernel)
+    difference = differences(step, data, p, np.zeros(3), len(p) - 1, relative=1e-6)
+    assert np.allclose(jacobian[:, :, -1], difference, rtol=1e-3, atol=1e-5 * np.abs(difference).max())
+
+
+def test_missing_rows_are_uneven_too():
+    """An interval of two, in which two rows arrive: the plant takes in the mean of what comes after the first."""
+    model = at_delay(LATE, 1.0)
+    u = np.array([1.0, 2.0, 4.0, 8.0, 8.0])[:, None]
+    uneven = Record(u, np.zeros((5, 2)), np.array([1, 1, 2, 1]) * T, np.array([0, 0, 1, 0]), np.array([1, 2]) * T)
+    step = discretise(model.system, values(model), np.zeros((1, 3)), uneven.lengths)
+    assert step.past == (0, 4, True)
+    table = uneven.read_by(step).u
+    assert np.allclose(table[3, 1:5], [4, 2, 1, 0]) and np.allclose(table[3, 5:9], [2, 3, 4, 5])
+    assert np.allclose(table[2, 5:9], [0.5, 1.0, 1.5, 2.0])
+    with pytest.raises(ModelError, match="the exact hold with a delayed input needs one sampling time"):
+        discretise(model.system, values(model), np.zeros((1, 3)), uneven.lengths, method="exact")
 
 
 def test_the_equations_show_the_delay():
