@@ -84,7 +84,13 @@ def pneumatic_case():
 def actuator_case():
     model = micro_actuator.fix("M", "Ra")
     data = linear_record(model, multisine(np.random.default_rng(1), 50, 2.5e-4, 5, 800, 3.0), 2.5e-4)
-    return model, model.start(**{q.name: 1.3 * q.value for q in model.free_parameters}), data, {"x": 1e-7, "i": 1e-3}, True
+    return (
+        model,
+        model.start(**{q.name: 1.3 * q.value for q in model.free_parameters}),
+        data,
+        {"x": 1e-7, "i": 1e-3},
+        True,
+    )
 
 
 def levitation_case():
