@@ -15,12 +15,12 @@ from greybox.base.numerics import TINY, UNSEEN_INFORMATION
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
+from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.initial_rows import FIRST_ROWS, choose_initial_rows
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
@@ -252,8 +252,11 @@ class Predictor:
         if initial is None:
             problem = _prepare_known(given, experiment)
             # A filter forgets how it began; a free run carries its start along.
-            rows = FIRST_ROWS if model.noisy_states else choose_initial_rows(problem)[0]
-            return estimate_initial_state(PredictionErrorObjective.of(problem), self.options, rows)
+            if model.noisy_states:
+                return estimate_initial_state(PredictionErrorObjective.of(problem), self.options, FIRST_ROWS)
+            if problem.variables.initial.free.any():
+                problem = replace(problem, variables=determine_initial_states(problem, self.options))
+            return PredictionErrorObjective.of(problem)
         states = model.system.state_names
         unknown = [n for n in initial if n not in states]
         if unknown:

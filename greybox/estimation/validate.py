@@ -9,13 +9,12 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.data.experiment import Experiment
-from greybox.estimation.noise_loop import estimate_by_simulation_error
+from greybox.estimation.initial_states import determine_initial_states, fit_first_rows
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
 from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.initial_rows import choose_initial_rows, cut_to_first_rows
 from greybox.estimation.transcription.options import Hessian, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
 from greybox.estimation.transcription.select import select_transcription
@@ -98,10 +97,11 @@ def validate(
     else:
         variables = problem.variables
         if variables.initial.free.any():
-            rows = [initial_rows] * len(problem.records) if initial_rows else choose_initial_rows(problem, skip)
-            first = cut_to_first_rows(problem, rows)
-            single = replace(options, transcription=Transcription.SINGLE, progressive=False)
-            variables = estimate_by_simulation_error(first, single).variables
+            variables = (
+                fit_first_rows(problem, [initial_rows] * len(problem.records), options)
+                if initial_rows
+                else determine_initial_states(problem, options, skip)
+            )
         problem = _refine_until_fine(problem, variables, options)
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = make_traces(problem, runs)

@@ -36,8 +36,10 @@ def test_the_continuous_function_integrates_to_the_library_run():
     x, rows = np.zeros(3), []
     for u in DRIVE:
         rows.append(np.asarray(function(x, u, [])[1]).ravel())
+
         def rate(t, z, u=u):
             return np.asarray(function(z, u, [])[0]).ravel()
+
         x = solve_ivp(rate, (0, DT), x, method="Radau", rtol=1e-10, atol=1e-14).y[:, -1]
     agree(np.array(rows), library_run(micro_actuator))
 

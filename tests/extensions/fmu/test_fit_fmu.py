@@ -37,6 +37,7 @@ TIME = 0.05 * np.arange(200)
 def van_der_pol(mu):
     def rates(t, x):
         return [x[1], mu * (1 - x[0] ** 2) * x[1] - x[0]]
+
     return solve_ivp(rates, (0, TIME[-1]), [2.0, 0.0], t_eval=TIME, rtol=1e-10, atol=1e-12).y
 
 
