@@ -1,6 +1,6 @@
 """Change detection: how often a healthy machine is called changed, and how large a change must be to be named.
 
-    python -m fits.change_study FILE [--part healthy|power|chart|population] [--cases N]
+    python -m fits.change_study FILE [--part healthy|power|runs|chart|population] [--cases N]
 
 - healthy: machines that are as they were, each fitted and compared anew, in turn on four benches: a linear plant with known noise; the
   same with noise that nobody tells; a nonlinear plant with coloured noise and a quiet record; a fit of three records against two of
@@ -8,6 +8,8 @@
 - power: one constant of the second bench has changed by 3, 4, 5 and 6 standard deviations of the difference between both estimates; and
   by 3 standard deviations of what one record tells, where the fit and today have one, two, four or six records each. How often is it
   named, and how often is another constant named?
+- runs: coast-downs and strokes, which end by themselves, under a model that lacks their dry friction; nothing has changed, or the
+  damping by five standard deviations of the difference.
 - chart: twelve records of a machine that wanders by 1 % from day to day; healthy, and with a jump of 5 % at a random place.
 - population: ten machines that differ by 2 %; all of a kind, and with one or two that are off by 15 %.
 
@@ -101,6 +103,101 @@ def measure_power(seed: int) -> dict[str, Any]:
     }
 
 
+def coast_down(generator: np.random.Generator, friction: float, viscous: float, seconds: float = 0.0) -> gb.Experiment:
+    """A rotor that runs out until it stands, with dry friction: the exact solution, encoder noise; it ends by itself.
+
+    ``w' = -viscous w - friction`` gives ``w = (w0 + friction / viscous) exp(-viscous t) - friction / viscous``.
+    """
+    start, level = 100.0 * np.exp(0.02 * generator.standard_normal()), friction / viscous
+    stop = np.log1p(start / level) / viscous
+    t = np.arange(0.0, seconds or stop, 0.02)
+    speed = np.maximum((start + level) * np.exp(-viscous * t) - level, 0.0)
+    return gb.Experiment("coast", t, {}, {"w": speed + 0.2 * generator.standard_normal(len(t))})
+
+
+def coasting() -> gb.Model:
+    """The same as a model that knows of no dry friction."""
+    return gb.Model(
+        "coasting",
+        states=[gb.State("w", "rad/s", 100.0, role="velocity")],
+        inputs=[],
+        outputs=[gb.Output("w", "rad/s")],
+        parameters=[gb.Parameter("b", "1/s", 0.5, (1e-3, 100.0), role="damping")],
+        balances=lambda x, u, p: [gb.Balance("torque", "rad/s^2", 1, "w", damping=-p.b * x.w)],
+    )
+
+
+def stroke(generator: np.random.Generator, mass: float, damping: float, end: float = 0.1) -> gb.Experiment:
+    """A slide driven by a held voltage to its stop, friction hidden: fine steps of another integrator; it ends at the stop."""
+    step, substeps = 2e-3, 20
+    x = v = 0.0
+    position = []
+    while x < end and len(position) < 2000:
+        position.append(x)
+        for _ in range(substeps):
+            v += step / substeps * (10.0 - damping * v - 2.0 * np.tanh(v / 1e-3)) / mass
+            x += step / substeps * v
+    t = step * np.arange(len(position))
+    noise = 2e-5 * generator.standard_normal(len(t))
+    return gb.Experiment("stroke", t, {"u": np.full(len(t), 10.0)}, {"x": np.array(position) + noise})
+
+
+def sliding() -> gb.Model:
+    """The same as a model that knows of no dry friction."""
+    return gb.Model(
+        "sliding",
+        states=[gb.State("x", "m", role="displacement"), gb.State("v", "m/s", role="velocity")],
+        inputs=[gb.Input("u", "N", role="drive")],
+        outputs=[gb.Output("x", "m")],
+        parameters=[
+            gb.Parameter("M", "kg", 1.0, (1e-2, 100.0), role="mass"),
+            gb.Parameter("B", "N*s/m", 20.0, (1e-2, 1e4), role="damping"),
+        ],
+        balances=lambda x, u, p: [
+            gb.Balance("motion", "m/s", 1, "x", v=x.v),
+            gb.Balance("force", "N", p.M, "v", drive=u.u, damping=-p.B * x.v),
+        ],
+    )
+
+
+# Runs of one machine differ by so much from day to day (standard deviation of its constants), where nothing has changed. Of one run before
+# and one today nobody can tell a day from a change: these are of the same day.
+DAY_TO_DAY = 0.005
+# Rigs whose runs end by themselves, with a model that lacks their dry friction: the model, the constant that changes, a run of it.
+RUNS: dict[str, tuple[Any, str, Any]] = {
+    "coast-down": (coasting, "b", lambda g, share: coast_down(g, 6.0, 0.4 * share)),
+    "stroke": (sliding, "B", lambda g, share: stroke(g, 1.0, 25.0 * share)),
+}
+
+
+def measure_runs(seed: int) -> dict[str, Any]:
+    """Runs that end by themselves, of a machine that is as it was, or whose damping has changed by five standard deviations of a day."""
+    rig = list(RUNS)[seed % 2]
+    count, changed = ((1, 1), (3, 3), (3, 1))[seed // 2 % 3], seed // 6 % 4 == 0
+    make, name, run = RUNS[rig]
+    generator = np.random.default_rng([4, seed])
+
+    wander = DAY_TO_DAY if max(count) > 1 else 0.0
+
+    def days(number: int, share: float) -> list[gb.Experiment]:
+        each = [run(generator, share * np.exp(wander * generator.standard_normal())) for _ in range(number)]
+        return [gb.Experiment(f"{rig} {k}", e.time, dict(e.inputs), dict(e.outputs)) for k, e in enumerate(each)]
+
+    reference = gb.fit(make(), days(count[0], 1.0), options=QUICK)
+    share = 1.0
+    if changed:
+        # Five standard deviations of the difference: of what a day varies by, and of what each estimate leaves open.
+        std = np.hypot(wander, (reference.parameters[name].std or np.inf) / abs(reference.parameters[name].value))
+        share = float(np.exp(5 * std * np.sqrt(1 / count[0] + 1 / count[1])))
+    found = gb.detect_changes(reference, days(count[1], share), search_effects=False)
+    return {
+        "way": f"{rig}, {count[0]} against {count[1]}, {'changed' if changed else 'healthy'}",
+        "verdict": found.verdict,
+        "named": name in found.moved,
+        "share": share,
+    }
+
+
 def measure_chart(seed: int) -> dict[str, Any]:
     """Twelve records of a machine that wanders, and, every second time, jumps."""
     generator = np.random.default_rng([2, seed])
@@ -138,7 +235,13 @@ def measure_population(seed: int) -> dict[str, Any]:
     return {"off": off, "outside": outside, "right": outside == [f"{k}" for k in range(off)]}
 
 
-PARTS = {"healthy": measure_healthy, "power": measure_power, "chart": measure_chart, "population": measure_population}
+PARTS = {
+    "healthy": measure_healthy,
+    "power": measure_power,
+    "runs": measure_runs,
+    "chart": measure_chart,
+    "population": measure_population,
+}
 
 
 def run_part(path: Path, part: str, cases: int) -> None:
@@ -177,6 +280,11 @@ def tabulate(lines: Sequence[Mapping[str, Any]]) -> list[str]:
                 groups["chart, a jump: found at its record"].append(line["right"])
             else:
                 groups["chart, no jump: one found"].append(bool(line["points"]))
+        elif line["part"] == "runs":
+            groups[f"{line['way']}: called changed"].append(line["verdict"] == "changed")
+            groups[f"{line['way']}: cannot tell"].append(line["verdict"] == "cannot tell")
+            if "changed" in line["way"]:
+                groups[f"{line['way']}: named"].append(line["named"])
         else:
             groups[f"population, {line['off']} off: right"].append(line["right"])
     return [_describe_share(name, sum(map(bool, group)), len(group)) for name, group in sorted(groups.items())]

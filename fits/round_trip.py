@@ -42,7 +42,10 @@ def falling_ball() -> Model:
         inputs=[],
         outputs=[Output("h", "m")],
         parameters=[Parameter("g", "m/s^2", 9.79, (5.0, 15.0), fixed=True)],
-        balances=lambda x, u, p: [Balance("height", "m/s", 1, "h", v=x.v), Balance("force", "m/s^2", 1, "v", weight=-p.g)],
+        balances=lambda x, u, p: [
+            Balance("height", "m/s", 1, "h", v=x.v),
+            Balance("force", "m/s^2", 1, "v", weight=-p.g),
+        ],
     )
 
 
@@ -176,7 +179,9 @@ def everyday(folder: str, file: str, first: int, end: int, root: Path) -> gb.Exp
 
 def plain(folder: str, root: Path) -> Model:
     """The plain model that lies beside the records."""
-    return next(value for value in vars(load_model_file(root / folder / "plain.py")).values() if isinstance(value, Model))
+    return next(
+        value for value in vars(load_model_file(root / folder / "plain.py")).values() if isinstance(value, Model)
+    )
 
 
 def balls(name: str, other: str) -> Case:
@@ -276,7 +281,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
             sys.stderr.write(f"{name}\n")
             file.write_text(json.dumps(study(name, given.folder, given.output), indent=1))
     done = {n: json.loads(f.read_text()) for n in CASES if (f := given.output / f"{n.replace(' ', '_')}.json").exists()}
-    sys.stdout.write("| rig | verdict | effects | refit over answer: fitted, chosen by, judged | answer over plain: chosen by |\n")
+    sys.stdout.write(
+        "| rig | verdict | effects | refit over answer: fitted, chosen by, judged | answer over plain: chosen by |\n"
+    )
     sys.stdout.write("|---|---|---|---|---|\n")
     for name, result in done.items():
         ratios = ", ".join(f"{worst_ratio(result, where):.3f}" for where in ("train", "choose", "judge"))

@@ -319,8 +319,10 @@ def _usual_places(
                 continue
             over = {variable: (signal.variables[variable], signal.units[variable])}
             ranked = rank_dependences(signal.time, signal.value, over)
-            found = [CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable][:1]
-            places += [place for place in found if place.shows_curve]
+            likeliest_of_it = [
+                CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable
+            ][:1]
+            places += [place for place in likeliest_of_it if place.shows_curve]
     costs = [_predict_curve(problem, candidate, place) for place in places]
     order = sorted(range(len(places)), key=costs.__getitem__)
     return [places[k] for k in order[:SURROGATE_VARIABLES] if costs[k] < (1 - USEFUL_SHARE) * candidate.cost]

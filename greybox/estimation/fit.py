@@ -226,7 +226,7 @@ def _begin_with_effects(
         return None
     of_plain = prepare_estimation(plain, experiments, problem.noise, options)
     smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report), options.policy)
-    if not np.isfinite(smaller.evaluation.cost) or smaller.status is TerminationStatus.INTERRUPTED:
+    if not np.isfinite(smaller.evaluation.cost):
         return None
     _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
     record = smaller.problem.records[0]
@@ -235,13 +235,21 @@ def _begin_with_effects(
     began = [plain.system.state_names[k] for k in smaller.variables.free_states]
     initial = [{name: t.initial_state[name] for name in began} for t in smaller.traces] if began else []
     near = replace(options, progressive=False)  # it begins at an optimum
+    fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
+    # Its best point is that of the whole model, whose effects are neutral.
+    if smaller.status is TerminationStatus.INTERRUPTED:
+        began_at = prepare_estimation(model.start(**fitted), experiments, problem.noise, near, initial=initial)
+        evaluation = began_at.shooting().evaluate(began_at.variables.here)
+        ended = replace(
+            smaller.search, problem=began_at, variables=began_at.variables, evaluation=evaluation, joined=None
+        )
+        return SimulationOptimum(model, ended, options.policy)
 
     def cost_from(begin: Mapping[str, float]) -> float:
         variables = begun.variables.with_values(begin)
         return float(begun.shooting(variables).evaluate(variables.here).cost)
 
     begun = prepare_estimation(model, experiments, problem.noise, near, initial=initial)
-    fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
     begins: list[dict[str, float]] = [fitted]
     # One effect after the other, each beside the best of those before it.
     for each in fresh:

@@ -141,8 +141,8 @@ def _weigh_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experimen
     """
     weights = {name: min(level.std, level.weight) for name, level in levels.items()}
     movement = {name: _measure_movement([e.outputs[name] for e in experiments if name in e.outputs]) for name in levels}
-    told = [name for name, level in levels.items() if level.source is not NoiseSource.RESIDUAL]
-    share = max((weights[name] / movement[name] for name in told), default=0.0)
+    known = [name for name, level in levels.items() if level.source is not NoiseSource.RESIDUAL]
+    share = max((weights[name] / movement[name] for name in known), default=0.0)
     hidden = {n: min(level.std, max(weights[n], share * movement[n])) for n, level in levels.items() if level.is_hidden}
     return weights | hidden
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
@@ -162,88 +164,245 @@ def _degrees(fit: Fit, residual: FittedResidual) -> float:
     return float(np.inf) if restore_noise(fit).known and squares <= left else float(left)
 
 
-# How much further constants scatter from piece to piece of the records than their intervals say, where the model lacks something.
+# How far constants vary where nothing has changed, measured beside what their intervals say.
 #
-# A model that lacks something has constants that depend on what the input does. The spread of their estimates over pieces of the
-# fit's own records, beside the spread that their covariances promise, is the factor by which these are too small (batch means; Carlstein,
-# Annals of Statistics 14, 1986).
+# A model that lacks something has constants that depend on what the record does, and no covariance that is computed says by how much. So
+# it is measured: over the records of each side; or, of one record each of the same motion, over the change from piece to piece of both, in
+# which what the model lacks acts alike and cancels; or over the pieces of each side by itself (batch means; Carlstein, Annals of
+# Statistics 14, 1986). Estimates of pieces are joined by their information; their spread about that mean, in the standard deviations that
+# their covariances promise, is the factor by which these are wrong.
+
+
+class Yardstick(StrEnum):
+    """What the scatter of constants was measured over."""
+
+    RECORDS = "records"
+    PAIRED_PIECES = "paired_pieces"
+    PIECES = "pieces"
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether a change beyond it is one of the machine: pieces by themselves say nothing of another input."""
+        return self is not Yardstick.PIECES
 
 
 @dataclass(frozen=True, eq=False)
-class EstimateScatter:
-    """For each constant the factor (k,) by which its standard deviation is too small, at least one, with so many ``degrees`` of freedom."""
+class MeasuredScatter:
+    """Constants of both sides, each as uncertain as it scatters.
+
+    Parameters
+    ----------
+    before, after
+        Joined from the records or pieces; of pairs the change alone is known, and stands on the second.
+    factors : array (k,)
+        By which the standard deviations of single records or pieces are wrong.
+    degrees
+        Degrees of freedom of the factors.
+    yardstick
+        What they were measured over.
+    """
+
+    before: FittedConstants
+    after: FittedConstants
+    factors: np.ndarray
+    degrees: int
+    yardstick: Yardstick
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantsEstimate:
+    """Constants (k,) and their information (k, k), the inverse of a covariance, on the scale of the comparison."""
+
+    values: np.ndarray
+    information: np.ndarray
+
+    @classmethod
+    def of(cls, values: np.ndarray, covariance: np.ndarray) -> ConstantsEstimate:
+        """None of a constant that its records leave open."""
+        known = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))
+        information = np.zeros_like(covariance)
+        information[np.ix_(known, known)] = pseudo_inverse(covariance[np.ix_(known, known)])
+        return cls(values, information)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Its inverse; infinite on the diagonal for what nothing is known of."""
+        known = np.flatnonzero(np.diag(self.information) > 0)
+        covariance = np.diag(np.where(np.diag(self.information) > 0, 0.0, np.inf))
+        covariance[np.ix_(known, known)] = pseudo_inverse(self.information[np.ix_(known, known)])
+        return covariance
+
+
+def join_estimates(estimates: Sequence[ConstantsEstimate]) -> ConstantsEstimate:
+    """The mean of independent estimates, each weighed by its information."""
+    total = sum((e.information for e in estimates), start=np.zeros_like(estimates[0].information))
+    weighed = sum((e.information @ e.values for e in estimates), start=np.zeros_like(estimates[0].values))
+    return ConstantsEstimate(pseudo_inverse(total) @ weighed, total)
+
+
+# Degrees of freedom below which a spread says nothing: of whole records, which are few and cost a run of the rig each ...
+LEAST_RECORD_DEGREES = 2
+# ... and of pieces.
+LEAST_PIECE_DEGREES = 3
+
+
+# p-value of the scatter from record to record below which a model that lacks nothing is taken to wander from day to day.
+WANDER_P = 0.1
+
+
+def measure_scatter(
+    reference: Fit,
+    today: Fit,
+    constants: FittedConstants,
+    pairs: Sequence[tuple[Experiment, Experiment]] = (),
+    *,
+    adequate: bool = False,
+) -> MeasuredScatter | None:
+    """How far the ``constants`` scatter where nothing has changed; None where too few records or pieces determine them.
+
+    Parameters
+    ----------
+    reference, today
+        The two fits that are compared.
+    constants
+        Those of the first.
+    pairs
+        Records of both of the same motion, as long as each other.
+    adequate
+        Whether the model lacks nothing: then its intervals hold within a record, and whole records alone can show that the machine
+        wanders from one to the next.
+    """
+    fits = (reference, today)
+    records = [[trace.experiment for trace in f.traces] for f in fits]
+    if sum(len(of) - 1 for of in records) >= LEAST_RECORD_DEGREES:
+        sides = [_estimate_each(f, of, constants) for f, of in zip(fits, records, strict=True)]
+        spread = _measure(sides, LEAST_RECORD_DEGREES, 1.0)
+        if spread is not None and not (adequate and spread.p > WANDER_P):
+            return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.RECORDS)
+    if adequate:
+        return None
+    if pairs:
+        one, other = (
+            _estimate_each(f, cut_records([pair[k] for pair in pairs]), constants) for k, f in enumerate(fits)
+        )
+        changes = [
+            ConstantsEstimate.of(b.values - a.values, a.covariance + b.covariance)
+            for a, b in zip(one, other, strict=True)
+            if a is not None and b is not None
+        ]
+        # The covariances hold what both have in common, which cancels: the spread may be smaller.
+        spread = _measure([changes], LEAST_PIECE_DEGREES, 0.0)
+        if spread is not None:
+            start = ConstantsEstimate(constants.scaled, np.zeros_like(constants.covariance))
+            return _to_scatter(constants, [start, join_estimates(changes)], spread, Yardstick.PAIRED_PIECES)
+    sides = [_estimate_each(f, cut_records(of), constants) for f, of in zip(fits, records, strict=True)]
+    spread = _measure(sides, LEAST_PIECE_DEGREES, 1.0)
+    if spread is None:
+        return None
+    return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.PIECES)
+
+
+def _known(estimates: Sequence[ConstantsEstimate | None]) -> list[ConstantsEstimate]:
+    return [e for e in estimates if e is not None]
+
+
+def _to_scatter(
+    constants: FittedConstants,
+    sides: Sequence[ConstantsEstimate],
+    measured: _Spread,
+    yardstick: Yardstick,
+) -> MeasuredScatter:
+    """Both sides as constants that can be compared, their covariances widened by the measured factors."""
+    factors, degrees, _ = measured
+    before, after = sides
+    paired = yardstick is Yardstick.PAIRED_PIECES
+    widened = []
+    for side, is_change in ((before, False), (after, paired)):
+        scaled = side.values + constants.scaled if is_change else side.values
+        covariance = side.covariance * np.outer(factors, factors)
+        if paired and not is_change:
+            covariance = np.zeros_like(covariance)
+        widened.append(
+            replace(
+                constants,
+                values=np.where(constants.positive, np.exp(np.where(constants.positive, scaled, 0.0)), scaled),
+                covariance=covariance,
+                at_bound=(),
+                degrees=float(np.inf) if paired and not is_change else float(degrees),
+            )
+        )
+    return MeasuredScatter(widened[0], widened[1], factors, degrees, yardstick)
+
+
+def _estimate_each(
+    whole: Fit, pieces: Sequence[Experiment], constants: FittedConstants
+) -> list[ConstantsEstimate | None]:
+    """The constants of the model of ``whole`` from each piece alone; None where a piece does not give them."""
+    options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
+    estimates: list[ConstantsEstimate | None] = []
+    for piece in pieces:
+        result = fit(whole.model, piece, noise=restore_noise(whole), options=options)
+        read = read_constants(result, read_residual(result, 1.0)) if result.success else None
+        same = read is not None and read.names == constants.names
+        if read is None or not (same and (read.positive == constants.positive).all()):
+            estimates.append(None)
+        else:
+            estimates.append(ConstantsEstimate.of(read.scaled, read.covariance))
+    return estimates
+
+
+class _Spread(NamedTuple):
+    """Factors (k,) by which standard deviations are wrong, their degrees of freedom, and the p-value of so wide a spread."""
 
     factors: np.ndarray
     degrees: int
-
-    def widen(self, constants: FittedConstants) -> FittedConstants:
-        """The same estimates, each as uncertain as it scatters, known from few pieces."""
-        covariance = constants.covariance * np.outer(self.factors, self.factors)
-        return replace(constants, covariance=covariance, degrees=min(constants.degrees, float(self.degrees)))
+    p: float
 
 
-# Fewer pieces that determine the constants say nothing of their scatter.
-LEAST_PIECES = 4
+def _measure(
+    groups: Sequence[Sequence[ConstantsEstimate | None]], least_degrees: int, least_factor: float
+) -> _Spread | None:
+    """The spread of estimates about the mean of each group; None with fewer degrees of freedom.
 
-
-def measure_scatter(fits: Sequence[Fit], constants: FittedConstants) -> EstimateScatter | None:
-    """The scatter of the ``constants`` over pieces of the records of each fit, about its own mean; None where too few determine them."""
-    deviations, covariances, means = list[np.ndarray](), list[np.ndarray](), 0
-    for whole in fits:
-        options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
-        values = []
-        for piece in cut_records([trace.experiment for trace in whole.traces]):
-            result = fit(whole.model, piece, noise=restore_noise(whole), options=options)
-            if not result.success:
-                continue
-            of_piece = read_constants(result, read_residual(result, 1.0))
-            if of_piece.names == constants.names and (of_piece.positive == constants.positive).all():
-                values.append(of_piece.scaled)
-                covariances.append(of_piece.covariance)
-        if values:
-            deviations += list(np.array(values) - np.mean(values, axis=0))
-            means += 1
-    degrees = len(deviations) - means
-    if degrees < LEAST_PIECES - 1:
-        return None
-    return EstimateScatter(_compare_spreads(np.array(deviations), np.array(covariances), means), degrees)
-
-
-def _compare_spreads(deviations: np.ndarray, covariances: np.ndarray, means: int) -> np.ndarray:
-    """Spread over what was promised, of each constant and of all together; of deviations (m, k) from so many ``means``,
-    with covariances (m, k, k).
-
-    All together count as well: a combination that is determined well may scatter further than any constant by itself.
+    Of each constant by itself, and of all together: a combination that is determined well may scatter further than any constant.
     """
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    known, factors = np.isfinite(variances), np.ones(deviations.shape[1])
-    for k in np.flatnonzero(known.sum(axis=0) >= LEAST_PIECES + means - 1):
-        rows = known[:, k]
-        promised = float(variances[rows, k].mean())
-        spread = float((deviations[rows, k] ** 2).sum() / (rows.sum() - means))
-        factors[k] = np.sqrt(max(spread / promised, 1.0)) if promised > 0 else 1.0
-    whole = np.flatnonzero(known.all(axis=0))
-    if not len(whole):
-        return factors
-    block = np.ix_(whole, whole)
-    forms = [d[whole] @ pseudo_inverse(c[block]) @ d[whole] for d, c in zip(deviations, covariances, strict=True)]
-    return np.maximum(factors, np.sqrt(sum(forms) / ((len(forms) - means) * len(whole))))
+    known = [group for group in map(_known, groups) if group]
+    degrees = sum(len(group) - 1 for group in known)
+    if degrees < least_degrees or len(known) < len(groups):
+        return None
+    means = [join_estimates(group).values for group in known]
+    rows = [(e.values - mean, e) for group, mean in zip(known, means, strict=True) for e in group]
+    squares, counts = np.zeros(len(means[0])), np.zeros(len(means[0]))
+    for deviation, e in rows:
+        # What a piece says of each constant by itself, the others free.
+        variance = np.diag(e.covariance)
+        is_known = np.isfinite(variance) & (variance > 0)
+        squares[is_known] += deviation[is_known] ** 2 / variance[is_known]
+        counts[is_known] += 1
+    enough = counts - len(known) >= least_degrees
+    factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
+    all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
+    # With fewer pieces than constants every combination is an exact one, and says nothing.
+    together = np.sqrt(all_squares / all_degrees) if degrees >= enough.sum() else 0.0
+    p = float(chdtrc(all_degrees, all_squares))
+    return _Spread(np.maximum(np.maximum(factors, together), least_factor), degrees, p)
 
 
-# Pieces of the fit's records at least: their variance is known to half of itself.
+# Pieces of each side's records at least: their variance is known to half of itself.
 SCATTER_PIECES = 8
 # Rows of a piece at least; a shorter record stays whole.
-SCATTER_LEAST_ROWS = 50
+SCATTER_LEAST_ROWS = 20
 
 
 def cut_records(records: Sequence[Experiment]) -> list[Experiment]:
-    """The records, each cut into equal pieces so that there are as many as the policy asks for."""
+    """The records, each cut into equal pieces so that there are `SCATTER_PIECES`, or as many as its rows allow."""
     each = -(-SCATTER_PIECES // len(records))
     pieces = []
     for record in records:
-        rows = record.rows // each
-        if rows >= SCATTER_LEAST_ROWS:
-            pieces += [record.window(k * rows, (k + 1) * rows) for k in range(each)]
+        count = min(each, record.rows // SCATTER_LEAST_ROWS)
+        if count > 1:
+            rows = record.rows // count
+            pieces += [record.window(k * rows, (k + 1) * rows) for k in range(count)]
         else:
             pieces.append(record)
     return pieces

@@ -12,25 +12,22 @@ from pathlib import Path
 import numpy as np
 from scipy.special import fdtrc
 
-from greybox.base.errors import DataError, FitError
+from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
-from greybox.estimation.covariance import estimate_covariance
 from greybox.estimation.fit import fit
-from greybox.estimation.objective import ResidualRows, SimulationErrorObjective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import ljung_box_test
-from greybox.estimation.restore import restore_noise, restore_residuals
+from greybox.estimation.restore import restore_noise
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Trace
-from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.extensions.changes.constants import (
     DifferenceTest,
     FittedConstants,
     FittedResidual,
+    MeasuredScatter,
     compare_constants,
     list_comparable,
     measure_scatter,
@@ -83,86 +80,68 @@ def _compare_variances(before: FittedResidual, i: int, after: FittedResidual, j:
     return float(fdtrc(after.degrees[j] * tails, before.degrees[i] * tails, other / one))
 
 
-# Two records under the same input: what the model lacks acts alike in both, and leaves their difference.
-#
-# The residuals of both fits then have a part in common. The difference of the constants rests on the difference of the residuals alone: its
-# covariance is the sandwich with that in the middle, far narrower than the sum of two covariances that each take the common part for noise.
+Signals = Mapping[str, np.ndarray]
+
+# Two records of the same motion: what the model lacks acts alike in both.
 
 
-def match_repeats(reference: Fit, records: Sequence[Experiment]) -> tuple[int, ...]:
-    """For each record the record of the fit whose input it repeats, each once; none where one repeats none."""
-    places: list[int] = []
+def match_repeats(
+    reference: Sequence[Experiment], records: Sequence[Experiment]
+) -> tuple[tuple[Experiment, Experiment], ...]:
+    """Each record with the record of the fit that it repeats, both as long as the shorter one; none where one repeats none."""
+    pairs: list[tuple[Experiment, Experiment]] = []
+    left = list(reference)
     for record in records:
-        alike = (
-            k for k, trace in enumerate(reference.traces) if k not in places and _is_alike(trace.experiment, record)
-        )
-        place = next(alike, None)
-        if place is None:
+        alike = next((one for one in (*left, *reference) if is_alike(one, record)), None)
+        if alike is None:
             return ()
-        places.append(place)
-    return tuple(places) if len(places) == len(reference.traces) else ()
+        left = [one for one in left if one is not alike]
+        rows = min(alike.rows, record.rows)
+        pairs.append((alike.window(0, rows), record.window(0, rows)))
+    return tuple(pairs)
 
 
-# Rms difference of two inputs over their size up to which one repeats the other: what the model lacks then acts alike in both.
+# Rms difference of two signals over their size up to which one repeats the other: what the model lacks then acts alike in both.
 REPEATED_INPUT = 0.1
+# Share of the longer record that both must cover: of less, most of what was learnt from it happened elsewhere.
+COMMON_SHARE = 0.5
 
 
-def _is_alike(one: Experiment, other: Experiment) -> bool:
-    """Whether an input repeats another one row by row."""
-    if one.rows != other.rows or not np.allclose(np.median(one.intervals), np.median(other.intervals)):
+def is_alike(one: Experiment, other: Experiment) -> bool:
+    """Whether a record repeats the motion of another one over the time that both cover: under the same input, or with the same outputs.
+
+    A run that ends by itself (a coast-down, a stroke to a stop) may end earlier or later. One without any input repeats another that
+    begins alike. In a closed loop a changed machine makes the same motion under another input.
+    """
+    if min(one.rows, other.rows) < COMMON_SHARE * max(one.rows, other.rows):
         return False
-    for name, values in one.inputs.items():
-        difference = np.sqrt(np.nanmean((values - other.inputs[name]) ** 2)) if name in other.inputs else np.inf
-        if not difference <= REPEATED_INPUT * np.sqrt(np.nanmean(values**2)):
+    if not np.allclose(np.median(one.intervals), np.median(other.intervals), rtol=REPEATED_INPUT):
+        return False
+    if not one.inputs and not other.inputs:
+        return _are_near(
+            {n: v[:1] for n, v in one.outputs.items()}, {n: v[:1] for n, v in other.outputs.items()}, one.outputs
+        )
+    inputs, outputs = (
+        (_on_common_rows(of_one, of_other))
+        for of_one, of_other in ((one.inputs, other.inputs), (one.outputs, other.outputs))
+    )
+    return _are_near(*inputs, inputs[0]) or _are_near(*outputs, outputs[0])
+
+
+def _on_common_rows(one: Signals, other: Signals) -> tuple[Signals, Signals]:
+    rows = min(len(values) for values in (*one.values(), *other.values()))
+    return {n: v[:rows] for n, v in one.items()}, {n: v[:rows] for n, v in other.items()}
+
+
+def _are_near(one: Signals, other: Signals, sizes: Signals) -> bool:
+    """Whether every signal differs from that of the other record by a small share of its size (rms)."""
+    for name, values in one.items():
+        if name not in other:
+            return False
+        difference, size = (np.sqrt(np.nanmean(v**2)) for v in (values - other[name], sizes[name]))
+        if not difference <= REPEATED_INPUT * size:
             return False
     return True
-
-
-def rest_on_difference(
-    reference: Fit, today: Fit, places: Sequence[int], before: FittedConstants, after: FittedConstants
-) -> tuple[FittedConstants, FittedConstants]:
-    """Both estimates with the covariance of their difference on the second, and none on the first.
-
-    As they were where today's run is no free one, or where a record lacks rows of the other.
-    """
-    try:
-        objective, residuals = restore_residuals(today)
-    except FitError:
-        return before, after
-    if not isinstance(objective, SimulationErrorObjective):
-        return before, after
-    rows = []
-    for (r, jacobian), trace, place in zip(residuals.rows, today.traces, places, strict=True):
-        difference = _weigh(trace, today) - _weigh(reference.traces[place], today)
-        if difference.shape != r.shape:
-            return before, after
-        rows.append((difference, jacobian))
-    variables = objective.variables
-    colour = estimate_residual_colour(rows, variables.size, False, None)
-    evaluation, problem = objective.evaluate(variables.here), objective.problem
-    whole = estimate_covariance(variables, evaluation, ResidualRows(tuple(rows)), colour, problem)
-    names = list(variables.names)
-    if not set(after.names) <= set(names):
-        return before, after
-    order = [names.index(name) for name in after.names]
-    slopes = np.where(after.positive, 1 / np.where(after.positive, after.values, 1.0), 1.0)
-    covariance = whole.covariance[np.ix_(order, order)] * np.outer(slopes, slopes)
-    nothing = np.where(np.isfinite(before.covariance), 0.0, before.covariance)
-    return (
-        replace(before, covariance=nothing, degrees=float(np.inf)),
-        replace(after, covariance=covariance, degrees=colour.degrees),
-    )
-
-
-def _weigh(trace: Trace, fit: Fit) -> np.ndarray:
-    """The residual (N, ny) of a run over the noise of ``fit``, whitened as it weighs; NaN where an output is not measured."""
-    noise = restore_noise(fit)
-    columns = []
-    for output, std, colour in zip(noise.outputs, noise.std, noise.colour, strict=True):
-        known = output in trace.measured and output in trace.simulated
-        residual = trace.residual(output) if known else np.full(len(trace.time), np.nan)
-        columns.append(colour.whiten(residual / std))
-    return np.column_stack(columns)
 
 
 Records = Experiment | Sequence[Experiment]
@@ -281,17 +260,22 @@ def detect_changes(
         read_constants(reference, residuals[0]),
         read_constants(today, read_residual(today, ADEQUATE_RATIO)),
     )
-    comparable = True
-    if not residuals[0].adequate and (repeats := match_repeats(reference, listed)):
-        before, after = rest_on_difference(reference, today, repeats, before, after)
-    elif not residuals[0].adequate:
-        comparable = False
-        scatter = measure_scatter((reference, today), before)
-        if scatter is not None and after.names == before.names:
-            before, after = scatter.widen(before), scatter.widen(after)
+    scatter: MeasuredScatter | None = None
+    if after.names == before.names:
+        adequate, compared = residuals[0].adequate, (reference, today)
+        pairs: tuple[tuple[Experiment, Experiment], ...] = ()
+        if not adequate:
+            pairs = match_repeats([trace.experiment for trace in reference.traces], listed)
+            compared = _fit_pairs(reference, today, pairs)
+            before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
+        if after.names == before.names:
+            scatter = measure_scatter(*compared, before, pairs, adequate=adequate)
+        if scatter is not None:
+            before, after = scatter.before, scatter.after
             largest = int(np.argmax(scatter.factors))
-            allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees}
+            allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees, "over": scatter.yardstick}
             findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
+    comparable = residuals[0].adequate or (scatter is not None and scatter.yardstick.is_trusted)
     constants, test = compare_fits(before, after, level_of_constants)
     checks = of_residual
     if test:
@@ -315,6 +299,22 @@ def detect_changes(
         p_value=test.p_value if test else None,
         seconds=time.perf_counter() - began,
     )
+
+
+def _fit_pairs(reference: Fit, today: Fit, pairs: Sequence[tuple[Experiment, Experiment]]) -> tuple[Fit, Fit]:
+    """Both fits of the rows that both records of each pair have: of a model that lacks something the rest tells something else.
+
+    As they are where every record is as long as the one that it repeats, or repeats none.
+    """
+    if not pairs:
+        return reference, today
+    sides = tuple(tuple(side) for side in zip(*pairs, strict=True))
+    fits = []
+    for whole, side in zip((reference, today), sides, strict=True):
+        known = [trace.experiment.rows for trace in whole.traces]
+        again = refit(whole, side) if [record.rows for record in side] != known else whole
+        fits.append(again if again.success else whole)
+    return fits[0], fits[1]
 
 
 def check_reference(reference: Fit) -> None:

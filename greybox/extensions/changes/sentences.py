@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from greybox.base.findings import Finding, Severity
+from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.findings import ChangeCode, ChangeRule
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import (
@@ -147,11 +148,19 @@ def _cannot_tell(finding: Finding) -> str:
     return f"the records cannot tell: {join_names(names) or 'the constants'} could have changed by half unnoticed. Nothing else has changed"
 
 
+SCATTERED_OVER = {
+    Yardstick.RECORDS: "from record to record, where nothing has changed,",
+    Yardstick.PAIRED_PIECES: "in their change from piece to piece of the records",
+    Yardstick.PIECES: "from piece to piece of the records",
+}
+
+
 def _different_input(finding: Finding) -> str:
     names = join_names(finding.values["constants"]) or "the constants"
     return (
         f"the records cannot tell: {names} would differ ({p_statement(finding.values['p'])}), but the model lacks something already in the"
-        " fit, and today's input is another one. Repeat the input of the fit, or find what the model lacks with greybox discover"
+        " fit, and these records do not show by how much its constants vary where nothing has changed. Repeat the input of the fit, give"
+        " three records or more, or find what the model lacks with greybox discover"
     )
 
 
@@ -214,9 +223,9 @@ register(
             "the fit left more than noise: its constants depend on what the input does, and the size of the residual was not compared;"
             " greybox discover looks for what the model lacks"
         ),
-        ChangeCode.SCATTER_ALLOWED: (
-            "the constants scatter from piece to piece of the records by up to {factor:.2g} times what their intervals say"
-            " ({subject}, {degrees} degrees of freedom); the comparison allows for that"
+        ChangeCode.SCATTER_ALLOWED: lambda f: (
+            f"the constants scatter {SCATTERED_OVER[f.values.get('over', Yardstick.PIECES)]} by {f.values['factor']:.2g} times what their"
+            f" intervals say ({f.subject}, {f.values['degrees']} degrees of freedom); the comparison allows for that"
         ),
         ChangeCode.SPLIT_FOR_VALIDATION: (
             "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"

@@ -79,8 +79,9 @@ GOLDEN = [
     ),
     (
         Finding(C.DIFFERENT_INPUT, values={"constants": ["K"], "p": 0.002}),
-        "the records cannot tell: K would differ (p = 0.002), but the model lacks something already in the fit, and today's input is"
-        " another one. Repeat the input of the fit, or find what the model lacks with greybox discover",
+        "the records cannot tell: K would differ (p = 0.002), but the model lacks something already in the fit, and these records do"
+        " not show by how much its constants vary where nothing has changed. Repeat the input of the fit, give three records or more, or"
+        " find what the model lacks with greybox discover",
     ),
     (
         Finding(C.FIT_FAILED, values={"status": "it overflowed"}),
@@ -109,8 +110,18 @@ GOLDEN = [
     ),
     (
         Finding(C.SCATTER_ALLOWED, subject="K", values={"factor": 3.0, "degrees": 14}),
-        "the constants scatter from piece to piece of the records by up to 3 times what their intervals say (K, 14 degrees of freedom); the"
+        "the constants scatter from piece to piece of the records by 3 times what their intervals say (K, 14 degrees of freedom); the"
         " comparison allows for that",
+    ),
+    (
+        Finding(C.SCATTER_ALLOWED, subject="K", values={"factor": 3.0, "degrees": 4, "over": "records"}),
+        "the constants scatter from record to record, where nothing has changed, by 3 times what their intervals say (K, 4 degrees of"
+        " freedom); the comparison allows for that",
+    ),
+    (
+        Finding(C.SCATTER_ALLOWED, subject="K", values={"factor": 0.5, "degrees": 7, "over": "paired_pieces"}),
+        "the constants scatter in their change from piece to piece of the records by 0.5 times what their intervals say (K, 7 degrees of"
+        " freedom); the comparison allows for that",
     ),
     (
         Finding(C.SPLIT_FOR_VALIDATION, subject="today"),

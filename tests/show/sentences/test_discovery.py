@@ -160,6 +160,18 @@ FINDINGS = [
     ),
     (Code.NOT_REACHED, *("cubic_stiffness", {}), "the time was over before it was tried"),
     (
+        Code.REFIT_ELSEWHERE,
+        *("rotor", {"status": ""}),
+        "rotor: a fit of this model that begins at these constants does not end with success. The constants are those of the search;"
+        " another fit may end elsewhere.",
+    ),
+    (
+        Code.REFIT_ELSEWHERE,
+        *("rotor", {"status": "stuck"}),
+        "rotor: a fit of this model that begins at these constants does not end with success (no further progress: the search stopped"
+        " before it met the convergence test). The constants are those of the search; another fit may end elsewhere.",
+    ),
+    (
         Code.SHAPE_CORRECTED,
         *("viscoelastic_creep", {"correction": ["viscoelastic_creep_second_branch"]}),
         "the family of the effect is certain, but its shape differs from viscoelastic_creep: viscoelastic_creep_second_branch"
