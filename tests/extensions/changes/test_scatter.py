@@ -1,0 +1,87 @@
+"""How far constants scatter where nothing has changed, measured over records, paired pieces or pieces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from fits.change_study import QUICK, coast_down, coasting
+from greybox.extensions.changes.constants import SCATTER_PIECES, ConstantsEstimate, cut_records, join_estimates
+from greybox.extensions.changes.detect import is_alike, match_repeats
+from greybox.extensions.changes.findings import ChangeCode
+from greybox.extensions.changes.result import ChangeVerdict
+from tests.support.first_order import first_order
+
+
+def test_estimates_are_joined_by_their_information() -> None:
+    # 1 with a variance of 1 and 2 with one of 1/4: (1 + 4 * 2) / 5, variance 1/5
+    joined = join_estimates(
+        [ConstantsEstimate.of(np.array([v]), np.array([[c]])) for v, c in ((1.0, 1.0), (2.0, 0.25))]
+    )
+    assert joined.values == pytest.approx([9 / 5])
+    assert joined.covariance[0, 0] == pytest.approx(1 / 5)
+
+
+def test_an_estimate_that_leaves_a_constant_open_says_nothing_of_it() -> None:
+    one = ConstantsEstimate.of(np.array([1.0, 7.0]), np.diag([1.0, np.inf]))
+    other = ConstantsEstimate.of(np.array([3.0, 2.0]), np.diag([1.0, 4.0]))
+    assert join_estimates([one, other]).values == pytest.approx([2.0, 2.0])
+    assert np.isinf(one.covariance[1, 1])
+
+
+def test_records_are_cut_into_pieces_and_short_ones_stay_whole() -> None:
+    long, short = (gb.Experiment("run", 0.1 * np.arange(n), {}, {"y": np.zeros(n)}) for n in (400, 25))
+    assert [p.rows for p in cut_records([long])] == [50] * SCATTER_PIECES
+    assert [p.rows for p in cut_records([short])] == [25]
+
+
+def coast(seed: int, share: float = 1.0, seconds: float = 0.0) -> gb.Experiment:
+    return coast_down(np.random.default_rng(seed), 6.0, 0.4 * share, seconds)
+
+
+def test_runs_that_end_by_themselves_are_repeats_over_what_both_cover() -> None:
+    one, other = coast(1), coast(4)
+    assert one.rows != other.rows and is_alike(one, other)
+    ((before, after),) = match_repeats([one], [other])
+    assert before.rows == after.rows == min(one.rows, other.rows)
+
+
+def test_a_run_that_covers_less_than_half_of_the_other_is_no_repeat() -> None:
+    one = coast(1)
+    assert not is_alike(one, one.window(0, one.rows // 2 - 1))
+
+
+def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> None:
+    reference = gb.fit(coasting(), coast(1), options=QUICK)
+    healthy = gb.detect_changes(reference, coast(2), search_effects=False)
+    assert healthy.verdict is ChangeVerdict.UNCHANGED
+    change = gb.detect_changes(reference, coast(3, share=1.2), search_effects=False)
+    assert change.verdict is ChangeVerdict.CHANGED and change.moved == ("b",)
+    low, high = change.constants["b"].interval
+    assert 0 < low < high
+
+
+def day(seed: int, gain: float) -> gb.Experiment:
+    """A record of an hour of the first-order plant; noise 0.01."""
+    generator = np.random.default_rng(seed)
+    t, plant = 0.05 * np.arange(400), first_order(gain)
+    u = np.repeat(generator.normal(size=40), 10)
+    made = gb.simulate(plant, {"time": t, "u": u})
+    return gb.Experiment(f"day {seed}", t, {"u": u}, {"y": made.outputs["y"] + 0.01 * generator.normal(size=400)})
+
+
+def test_a_machine_that_wanders_from_day_to_day_is_no_changed_machine() -> None:
+    # One record leaves the gain open by 0.03 %; from day to day it wanders by 2 %.
+    gains = [2.0 * (1 + 0.02 * k) for k in (1.0, -1.0, 0.5, -0.5, 0.8)]
+    reference = gb.fit(first_order(), [day(k, g) for k, g in enumerate(gains[:4])], noise={"y": 0.01})
+    found = gb.detect_changes(reference, day(9, gains[4]), search_effects=False)
+    assert not found.constants["gain"].moved
+    assert ChangeCode.SCATTER_ALLOWED in [f.code for f in found.findings]
+
+
+def test_a_machine_that_does_not_wander_is_compared_as_its_intervals_say() -> None:
+    reference = gb.fit(first_order(), [day(k, 2.0) for k in range(3)], noise={"y": 0.01})
+    found = gb.detect_changes(reference, day(9, 2.01), search_effects=False)
+    assert found.verdict is ChangeVerdict.CHANGED and found.moved == ("gain",)
+    assert ChangeCode.SCATTER_ALLOWED not in [f.code for f in found.findings]
