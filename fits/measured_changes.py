@@ -2,9 +2,9 @@
 
     python -m fits.measured_changes FOLDER
 
-FOLDER/known holds ``rosa_rotor`` (Yeung et al., IROS 2022) and ``mr_damper_utfpr`` (Labcontrol, UTFPR). Nothing in a machine has changed between
-pieces with the same resistance, or records at the same voltage; everything else is a change whose cause is known: more viscous damping of
-the rotor, more damping of the damper.
+FOLDER/known holds ``rosa_rotor`` (Yeung et al., IROS 2022) and ``mr_damper_utfpr`` (Labcontrol, UTFPR). Nothing in a machine has
+changed between pieces with the same resistance, or records at the same voltage; everything else is a change whose cause is known: more
+viscous damping of the rotor, more damping of the damper.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from itertools import combinations, permutations
+from itertools import combinations, pairwise, permutations
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,10 +43,10 @@ def rotor_stretches(folder: Path) -> list[Stretch]:
         switched = np.flatnonzero((np.diff(reference) != 0) | (np.diff(resistance) != 0)) + 1
         edges = [0, *switched, len(t)]
         whole = gb.Experiment(path.stem, t, {"u": effort}, {"w": speed * np.pi / 30})
-        for begin, end in zip(edges[:-1], edges[1:], strict=True):
+        for begin, end in pairwise(edges):
             count = max((end - begin) // PIECE_ROWS, 1)
             bounds = np.linspace(begin, end, count + 1).astype(int)
-            for first, last in zip(bounds[:-1], bounds[1:], strict=True):
+            for first, last in pairwise(bounds):
                 if last - first >= LEAST_ROWS:
                     piece = whole.window(int(first), int(last))
                     name = f"{path.stem} {first}"
