@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,10 @@ from tests.support.browser import browser
 # Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# A shell that runs something in the background lets it ignore Ctrl+C, and whatever that starts: here it is heard.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # The same examples in every run; HYPOTHESIS_PROFILE=default searches at random and for longer.
 settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
