@@ -275,6 +275,8 @@ def _is_lost(optimum: SimulationOptimum) -> bool:
     """Whether another start may do better: the search explains nothing, or stands where it began."""
     if not optimum.model.free_parameters or optimum.status is TerminationStatus.INTERRUPTED:
         return False
+    if optimum.status is TerminationStatus.ITERATION_LIMIT:
+        return True
     return explains_nothing(optimum) or stands_where_it_began(optimum)
 
 

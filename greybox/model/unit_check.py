@@ -27,7 +27,7 @@ def check_units(statement: Statement, system: System) -> None:
 
     Checked are each term of each balance, ``storage * state / s``, dry friction, outputs, starts, process noise, and what
     effects put in the place of inputs, outputs and parameters. A literal number has no unit, except 0 and infinity, which fit
-    anything.
+    anything. In a model of plain numbers, in which nothing has a unit, time is a number too, in the unit of its records.
     """
     check = _UnitCheck(statement, system)
     # Transforms before equations, each on its own: a wrong one would hide behind every term that it makes wrong.
@@ -60,6 +60,13 @@ class _UnitCheck:
         u = NamedValues("input", _by_name(s.input_names, s.u), names_by_role(inputs))
         p = NamedValues("parameter", _by_name(s.parameter_names, s.p), roles)
         return x, u, apply_ties(self.statement.ties, p)
+
+    @cached_property
+    def time(self) -> Unit:
+        """The unit of time: none in a model of plain numbers."""
+        stated = (*self.statement.outputs, *self.system.stated_balances)
+        units = {*self.units.values(), *(item.unit for item in stated)}
+        return ONE if all(parse_unit(unit) == ONE for unit in units) else SECOND
 
     def declarations(self) -> Iterator[str]:
         """Units that cannot be read."""
@@ -151,7 +158,7 @@ class _UnitCheck:
         except UnitMismatchError as mismatch:
             yield f"{subject}: {mismatch}"
             return
-        rate = stored * parse_unit(self.units[balance.state]) / SECOND
+        rate = stored * parse_unit(self.units[balance.state]) / self.time
         if rate != parse_unit(balance.unit):
             yield f"{subject} has {self._describe(rate)}, expected {format_unit(balance.unit) or '1'}"
 

@@ -157,7 +157,7 @@ def _search_with_ipopt(
         return
     # Where IPOPT finds no step that gains, either the search strayed from a smooth optimum, or the cost has a kink.
     search.record_solver(SolverName.GAUSS_NEWTON)
-    if run_gauss_newton(search, low, high, policy.damped, steps=policy.damped.max_steps) or search.stop:
+    if run_gauss_newton(search, low, high, policy.damped, steps=max(iterations - search.steps, 0)) or search.stop:
         return
     # The most expensive last: each round evaluates twice as many points as there are unknowns.
     if thorough:
