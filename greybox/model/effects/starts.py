@@ -58,12 +58,12 @@ def within_bounds(model: Model, name: str, value: float) -> float:
 
 
 def is_neutral(model: Model, effect: Effect) -> bool:
-    """Whether an effect stands as the catalogue has it: nobody has given it a value, and it changes nothing.
+    """Whether an effect that a fit may change changes nothing as it stands: its amplitudes are zero, or at their neutral values.
 
     An effect that replaces a law has no neutral value; it begins where it stands.
     """
     names = model.names_of(effect.name)
-    present = {q.name: q for q in model.all_parameters}
-    free = {q.name for q in model.free_parameters}
-    stands = all(present[names[q.name]].value == q.value for q in effect.parameters if names[q.name] in present)
-    return bool(effect.amplitudes) and stands and any(names[name] in free for name in effect.amplitudes)
+    values, free = model.values, {q.name for q in model.free_parameters}
+    amplitudes = [name for name in effect.amplitudes if names[name] in values]
+    absent = all(values[names[name]] == effect.neutral.get(name, 0.0) for name in amplitudes)
+    return bool(amplitudes) and absent and any(names[name] in free for name in amplitudes)
