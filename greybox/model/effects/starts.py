@@ -15,6 +15,13 @@ from greybox.model.model import Model
 
 # Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
 AMPLITUDE_GRID: tuple[float, ...] = (1.0, 10.0)
+# Starting points that are searched from, the most promising first ...
+FEW_SHAPES_STARTS = 2
+# ... of an effect with so many shapes more of them, as its cost has many minima ...
+FEW_SHAPES = 4
+MANY_SHAPES_STARTS = 5
+# ... and above so many all of them: a step from afar predicts nothing for a sharp resonance.
+MANY_SHAPES = 15
 
 
 def list_effect_values(
@@ -49,6 +56,19 @@ def list_shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]
     """Every combination of the effect's shape values; one empty one where it has no shape."""
     grid = effect.grid(scales) if effect.grid else {}
     return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
+
+
+def count_shapes(effect: Effect, scales: Scales) -> int:
+    """How many combinations of shape values an effect starts from."""
+    return len(list_shapes(effect, scales))
+
+
+def count_starts(effect: Effect, scales: Scales) -> int:
+    """From how many of its starting points, the most promising first, a fit with an effect is searched."""
+    shapes = count_shapes(effect, scales)
+    if shapes > MANY_SHAPES:
+        return shapes
+    return MANY_SHAPES_STARTS if shapes >= FEW_SHAPES else FEW_SHAPES_STARTS
 
 
 def within_bounds(model: Model, name: str, value: float) -> float:
