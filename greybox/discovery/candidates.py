@@ -17,7 +17,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects, applicable_effects
 from greybox.model.effects.placement import AT
 from greybox.model.effects.scales import Scales, measure_scales, tailor_to_record
-from greybox.model.effects.starts import list_effect_values, list_shapes, within_bounds
+from greybox.model.effects.starts import list_effect_values, within_bounds
 from greybox.model.model import Model
 
 
@@ -207,8 +207,3 @@ def generate_child_starting_points(
     for start in child.from_parent(fitted, scales):
         values = {child_names[name]: within_bounds(model, child_names[name], value) for name, value in start.items()}
         yield {**kept, **values}
-
-
-def count_shapes(effect: Effect, scales: Scales) -> int:
-    """How many combinations of shape values an effect starts from."""
-    return len(list_shapes(effect, scales))

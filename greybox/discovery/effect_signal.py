@@ -39,7 +39,7 @@ from greybox.discovery.localisation import (
     find_worst_stretch,
     signal_units,
 )
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 
@@ -385,7 +385,7 @@ def _without_effect(problem: DiscoveryProblem, candidate: CandidateFit, name: st
     names, kept = candidate.model.system.state_names, model.system.state_names
     guess = candidate.variables.initial.guess[:, [names.index(n) for n in kept]]
     values = {n: v for n, v in candidate.model.values.items() if n in model.values}
-    variables = with_start_values(estimation.variables, values)
+    variables = estimation.variables.start_at(values)
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
     return CandidateFit(model, np.nan, candidate.count, variables.size, estimation, variables, candidate.evaluation)
 

@@ -18,7 +18,7 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.noise.noise_model import fit_autoregression, join_series
-from greybox.discovery.candidates import count_shapes, family_of
+from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import (
     LEAST_RIVAL,
     MOST_DEVIATIONS,
@@ -58,13 +58,14 @@ from greybox.discovery.residual_noise import (
     prepare_curve,
     prepare_power,
 )
-from greybox.discovery.selection import MANY_SHAPES, TIE_COST, list_extension_starts, rank_extensions
+from greybox.discovery.selection import TIE_COST, list_extension_starts, rank_extensions
 from greybox.discovery.surrogate import QUICK_ITERATIONS, FreeCurve, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
 from greybox.model.effects.placement import AT
 from greybox.model.effects.scales import Scales
+from greybox.model.effects.starts import MANY_SHAPES, count_shapes
 
 
 @dataclass(frozen=True)

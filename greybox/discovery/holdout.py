@@ -19,7 +19,7 @@ from greybox.data.noise.noise_model import BoundDirection, NoiseModel
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, with_start_values
+from greybox.discovery.problem import CandidateFit, DiscoveryProblem
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions
@@ -111,7 +111,7 @@ def adapt_to_records(
         prepared = prepared.with_substeps(candidate.problem.step.substeps)
     names = prepared.model.system.state_names
     guess = np.array([[trace.initial_state[name] for name in names] for trace in run.traces])
-    variables = with_start_values(prepared.variables, candidate.model.values)
+    variables = prepared.variables.start_at(candidate.model.values)
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
     model = prepared.shooting(variables).evaluate(variables.here)
     if not (model.is_finite and len(variables.which) == len(candidate.variables.which)):

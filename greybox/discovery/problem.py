@@ -10,7 +10,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
@@ -339,7 +338,7 @@ class DiscoveryProblem:
     def restore(self, model: Model, outcome: RefitOutcome) -> CandidateFit:
         """``model`` where an earlier refit ended."""
         problem = self.prepare(model.start(**outcome.values))
-        variables = with_start_values(problem.variables, outcome.values)
+        variables = problem.variables.start_at(outcome.values)
         if outcome.substeps not in (0, problem.step.substeps) and not problem.step.per_interval:
             problem = problem.with_substeps(outcome.substeps)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
@@ -423,26 +422,6 @@ def _from_solution(model: Model, solution: Solution, given: tuple[str, ...]) -> 
 
 
 def _rank_starts(problem: EstimationProblem, starts: Sequence[StartValues]) -> list[_Start]:
-    """The starts from which the model can be simulated, most promising first."""
-    points = (point for start in starts if (point := _predict_cost(problem, start)) is not None)
-    return sorted(points, key=lambda point: point[0])
-
-
-def _predict_cost(problem: EstimationProblem, start: StartValues) -> _Start | None:
-    """Cost that one step predicts from one start, and the variables there; None if the model cannot be simulated."""
-    variables = with_start_values(problem.variables, start)
-    e = problem.shooting(variables).evaluate(variables.here)
-    if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
-        return None
-    return e.cost - e.predicted_decrease(*variables.bounds()), variables
-
-
-def with_start_values(variables: DecisionVector, start: StartValues) -> DecisionVector:
-    """The same variables with other values at ``z = 0``."""
-    fixed = variables.fixed.copy()
-    names = variables.model.system.parameter_names
-    for name, value in start.items():
-        fixed[names.index(name)] = value
-    base = fixed[variables.which]
-    scale = np.where(base == 0, variables.scale, np.abs(base))
-    return replace(variables, fixed=fixed, base=base, scale=scale)
+    """The starts from which the model can be simulated, most promising first: by the cost that one step promises."""
+    points = [(problem.predict_cost(v), v) for v in map(problem.variables.start_at, starts)]
+    return sorted((point for point in points if np.isfinite(point[0])), key=lambda point: point[0])

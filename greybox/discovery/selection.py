@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base.findings import Check, Finding
-from greybox.discovery.candidates import count_shapes, generate_child_starting_points, generate_starting_points
+from greybox.discovery.candidates import generate_child_starting_points, generate_starting_points
 from greybox.discovery.decision import (
     EXCESS_AUTOCORRELATION,
     clean_cost_limit,
@@ -36,7 +36,7 @@ from greybox.discovery.problem import (
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
-from greybox.model.effects.starts import AMPLITUDE_GRID
+from greybox.model.effects.starts import AMPLITUDE_GRID, FEW_SHAPES, MANY_SHAPES, MANY_SHAPES_STARTS, count_shapes
 from greybox.model.model import Model
 
 # Which further effects are worth a refit: those whose predicted cost is lowest.
@@ -144,12 +144,6 @@ REFIT_TOP = 5
 SEARCH_GENERATIONS = 2
 # A candidate whose short refit is this many times as far from the records as one that leaves only noise is out.
 PRUNE_RATIO = 4.0
-# Shapes of an effect above which it is refitted from each of them: a step from afar predicts nothing for a sharp resonance.
-MANY_SHAPES = 15
-# Shapes from which the leading effect is refitted from more starting points: its cost has many minima.
-FEW_SHAPES = 4
-# The number of these starting points.
-MANY_SHAPES_STARTS = 5
 # How many of them at a time; the later ones count where the leading ones lead nowhere.
 BATCH_SIZE = 3
 # Further effects that are refitted beside each leading first effect, or beside all later ones together.

@@ -56,7 +56,7 @@ from greybox.estimation.transcription.solution import FitProgressCallback, make_
 from greybox.estimation.validate import validate
 from greybox.estimation.versions import read_versions
 from greybox.model.effects.scales import measure_scales
-from greybox.model.effects.starts import is_neutral, list_effect_values
+from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
 from greybox.simulation.records import to_experiments
@@ -199,10 +199,6 @@ def fit(
     return result
 
 
-# Starts of effects that stand at their neutral values from which a search is made, after one run from each.
-EFFECT_STARTS = 2
-
-
 def _begin_with_effects(
     problem: EstimationProblem,
     experiments: Experiment | Sequence[Experiment],
@@ -245,28 +241,29 @@ def _begin_with_effects(
         )
         return SimulationOptimum(model, ended, options.policy)
 
-    def cost_from(begin: Mapping[str, float]) -> float:
-        variables = begun.variables.with_values(begin)
-        return float(begun.shooting(variables).evaluate(variables.here).cost)
-
     begun = prepare_estimation(model, experiments, problem.noise, near, initial=initial)
     begins: list[dict[str, float]] = [fitted]
+    searched = 0
     # One effect after the other, each beside the best of those before it.
     for each in fresh:
-        values = list(list_effect_values(model, each, scales))
-        bases = [begins[0], {**begins[0], **{q.name: q.value for q in plain.free_parameters}}]
+        values, count = list(list_effect_values(model, each, scales)), count_starts(each, scales)
+        searched = max(searched, count)
+        bases = [begins[0]]
+        if count <= MANY_SHAPES_STARTS:
+            bases.append({**begins[0], **{q.name: q.value for q in plain.free_parameters}})
         more = [{**base, **value} for base in bases for value in values]
-        costs = {k: cost for k, begin in enumerate(more) if np.isfinite(cost := cost_from(begin))}
+        promised = (begun.predict_cost(begun.variables.start_at(begin)) for begin in more)
+        costs = {k: cost for k, cost in enumerate(promised) if np.isfinite(cost)}
         begins = [*(more[k] for k in sorted(costs, key=costs.__getitem__)), *begins]
     std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
     ends: list[SimulationOptimum] = []
-    for begin in (*begins[:EFFECT_STARTS], fitted):
+    for begin in (*begins[:searched], fitted):
         # The optimum without the effects is searched from only where no other start does better.
         if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
             continue
         other = prepare_estimation(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report), options.policy))
-        if ends[-1].status is TerminationStatus.INTERRUPTED:
+        if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=lambda end: _compute_ratio(end, std))
 
@@ -284,12 +281,15 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
     if not np.isfinite(optimum.evaluation.cost):
         return True
-    # At a noise that is known there is nothing to explain. A level that is the residual's own says no such thing.
-    at_noise = all(
+    return not is_at_noise(optimum) and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
+
+
+def is_at_noise(optimum: SimulationOptimum) -> bool:
+    """Whether nothing but noise is left to explain. A level that is the residual's own says no such thing."""
+    return np.isfinite(optimum.evaluation.cost) and all(
         m.noise_ratio <= NOISE_RATIO and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
         for name, m in optimum.misfit.items()
     )
-    return not at_noise and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
 
 
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:

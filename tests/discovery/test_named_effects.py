@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -13,8 +14,12 @@ from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.pipeline import discover
+from greybox.estimation.fit import fit
+from greybox.extensions.export.python_model import to_python
 from greybox.model.effects.catalogue import effect
+from greybox.model.model import Model
 from greybox.model.signals import Output
+from greybox.shell.project import load_model_file
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
@@ -100,7 +105,7 @@ SHORT = [
     SHORT,
     ids=[f"{rig.name}-{'-'.join(effects) or 'nothing'}" for rig, effects, _, _ in SHORT],
 )
-def test_the_hidden_effect_is_told_from_its_look_alikes(rig, effects, noise, others):
+def test_the_hidden_effect_is_told_from_its_look_alikes(rig, effects, noise, others, tmp_path):
     rows = 600 if rig is micro_actuator else 500
     train, test = simulate_records(rig, effects, noise, rows=rows)
     given = dict(zip((o.name for o in rig.outputs), noise, strict=False))
@@ -112,6 +117,16 @@ def test_the_hidden_effect_is_told_from_its_look_alikes(rig, effects, noise, oth
         for name, truth in effects[e["name"]].items():
             estimate = e["parameters"][name]
             assert abs(estimate["value"] - truth) < max(5 * estimate["std"], 0.02 * abs(truth))
+    # What is written is read back, fitted and judged: the same errors within 1 %, and so for a user who adds the effects by hand.
+    file = to_python(d.extended, tmp_path / "model.py")
+    written = next(value for value in vars(load_model_file(file)).values() if isinstance(value, Model))
+    by_hand = reduce(Model.__add__, (effect(name) for name in effects), plain_model(rig))
+    answer = d.extended if effects else d.base
+    for model in (written, by_hand):
+        again = fit(model, train, noise=given, validation=test, options=AT_REST)
+        for misfits, former in ((again.misfit, answer.misfit), (again.validation.misfit, answer.validation.misfit)):
+            for name, misfit in misfits.items():
+                assert misfit.rmse == pytest.approx(former[name].rmse, rel=0.01), (model.title, name)
 
 
 WHOLE = [

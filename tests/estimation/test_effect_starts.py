@@ -1,5 +1,7 @@
 """A fit of a model with an effect just added begins where the effect can show, and is never worse than the fit without it."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import greybox as gb
 from greybox import Balance, Model, Output, Parameter, State
 from greybox.model.effects.starts import is_neutral
 from tests.support.first_order import first_order
+from tests.support.pushed_mass import MASS
 
 STIFFNESS, DAMPING, FRICTION, NOISE = 25.0, 0.05, 0.6, 2e-3
 
@@ -98,3 +101,34 @@ def test_where_no_other_start_is_allowed_the_search_begins_at_the_neutral_value(
     found = gb.fit(delayed, record)
     for name, e in found.parameters.items():
         assert e.value == pytest.approx(alone.parameters[name].value, abs=1e-4), name
+
+
+def test_an_effect_whose_own_values_are_a_fit_s_begins_there():
+    """A search hands its effects over with fitted values as those of the effect itself."""
+    fitted = swing() + replace(
+        gb.effect("coulomb_friction"),
+        parameters=tuple(replace(q, value=0.6) for q in gb.effect("coulomb_friction").parameters),
+    )
+    (friction,) = fitted.effects
+    assert fitted.values["Fc"] == 0.6 and not is_neutral(fitted, friction)
+
+
+def test_a_sharp_resonance_is_found_from_all_of_its_starts():
+    dt, rows = 2e-3, 3000
+    time = dt * np.arange(rows)
+    force = gb.signals.multisine(time, 0.5, 60, 4.0, np.random.default_rng(1))
+
+    def slope(t, x):  # 0.08 kg on a spring, 22 Hz, on a body of 0.62 kg
+        spring = 1500 * (x[2] - x[0]) + 0.8 * (x[3] - x[1])
+        push = force[min(int(t / dt), rows - 1)] - 5.5 * x[1] - 2600 * x[0] + spring
+        return [x[1], push / 0.62, x[3], -spring / 0.08]
+
+    run = solve_ivp(slope, (0, time[-1]), [0.0] * 4, "LSODA", time, max_step=dt, rtol=1e-8, atol=1e-10).y[0]
+    record = gb.Experiment.from_arrays(
+        time, {"u": force}, {"x": run + 2e-6 * np.random.default_rng(2).normal(size=rows)}, name="stage"
+    )
+    stage = replace(MASS, outputs=(Output("x", "m"),)).bound(K=(1.0, 1e5)).start(M=0.7, B=4.0, K=2500.0).free("M")
+    found = gb.fit(stage + gb.effect("second_mode"), record, noise={"x": 2e-6}, options=gb.FitOptions(at_rest=True))
+    assert found.misfit["x"].noise_ratio == pytest.approx(1.0, abs=0.05)
+    for name, truth in {"M": 0.62, "m2": 0.08, "k2": 1500.0, "c2": 0.8}.items():
+        assert found.parameters[name].value == pytest.approx(truth, rel=0.02), name

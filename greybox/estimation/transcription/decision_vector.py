@@ -456,6 +456,15 @@ class DecisionVector:
         changed = replace(self, base=base)
         return replace(changed, fixed=changed.parameters(changed.here))
 
+    def start_at(self, values: Mapping[str, float]) -> DecisionVector:
+        """The same variables with other values of some parameters of the model at ``z = 0``, free or not; a step of one is their size."""
+        fixed, names = self.fixed.copy(), self.model.system.parameter_names
+        for name, value in values.items():
+            fixed[names.index(name)] = value
+        base = fixed[self.which]
+        scale = np.where(base == 0, self.scale, np.abs(base))
+        return replace(self, fixed=fixed, base=base, scale=scale)
+
     def hold(self, held: np.ndarray) -> DecisionVector:
         """The same variables with some constants (nf,) no longer free: they are as in ``fixed``, or as the conditions have them."""
         keep = ~held

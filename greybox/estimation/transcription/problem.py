@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
+from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.data.noise.noise_sources import estimate_noise
@@ -48,6 +50,13 @@ class EstimationProblem:
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
     policy: SolverPolicy = DEFAULT_SOLVER_POLICY
+
+    def predict_cost(self, variables: DecisionVector) -> float:
+        """The cost that one step of the quadratic model promises from ``variables``; infinite where the model cannot be simulated there."""
+        e = self.shooting(variables).evaluate(variables.here)
+        if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
+            return math.inf
+        return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
     def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
         """The cost of free runs over the first ``share`` of every record, for its own variables or others.

@@ -15,6 +15,13 @@ from greybox.model.model import Model
 
 # Amplitudes at which a refit starts, in multiples of the effect's probe (about a hundredth of the balance it enters).
 AMPLITUDE_GRID: tuple[float, ...] = (1.0, 10.0)
+# Starting points that are searched from, the most promising first ...
+FEW_SHAPES_STARTS = 2
+# ... of an effect with so many shapes more of them, as its cost has many minima ...
+FEW_SHAPES = 4
+MANY_SHAPES_STARTS = 5
+# ... and above so many all of them: a step from afar predicts nothing for a sharp resonance.
+MANY_SHAPES = 15
 
 
 def list_effect_values(
@@ -51,6 +58,19 @@ def list_shapes(effect: Effect, scales: Scales) -> Sequence[Mapping[str, float]]
     return [dict(zip(grid, values, strict=True)) for values in product(*grid.values())]
 
 
+def count_shapes(effect: Effect, scales: Scales) -> int:
+    """How many combinations of shape values an effect starts from."""
+    return len(list_shapes(effect, scales))
+
+
+def count_starts(effect: Effect, scales: Scales) -> int:
+    """From how many of its starting points, the most promising first, a fit with an effect is searched."""
+    shapes = count_shapes(effect, scales)
+    if shapes > MANY_SHAPES:
+        return shapes
+    return MANY_SHAPES_STARTS if shapes >= FEW_SHAPES else FEW_SHAPES_STARTS
+
+
 def within_bounds(model: Model, name: str, value: float) -> float:
     """``value`` of a constant, or the bound that it exceeds."""
     low, high = model.parameter(name).bounds
@@ -58,12 +78,12 @@ def within_bounds(model: Model, name: str, value: float) -> float:
 
 
 def is_neutral(model: Model, effect: Effect) -> bool:
-    """Whether an effect stands as the catalogue has it: nobody has given it a value, and it changes nothing.
+    """Whether an effect that a fit may change changes nothing as it stands: its amplitudes are zero, or at their neutral values.
 
     An effect that replaces a law has no neutral value; it begins where it stands.
     """
     names = model.names_of(effect.name)
-    present = {q.name: q for q in model.all_parameters}
-    free = {q.name for q in model.free_parameters}
-    stands = all(present[names[q.name]].value == q.value for q in effect.parameters if names[q.name] in present)
-    return bool(effect.amplitudes) and stands and any(names[name] in free for name in effect.amplitudes)
+    values, free = model.values, {q.name for q in model.free_parameters}
+    amplitudes = [name for name in effect.amplitudes if names[name] in values]
+    absent = all(values[names[name]] == effect.neutral.get(name, 0.0) for name in amplitudes)
+    return bool(amplitudes) and absent and any(names[name] in free for name in amplitudes)
