@@ -126,7 +126,7 @@ def estimate_covariance(
     # The Hessian of half the cost is the information: J'J from the data, P = 1 / std^2 from the priors.
     prior = variables.penalty(variables.here)[2] / 2
     known = np.diag(np.pad(prior, (0, variables.size - n)))
-    rows = residuals.rows
+    rows, colour = residuals.rows, colour.share_variance(problem.noise.sharing)
     sums, held = sum_scores(variables, rows, colour), np.diag(prior[inside])
     data = sums.information
     # Schur complement: A_cc - A_ci A_ii^-1 A_ic, the initial states estimated as well instead of counted as known.

@@ -74,8 +74,11 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     )
     if problem.loss is not None or not untold.any():
         return None
-    counts = np.maximum(evaluation.counts, 1)
-    size = np.sqrt(evaluation.squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
+    counts, squares = np.maximum(evaluation.counts, 1), evaluation.squares
+    if problem.noise.common:  # of all of them together
+        shared = np.isin(np.arange(len(untold)), problem.noise.sharing)
+        counts, squares = (np.where(shared, each[shared].sum(), each) for each in (counts, squares))
+    size = np.sqrt(squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
     if is_settled(ratio):
         return None

@@ -62,6 +62,9 @@ class FitOptions(SolverOptions):
         standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.loss.Loss`.
     per_experiment
         Parameters of which each experiment has a value of its own.
+    common_noise
+        Outputs whose noise nothing tells have one level in common, which the residual of all of them says: they are weighed alike, as
+        a plain sum of squares does. They must have one unit.
     other_starts
         How many other starts are searched where the fit from the model's own explains nothing; 0 for none.
     policy
@@ -82,6 +85,7 @@ class FitOptions(SolverOptions):
     at_rest: bool = False
     loss: str = "squares"
     per_experiment: tuple[str, ...] = ()
+    common_noise: bool = False
     other_starts: int = 6
 
     def __post_init__(self) -> None:
@@ -154,6 +158,7 @@ def prepare_estimation(
         quiet=quiet,
         per_experiment=options.per_experiment,
         robust=options.robust,
+        common_noise=options.common_noise,
         initial=initial,
         policy=options.policy,
     )

@@ -9,7 +9,7 @@ on strongly correlated noise, however its bandwidth is chosen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Protocol
 
@@ -46,6 +46,14 @@ class ResidualColour:
             rho = _compute_correlations(model, max(count, 1))
             result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
         return result
+
+    def share_variance(self, outputs: Sequence[int]) -> ResidualColour:
+        """The same with one variance for all of these outputs, whose noise is one."""
+        if not outputs:
+            return self
+        samples = sum(self.counts[j] for j in outputs)
+        shared = sum(self.variance[j] * self.counts[j] for j in outputs) / max(samples, 1)
+        return replace(self, variance=tuple(shared if j in outputs else v for j, v in enumerate(self.variance)))
 
     @property
     def degrees(self) -> float:

@@ -103,6 +103,7 @@ def fit_options(study: Study) -> FitOptions:
         substeps=study.substeps,
         loss=study.loss,
         per_experiment=study.per_experiment,
+        common_noise=study.common_noise,
         transcription=study.transcription,
         arc_length=study.arc_length,
     )

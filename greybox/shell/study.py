@@ -282,6 +282,13 @@ class Study:
         metavar="OUTPUT=STD",
         complete=completion.outputs,
     )
+    common_noise: bool = _study_field(
+        Switch(),
+        "--common-noise",
+        "estimation.common_noise",
+        (FIT,),
+        "Outputs whose noise is not given have one unknown noise in common and are weighed alike; they must have one unit.",
+    )
     quiet: tuple[Path, ...] = _study_field(
         Files(),
         "--quiet",

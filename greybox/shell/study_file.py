@@ -385,7 +385,16 @@ def _fit_lines(study: Study) -> list[str]:
     chosen, usual = fit_options(study), FitOptions()
     options = {
         name: str(value) if isinstance(value, str) else value
-        for name in ("at_rest", "method", "substeps", "loss", "per_experiment", "transcription", "arc_length")
+        for name in (
+            "at_rest",
+            "method",
+            "substeps",
+            "loss",
+            "per_experiment",
+            "common_noise",
+            "transcription",
+            "arc_length",
+        )
         if (value := getattr(chosen, name)) != getattr(usual, name)
     }
     texts = _data(study)

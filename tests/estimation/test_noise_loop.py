@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
-from greybox import FitOptions
+from greybox import Balance, FitOptions, Model, Output, Parameter, State, fit
+from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.noise_loop import estimate_by_simulation_error, update_noise
@@ -13,6 +15,7 @@ from greybox.estimation.options import prepare_estimation
 from greybox.estimation.policy import EstimationPolicy, NoiseLoopPolicy
 from tests.estimation.test_robust_estimation import LEVEL, TRUTH, record, spoiled
 from tests.support.published_plants import REST, SATURATION, TIMES, VALUES
+from tests.support.pushed_mass import MASS
 
 
 def few_samples():
@@ -61,3 +64,37 @@ def test_the_last_steps_leave_nothing_to_gain():
     solution = estimate_by_simulation_error(prepare_estimation(TRUTH, record(2), LEVEL, options), options)
     decrease = solution.evaluation.predicted_decrease(*solution.variables.bounds())
     assert decrease <= 1e-12 * solution.evaluation.cost / solution.evaluation.count + 1e-13 * solution.evaluation.cost
+
+
+def test_outputs_with_common_noise_are_weighed_alike_at_the_level_of_all_residuals():
+    # y1 follows the model, y2 scatters ten times as far: the plain sum of squares says the constants and the one level.
+    generator = np.random.default_rng(0)
+    t = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0])
+    y1, y2 = np.exp(-t) + 0.001 * generator.normal(size=7), np.exp(-t) + 0.01 * generator.normal(size=7)
+    model = Model(
+        "decay",
+        states=[State("y", "1", 1.0)],
+        inputs=[],
+        outputs=[Output(name, "1", lambda x, u, p: x.y) for name in ("y1", "y2")],
+        parameters=[Parameter("k", "1", 0.8, (0.01, 10.0))],
+        balances=lambda x, u, p: [Balance("decay", "1", 1, "y", decay=-p.k * x.y)],
+    )
+    found = fit(
+        model, Experiment("decay", t, {}, {"y1": y1, "y2": y2}), options=FitOptions(at_rest=True, common_noise=True)
+    )
+    least = least_squares(lambda k: np.concatenate([np.exp(-k * t) - y1, np.exp(-k * t) - y2]), 0.8, xtol=1e-14)
+    assert found.parameters["k"].value == pytest.approx(least.x[0], rel=1e-6)
+    level = np.sqrt(2 * least.cost / (14 - 1))
+    assert found.noise.std["y1"] == found.noise.std["y2"] == pytest.approx(level, rel=1e-3)
+    std = level / np.sqrt(2 * np.sum((t * np.exp(-least.x[0] * t)) ** 2))
+    assert found.parameters["k"].std == pytest.approx(std, rel=1e-3)
+
+
+def test_common_noise_of_a_length_and_a_current_is_refused():
+    record = Experiment(
+        "rig", np.arange(50.0), {"u": np.sin(np.arange(50.0))}, {"x": np.arange(50.0), "v": np.ones(50)}
+    )
+    with pytest.raises(
+        ModelError, match="common noise: x in m, v in m/s; outputs have one noise in common only in one unit"
+    ):
+        prepare_estimation(MASS, record, None, FitOptions(common_noise=True))

@@ -67,6 +67,24 @@ def test_right_models_pass() -> None:
     assert [b.state for b in model.system.balances] == [s.name for s in model.states]
 
 
+def plain(rate_unit: str = "1") -> Model:
+    """The logistic equation of plain numbers: a rate and a number are added."""
+    return Model(
+        "growth",
+        states=[State("n", "1", 0.1)],
+        inputs=[],
+        outputs=[Output("n", "1")],
+        parameters=[Parameter("r", rate_unit, 1.0)],
+        balances=lambda x, u, p: [Balance("growth", "1", 1, "n", growth=p.r * x.n, crowding=-(x.n**2), drift=0.1)],
+    )
+
+
+def test_in_a_model_of_plain_numbers_time_is_one_too() -> None:
+    assert plain().system.state_names == ("n",)
+    with pytest.raises(UnitError, match="growth"):
+        plain("1/s")
+
+
 def effect(site: str = "force", unit: str = "{force}", **functions: object) -> Effect:
     return Effect("guess", site, [Parameter("c", unit, 1.0)], **functions)
 

@@ -345,6 +345,8 @@ class NoiseModel(Printable):
         Whether no level was estimated from the records that are fitted.
     bounds
         What is known of each, by name of the measured outputs; what a source says in general where one is missing.
+    common
+        Whether outputs whose level is that of the residual have it in common.
     """
 
     outputs: tuple[str, ...]
@@ -353,6 +355,13 @@ class NoiseModel(Printable):
     colour: tuple[AutoRegression, ...]
     known: bool
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
+    common: bool = False
+
+    @property
+    def sharing(self) -> tuple[int, ...]:
+        """Numbers of the outputs that have one noise in common."""
+        ours = (j for j, name in enumerate(self.outputs) if self.sources.get(name) is NoiseSource.RESIDUAL)
+        return tuple(ours) if self.common else ()
 
     @property
     def coloured(self) -> bool:

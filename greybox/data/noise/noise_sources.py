@@ -76,6 +76,7 @@ def estimate_noise(
     *,
     robust: bool = False,
     alike: bool = True,
+    common: bool = False,
     policy: NoisePolicy = NOISE_POLICY,
 ) -> NoiseModel:
     """Noise of each output: as given, else from quiet records, from repetition, or from differences.
@@ -96,6 +97,8 @@ def estimate_noise(
         Estimates that a few outliers do not move.
     alike
         Whether experiments with the same input repeat one another; not where they have constants of their own.
+    common
+        Whether outputs whose noise is neither given nor known from a quiet record have one level in common: that of their residual.
     policy
         When a record is quiet, when inputs are the same, how high the order of the colour may be.
 
@@ -107,7 +110,7 @@ def estimate_noise(
     Raises
     ------
     ModelError
-        For noise of an unknown output.
+        For noise of an unknown output, and for noise in common of outputs with different units.
     DataError
         For a quiet record whose input moves, or that lacks an output it should show.
     """
@@ -121,6 +124,8 @@ def estimate_noise(
         if any(np.isfinite(c).any() for c in columns):
             level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
             colour[j], levels[output.name] = level.colour, level
+    if common:
+        levels = _share_level(model, levels)
     weights = _weigh_outputs(levels, experiments)
     for j, output in enumerate(model.outputs):
         std[j] = weights.get(output.name, 1.0)
@@ -130,7 +135,27 @@ def estimate_noise(
     known = all(source.is_independent for source in sources.values())
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
-    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds)
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, common)
+
+
+def _share_level(model: Model, levels: Mapping[str, _Level]) -> dict[str, _Level]:
+    """The outputs whose noise nothing tells at one level: their greatest movement, until there is a fit with a residual."""
+    untold = {name: level for name, level in levels.items() if not level.source.is_independent}
+    units = {o.name: o.unit for o in model.outputs if o.name in untold}
+    if len(set(units.values())) > 1:
+        shown = ", ".join(f"{name} in {unit}" for name, unit in units.items())
+        raise ModelError(
+            f"common noise: {shown}; outputs have one noise in common only in one unit. Give the noise of the others, or leave"
+            " common_noise out"
+        )
+    std = max((level.std for level in untold.values()), default=1.0)
+    shared = {
+        name: replace(
+            level, std=std, weight=std, source=NoiseSource.RESIDUAL, colour=WHITE, direction=None, is_hidden=False
+        )
+        for name, level in untold.items()
+    }
+    return {**levels, **shared}
 
 
 def _weigh_outputs(levels: Mapping[str, _Level], experiments: Sequence[Experiment]) -> dict[str, float]:

@@ -123,6 +123,7 @@ def prepare_problem(
     quiet: Experiment | Sequence[Experiment] = (),
     per_experiment: Sequence[str] = (),
     robust: bool = False,
+    common_noise: bool = False,
     initial: Sequence[Mapping[str, float]] = (),
     policy: SolverPolicy = DEFAULT_SOLVER_POLICY,
 ) -> EstimationProblem:
@@ -130,6 +131,7 @@ def prepare_problem(
 
     ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit.
     ``per_experiment``: parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise.
+    ``common_noise``: outputs whose noise nothing tells have one level in common.
     ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and
     whose noise is not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
 
@@ -142,7 +144,14 @@ def prepare_problem(
         noise
         if isinstance(noise, NoiseModel)
         else estimate_noise(
-            model, group, noise or {}, quiet, robust=robust, alike=not per_experiment, policy=policy.noise
+            model,
+            group,
+            noise or {},
+            quiet,
+            robust=robust,
+            alike=not per_experiment,
+            common=common_noise,
+            policy=policy.noise,
         )
     )
     constant = _find_constant_outputs(model, group, deviation)
