@@ -459,7 +459,12 @@ def study(name: str, random: int) -> dict[str, Any]:
         "random": f"{sum(e.reached for e in drawn)} of {len(drawn)}",
         "standard_error": max((e.standard_error for e in published if e.reached), default=math.nan),
         "missed_without_a_word": sum(not e.warned for e in missed),
-        "missed": [f"{e.status}, {e.ratio:.3g} times" for e in missed],
+        "missed": [
+            f"{e.status}, {e.ratio:.3g} times"
+            if problem.squares > EXACT_SQUARES
+            else f"{e.status}, a sum of {e.ratio * problem.squares:.2g}"
+            for e in missed
+        ],
     }
 
 
