@@ -64,8 +64,8 @@ class _UnitCheck:
     @cached_property
     def time(self) -> Unit:
         """The unit of time: none in a model of plain numbers."""
-        stated = (*self.statement.outputs, *self.system.stated_balances)
-        units = {*self.units.values(), *(item.unit for item in stated)}
+        outputs, balances = self.statement.outputs, self.system.stated_balances
+        units = {*self.units.values(), *(o.unit for o in outputs), *(b.unit for b in balances)}
         return ONE if all(parse_unit(unit) == ONE for unit in units) else SECOND
 
     def declarations(self) -> Iterator[str]:
