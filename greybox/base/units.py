@@ -67,6 +67,7 @@ def add_exponents(first: Dimensions, second: Dimensions, times: float) -> Dimens
 
 
 ONE = Unit()
+SECOND = Unit(1.0, (("s", 1.0),))
 
 
 # The text of a unit, read and written: ``N*s/m`` is a number and the powers of symbols.

@@ -18,7 +18,7 @@ class Balance:
     name
         The name of the balance (``force``, ``voltage``); effects add to balances by name.
     unit
-        The unit of every term.
+        The unit of every term. It also says the time that the equation counts in: in ``g/h``, of a state in g, rates are those of hours.
     storage
         What multiplies the rate: a mass, an inductance, 1. The number 0 makes the balance a relation: its terms add up to zero, and its
         state is solved for (from `State.start`, where the relation is not linear).

@@ -9,10 +9,12 @@ import casadi as ca
 
 from greybox.base.errors import MissingNameError, ModelError, nearest
 from greybox.base.numerics import STATE_BOUND_MARGIN
-from greybox.base.units import format_unit
+from greybox.base.units import ONE, SECOND, format_unit, parse_unit
 from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
+from greybox.model.expressions.operations import UnitMismatchError
+from greybox.model.expressions.units import infer_unit
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
@@ -95,7 +97,9 @@ def build_system(statement: Statement) -> System:
     p = apply_ties(statement.ties, p)
     diffusion = build_diffusion(dynamic, effects, p)
     x, u, p, before = _transform_signals(statement, effects, x, u, p)
-    balances = {b.name: b for b in statement.balances(x, u, p)}
+    items: tuple[Item, ...] = (*statement.states, *statement.inputs, *every)
+    units = {item.name: item.unit for item in items}
+    balances = {b.name: _in_stated_time(b, units) for b in statement.balances(x, u, p)}
     outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
     plant = _solve_relations(statement, balances.values(), plant_symbols, p)
     # At rest, inputs are zero, where a relation that is not linear may have no solution: its state is at its start value there.
@@ -281,6 +285,21 @@ def _transform_signals(
             used = placed.effect.on_state(*names)
             x = x.replaced({_name_of(name, statement.states): value for name, value in used.items()})
     return x, u, p, before
+
+
+def _in_stated_time(balance: Balance, units: Mapping[str, str]) -> Balance:
+    """The balance in seconds, whatever its unit counts in: in g/h, an hour's worth of seconds is stored of a state in g."""
+    if stores_nothing(balance):
+        return balance
+    try:
+        stored = infer_unit(balance.storage, units) or ONE
+        rate, stated = stored * parse_unit(units[balance.state]) / SECOND, parse_unit(balance.unit)
+    except (ModelError, UnitMismatchError, KeyError):  # what is wrong with it the checks of names and units say
+        return balance
+    if rate.dimensions != stated.dimensions or rate == stated:
+        return balance
+    # c d(state)/dt = terms in the stated unit, with c of it in one of storage * state / s
+    return balance.with_storage(rate.factor / stated.factor)
 
 
 def _plant_balances(statement: Statement) -> list[Balance]:

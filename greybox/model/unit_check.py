@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 
 from greybox.base.errors import ModelError, UnitError, nearest
-from greybox.base.units import ONE, Unit, format_unit, parse_unit, unit_name
+from greybox.base.units import ONE, SECOND, Unit, format_unit, parse_unit, unit_name
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.expressions.operations import UnitMismatchError
@@ -18,14 +18,13 @@ from greybox.model.signals import NamedValues, names_by_role
 from greybox.model.system import Item, PlacedEffect, Statement, System
 from greybox.model.ties import apply_ties
 
-SECOND = parse_unit("s")
 MEASURED = "measured value"  # what a sensor effect is given; the blank keeps it apart from a state of that name
 
 
 def check_units(statement: Statement, system: System) -> None:
     """Refuse a model whose units disagree: UnitError with every offender, by balance and term, found and expected.
 
-    Checked are each term of each balance, ``storage * state / s``, dry friction, outputs, starts, process noise, and what
+    Checked are each term of each balance, the dimension of ``storage * state / s``, dry friction, outputs, starts, process noise, and what
     effects put in the place of inputs, outputs and parameters. A literal number has no unit, except 0 and infinity, which fit
     anything. In a model of plain numbers, in which nothing has a unit, time is a number too, in the unit of its records.
     """
@@ -159,7 +158,8 @@ class _UnitCheck:
             yield f"{subject}: {mismatch}"
             return
         rate = stored * parse_unit(self.units[balance.state]) / self.time
-        if rate != parse_unit(balance.unit):
+        # Another scale of the same dimension is no mistake: the system is written out in it.
+        if rate.dimensions != parse_unit(balance.unit).dimensions:
             yield f"{subject} has {self._describe(rate)}, expected {format_unit(balance.unit) or '1'}"
 
     def _expect(

@@ -286,7 +286,7 @@ class Study:
         Switch(),
         "--common-noise",
         "estimation.common_noise",
-        (FIT,),
+        (FIT, COMPARE),
         "Outputs whose noise is not given have one unknown noise in common and are weighed alike; they must have one unit.",
     )
     quiet: tuple[Path, ...] = _study_field(

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from tempfile import mkdtemp
+
 import casadi as ca
+import numpy as np
 import pytest
 
-from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
+from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State, simulate
 from greybox.base.errors import ModelError, UnitError
+from greybox.extensions.export.python_model import to_python
+from greybox.shell.project import load_model_file
 
 
 def rig(
@@ -83,6 +89,28 @@ def test_in_a_model_of_plain_numbers_time_is_one_too() -> None:
     assert plain().system.state_names == ("n",)
     with pytest.raises(UnitError, match="growth"):
         plain("1/s")
+
+
+@pytest.mark.parametrize(
+    ("unit", "rate", "seconds"), [("g/h", "1/h", 3600.0), ("mg/s", "1/s", 1.0), ("g/min", "1/min", 60.0)]
+)
+def test_a_balance_counts_in_the_time_and_the_scale_of_its_unit(unit: str, rate: str, seconds: float) -> None:
+    scale = 1e3 if unit.startswith("m") else 1.0
+    model = Model(
+        "demand",
+        states=[State("y", "g", 0.0)],
+        inputs=[Input("u", "g")],
+        outputs=[Output("y", "g")],
+        parameters=[Parameter("b", rate, 0.5), Parameter("m", "mg/g" if scale > 1 else "1", scale)],
+        balances=lambda x, u, p: [Balance("demand", unit, 1, "y", growth=p.m * p.b * (u.u - x.y))],
+    )
+    time = np.linspace(0, 6 * seconds, 61)
+    run = simulate(model, {"time": time, "u": np.full(61, 20.0)})
+    # y = u (1 - exp(-b t)), t in the time of the rate
+    np.testing.assert_allclose(run.outputs["y"], 20 * (1 - np.exp(-0.5 * time / seconds)), rtol=1e-6)
+    written = to_python(model, Path(mkdtemp()) / "model.py")
+    again = next(v for v in vars(load_model_file(written)).values() if isinstance(v, Model))
+    np.testing.assert_allclose(simulate(again, {"time": time, "u": np.full(61, 20.0)}).outputs["y"], run.outputs["y"])
 
 
 def effect(site: str = "force", unit: str = "{force}", **functions: object) -> Effect:
