@@ -276,7 +276,9 @@ def measure_scatter(
     records = [[trace.experiment for trace in f.traces] for f in fits]
     if sum(len(of) - 1 for of in records) >= LEAST_RECORD_DEGREES:
         sides = [_estimate_each(f, of, constants) for f, of in zip(fits, records, strict=True)]
-        spread = _measure(sides, LEAST_RECORD_DEGREES, 1.0)
+        # What a model lacks acts alike in records that repeat each other: their spread may be smaller than any interval. Of other
+        # motion it says something else, and the intervals are the least that is allowed.
+        spread = _measure(sides, LEAST_RECORD_DEGREES, 0.0 if pairs else 1.0)
         if spread is not None and not (adequate and spread.p > WANDER_P):
             return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.RECORDS)
     if adequate:
@@ -381,11 +383,20 @@ def _measure(
         counts[is_known] += 1
     enough = counts - len(known) >= least_degrees
     factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
-    all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
-    # With fewer pieces than constants every combination is an exact one, and says nothing.
-    together = np.sqrt(all_squares / all_degrees) if degrees >= enough.sum() else 0.0
+    # With fewer pieces than constants every combination is an exact one, and says nothing. A machine may wander along one combination
+    # alone: the widest one counts, not the mean of all.
+    whitened = np.array([_root(e.information) @ deviation for deviation, e in rows])
+    widest = np.sqrt(np.linalg.eigvalsh(whitened.T @ whitened)[-1] / degrees)
+    together = widest if degrees >= enough.sum() else 0.0
+    all_squares, all_degrees = float((whitened**2).sum()), degrees * max(int(enough.sum()), 1)
     p = float(chdtrc(all_degrees, all_squares))
     return _Spread(np.maximum(np.maximum(factors, together), least_factor), degrees, p)
+
+
+def _root(symmetric: np.ndarray) -> np.ndarray:
+    """The symmetric root of a matrix without negative eigenvalues but for rounding."""
+    values, vectors = np.linalg.eigh(symmetric)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
 # Pieces of each side's records at least: their variance is known to half of itself.
@@ -467,15 +478,19 @@ def compare_constants(
     names: Sequence[str],
     level: float,
     power: float,
+    most_degrees: float = np.inf,
 ) -> DifferenceTest:
-    """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms."""
+    """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms.
+
+    ``most_degrees``: degrees of freedom of a scatter that was measured over both sides together, whatever those of each side.
+    """
     i, j = before.index(names), after.index(names)
     common = before.positive[i] & after.positive[j]
     one, other = _rescale(before, i, common), _rescale(after, j, common)
     difference = other[0] - one[0]
     covariance = one[1] + other[1]
     std = np.sqrt(np.diag(covariance))
-    degrees = combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees)
+    degrees = min(combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees), most_degrees)
     correlation = covariance / np.outer(std, std)
     z = difference / std
     null = _NullDistribution.draw(correlation, degrees)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -85,20 +85,44 @@ Signals = Mapping[str, np.ndarray]
 # Two records of the same motion: what the model lacks acts alike in both.
 
 
-def match_repeats(
-    reference: Sequence[Experiment], records: Sequence[Experiment]
-) -> tuple[tuple[Experiment, Experiment], ...]:
-    """Each record with the record of the fit that it repeats, both as long as the shorter one; none where one repeats none."""
-    pairs: list[tuple[Experiment, Experiment]] = []
-    left = list(reference)
-    for record in records:
-        alike = next((one for one in (*left, *reference) if is_alike(one, record)), None)
-        if alike is None:
-            return ()
-        left = [one for one in left if one is not alike]
-        rows = min(alike.rows, record.rows)
-        pairs.append((alike.window(0, rows), record.window(0, rows)))
-    return tuple(pairs)
+@dataclass(frozen=True)
+class Repeats:
+    """Records of the same motions before and today, all of one motion over the rows that they have in common.
+
+    ``pairs``: each of today's with the one of before that stands for it. Empty where one of today's repeats none.
+    """
+
+    before: tuple[Experiment, ...] = ()
+    after: tuple[Experiment, ...] = ()
+    pairs: tuple[tuple[Experiment, Experiment], ...] = ()
+
+
+def match_repeats(reference: Sequence[Experiment], records: Sequence[Experiment]) -> Repeats:
+    """The records of each motion that today's repeat; nothing where one of today's repeats none of the fit."""
+
+    def find_motion(record: Experiment) -> int:
+        return next((k for k, one in enumerate(reference) if one is record or is_alike(one, record)), -1)
+
+    motions = [find_motion(record) for record in records]
+    if -1 in motions:
+        return Repeats()
+    before: dict[int, list[Experiment]] = {motion: [] for motion in motions}
+    for one in reference:
+        if (motion := find_motion(one)) in before:
+            before[motion].append(one)
+    rows = {
+        motion: min(r.rows for r in (*ones, *(r for r, m in zip(records, motions, strict=True) if m == motion)))
+        for motion, ones in before.items()
+    }
+    cut = {motion: [one.window(0, rows[motion]) for one in ones] for motion, ones in before.items()}
+    after = tuple(record.window(0, rows[motion]) for record, motion in zip(records, motions, strict=True))
+    # The second record of a motion stands beside the second one of before, as long as there are any.
+    places = [motions[:k].count(motion) for k, motion in enumerate(motions)]
+    pairs = tuple(
+        (cut[motion][place if place < len(cut[motion]) else 0], record)
+        for motion, place, record in zip(motions, places, after, strict=True)
+    )
+    return Repeats(tuple(one for ones in cut.values() for one in ones), after, pairs)
 
 
 # Rms difference of two signals over their size up to which one repeats the other: what the model lacks then acts alike in both.
@@ -263,20 +287,20 @@ def detect_changes(
     scatter: MeasuredScatter | None = None
     if after.names == before.names:
         adequate, compared = residuals[0].adequate, (reference, today)
-        pairs: tuple[tuple[Experiment, Experiment], ...] = ()
+        repeats = Repeats()
         if not adequate:
-            pairs = match_repeats([trace.experiment for trace in reference.traces], listed)
-            compared = _fit_pairs(reference, today, pairs)
+            repeats = match_repeats([trace.experiment for trace in reference.traces], listed)
+            compared = _fit_repeats(reference, today, repeats)
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
         if after.names == before.names:
-            scatter = measure_scatter(*compared, before, pairs, adequate=adequate)
+            scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
         if scatter is not None:
             before, after = scatter.before, scatter.after
             largest = int(np.argmax(scatter.factors))
             allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees, "over": scatter.yardstick}
             findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
     comparable = residuals[0].adequate or (scatter is not None and scatter.yardstick.is_trusted)
-    constants, test = compare_fits(before, after, level_of_constants)
+    constants, test = compare_fits(before, after, level_of_constants, scatter.degrees if scatter else math.inf)
     checks = of_residual
     if test:
         checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
@@ -301,16 +325,15 @@ def detect_changes(
     )
 
 
-def _fit_pairs(reference: Fit, today: Fit, pairs: Sequence[tuple[Experiment, Experiment]]) -> tuple[Fit, Fit]:
-    """Both fits of the rows that both records of each pair have: of a model that lacks something the rest tells something else.
+def _fit_repeats(reference: Fit, today: Fit, repeats: Repeats) -> tuple[Fit, Fit]:
+    """Both fits of the rows that the records of a motion have in common: of a model that lacks something the rest tells something else.
 
-    As they are where every record is as long as the one that it repeats, or repeats none.
+    As they are where they are of these rows already, or where today's records repeat none.
     """
-    if not pairs:
+    if not repeats.pairs:
         return reference, today
-    sides = tuple(tuple(side) for side in zip(*pairs, strict=True))
     fits = []
-    for whole, side in zip((reference, today), sides, strict=True):
+    for whole, side in ((reference, repeats.before), (today, repeats.after)):
         known = [trace.experiment.rows for trace in whole.traces]
         again = refit(whole, side) if [record.rows for record in side] != known else whole
         fits.append(again if again.success else whole)
@@ -337,11 +360,14 @@ SENSITIVITY_POWER = 0.95
 
 
 def compare_fits(
-    before: FittedConstants, after: FittedConstants, level: float
+    before: FittedConstants, after: FittedConstants, level: float, most_degrees: float = math.inf
 ) -> tuple[dict[str, ConstantChange], DifferenceTest | None]:
-    """The change of every constant of ``before``, and the test behind it; None where no constant can be compared."""
+    """The change of every constant of ``before``, and the test behind it; None where no constant can be compared.
+
+    ``most_degrees``: those of a scatter that was measured over both sides together.
+    """
     names = list_comparable(before, after)
-    test = compare_constants(before, after, names, level, SENSITIVITY_POWER) if names else None
+    test = compare_constants(before, after, names, level, SENSITIVITY_POWER, most_degrees) if names else None
     changes = {}
     for name in before.names:
         i = before.names.index(name)

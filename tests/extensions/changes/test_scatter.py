@@ -43,8 +43,16 @@ def coast(seed: int, share: float = 1.0, seconds: float = 0.0) -> gb.Experiment:
 def test_runs_that_end_by_themselves_are_repeats_over_what_both_cover() -> None:
     one, other = coast(1), coast(4)
     assert one.rows != other.rows and is_alike(one, other)
-    ((before, after),) = match_repeats([one], [other])
+    ((before, after),) = match_repeats([one], [other]).pairs
     assert before.rows == after.rows == min(one.rows, other.rows)
+
+
+def test_all_records_of_the_motion_that_is_repeated_are_compared_over_the_same_rows() -> None:
+    ones, other = [coast(k) for k in (1, 4, 5)], coast(6)
+    repeats = match_repeats(ones, [other])
+    assert len(repeats.before) == 3 and len(repeats.after) == len(repeats.pairs) == 1
+    assert {r.rows for r in (*repeats.before, *repeats.after)} == {min(r.rows for r in (*ones, other))}
+    assert not match_repeats(ones, [other, day(1, 2.0)]).pairs
 
 
 def test_a_run_that_covers_less_than_half_of_the_other_is_no_repeat() -> None:
