@@ -100,16 +100,14 @@ class Repeats:
 def match_repeats(reference: Sequence[Experiment], records: Sequence[Experiment]) -> Repeats:
     """The records of each motion that today's repeat; nothing where one of today's repeats none of the fit."""
 
-    def find_motion(record: Experiment) -> int:
-        return next((k for k, one in enumerate(reference) if one is record or is_alike(one, record)), -1)
-
-    motions = [find_motion(record) for record in records]
+    # A motion goes by the first record of the fit that shows it.
+    known: list[int] = []
+    for k, one in enumerate(reference):
+        known.append(next((known[j] for j in range(k) if is_alike(reference[j], one)), k))
+    motions = [next((known[j] for j, one in enumerate(reference) if is_alike(one, r)), -1) for r in records]
     if -1 in motions:
         return Repeats()
-    before: dict[int, list[Experiment]] = {motion: [] for motion in motions}
-    for one in reference:
-        if (motion := find_motion(one)) in before:
-            before[motion].append(one)
+    before = {m: [one for one, of in zip(reference, known, strict=True) if of == m] for m in dict.fromkeys(motions)}
     rows = {
         motion: min(r.rows for r in (*ones, *(r for r, m in zip(records, motions, strict=True) if m == motion)))
         for motion, ones in before.items()
