@@ -364,10 +364,7 @@ class _Spread(NamedTuple):
 def _measure(
     groups: Sequence[Sequence[ConstantsEstimate | None]], least_degrees: int, least_factor: float
 ) -> _Spread | None:
-    """The spread of estimates about the mean of each group; None with fewer degrees of freedom.
-
-    Of each constant by itself, and of all together: a combination that is determined well may scatter further than any constant.
-    """
+    """The spread of the estimates of each constant about the mean of each group; None with fewer degrees of freedom."""
     known = [group for group in map(_known, groups) if group]
     degrees = sum(len(group) - 1 for group in known)
     if degrees < least_degrees or len(known) < len(groups):
@@ -383,20 +380,9 @@ def _measure(
         counts[is_known] += 1
     enough = counts - len(known) >= least_degrees
     factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
-    # With fewer pieces than constants every combination is an exact one, and says nothing. A machine may wander along one combination
-    # alone: the widest one counts, not the mean of all.
-    whitened = np.array([_root(e.information) @ deviation for deviation, e in rows])
-    widest = np.sqrt(np.linalg.eigvalsh(whitened.T @ whitened)[-1] / degrees)
-    together = widest if degrees >= enough.sum() else 0.0
-    all_squares, all_degrees = float((whitened**2).sum()), degrees * max(int(enough.sum()), 1)
+    all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
     p = float(chdtrc(all_degrees, all_squares))
-    return _Spread(np.maximum(np.maximum(factors, together), least_factor), degrees, p)
-
-
-def _root(symmetric: np.ndarray) -> np.ndarray:
-    """The symmetric root of a matrix without negative eigenvalues but for rounding."""
-    values, vectors = np.linalg.eigh(symmetric)
-    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+    return _Spread(np.maximum(factors, least_factor), degrees, p)
 
 
 # Pieces of each side's records at least: their variance is known to half of itself.
@@ -478,11 +464,12 @@ def compare_constants(
     names: Sequence[str],
     level: float,
     power: float,
-    most_degrees: float = np.inf,
+    scatter_degrees: float = np.inf,
 ) -> DifferenceTest:
     """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms.
 
-    ``most_degrees``: degrees of freedom of a scatter that was measured over both sides together, whatever those of each side.
+    ``scatter_degrees``: degrees of freedom of a scatter that was measured over both sides together. It says how far each constant
+    wanders, and not how far a combination does: then only each by itself is tested.
     """
     i, j = before.index(names), after.index(names)
     common = before.positive[i] & after.positive[j]
@@ -490,7 +477,7 @@ def compare_constants(
     difference = other[0] - one[0]
     covariance = one[1] + other[1]
     std = np.sqrt(np.diag(covariance))
-    degrees = min(combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees), most_degrees)
+    degrees = min(combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees), scatter_degrees)
     correlation = covariance / np.outer(std, std)
     z = difference / std
     null = _NullDistribution.draw(correlation, degrees)
@@ -503,7 +490,7 @@ def compare_constants(
         difference,
         std,
         p,
-        null.joint_p_value(z),
+        null.joint_p_value(z) if np.isinf(scatter_degrees) else float(p.min(initial=1.0)),
         wide * std,
         (critical + stdtrit(degrees, power)) * std,
         direction / largest if largest else direction,

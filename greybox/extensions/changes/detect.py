@@ -358,14 +358,14 @@ SENSITIVITY_POWER = 0.95
 
 
 def compare_fits(
-    before: FittedConstants, after: FittedConstants, level: float, most_degrees: float = math.inf
+    before: FittedConstants, after: FittedConstants, level: float, scatter_degrees: float = math.inf
 ) -> tuple[dict[str, ConstantChange], DifferenceTest | None]:
     """The change of every constant of ``before``, and the test behind it; None where no constant can be compared.
 
-    ``most_degrees``: those of a scatter that was measured over both sides together.
+    ``scatter_degrees``: as `compare_constants` takes them.
     """
     names = list_comparable(before, after)
-    test = compare_constants(before, after, names, level, SENSITIVITY_POWER, most_degrees) if names else None
+    test = compare_constants(before, after, names, level, SENSITIVITY_POWER, scatter_degrees) if names else None
     changes = {}
     for name in before.names:
         i = before.names.index(name)
