@@ -70,6 +70,19 @@ def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> N
     assert 0 < low < high
 
 
+def test_what_it_writes_is_read_back_and_refitted_to_the_same_constants(tmp_path) -> None:
+    reference = gb.fit(coasting(), coast(1), options=QUICK)
+    changes = gb.detect_changes(reference, coast(3, share=1.2), search_effects=False)
+    written = gb.change_detection.load_changes(changes.save(tmp_path / "changed.json"))
+    # Over the rows that both runs have, as they were compared.
+    ((before, after),) = match_repeats([coast(1)], [coast(3, share=1.2)]).pairs
+    estimates = [gb.fit(coasting(), record, options=QUICK).parameters["b"].value for record in (before, after)]
+    low, high = written["constants"]["b"]["interval"]
+    assert low < estimates[1] - estimates[0] < high
+    again = gb.fit(coasting(), coast(3, share=1.2), options=QUICK)
+    assert again.misfit["w"].rmse == pytest.approx(changes.today.misfit["w"].rmse, rel=0.01)
+
+
 def day(seed: int, gain: float) -> gb.Experiment:
     """A record of an hour of the first-order plant; noise 0.01."""
     generator = np.random.default_rng(seed)
