@@ -405,6 +405,20 @@ def cut_records(records: Sequence[Experiment]) -> list[Experiment]:
     return pieces
 
 
+def reach_of_missing_part(fit: Fit, constants: FittedConstants) -> np.ndarray:
+    """How far (k,) what a model lacks can take each constant, on the scale of the comparison; infinite where nobody knows.
+
+    As large a signal as the fit leaves, acting as this constant does wherever the others do not: with the residual's variance ``s^2``
+    and N samples that is ``s sqrt(N) / |J|``, where ``J`` is the part of the constant's slopes that no other constant explains, and
+    ``s / |J|`` its standard deviation for a white residual.
+    """
+    inflation = np.array([fit.uncertainty.inflation.get(name, np.inf) for name in constants.names])
+    samples = sum(misfit.samples for misfit in fit.misfit.values())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reach = np.sqrt(constants.variances * samples) / np.maximum(inflation, 1.0)
+    return np.where(np.isfinite(reach), reach, np.inf)
+
+
 # Have constants moved between two fits? A joint test, and a look at each that allows for the number of looks.
 #
 # The difference of two independent estimates is normal with the sum of their covariances, or Student's where the noise was estimated. Two

@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
+from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
 from greybox.discovery.pipeline import discover
@@ -31,6 +32,7 @@ from greybox.extensions.changes.constants import (
     compare_constants,
     list_comparable,
     measure_scatter,
+    reach_of_missing_part,
     read_constants,
     read_residual,
 )
@@ -283,6 +285,7 @@ def detect_changes(
         read_constants(today, read_residual(today, ADEQUATE_RATIO)),
     )
     scatter: MeasuredScatter | None = None
+    shares: dict[str, float] = {}
     if after.names == before.names:
         adequate, compared = residuals[0].adequate, (reference, today)
         repeats = Repeats()
@@ -291,6 +294,7 @@ def detect_changes(
             compared = _fit_repeats(reference, today, repeats)
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
         if after.names == before.names:
+            shares = _share_beyond_missing_part(compared, before, after)
             scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
         if scatter is not None:
             before, after = scatter.before, scatter.after
@@ -305,10 +309,19 @@ def detect_changes(
     verdict = decide_change(constants, checks)
     conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
     if verdict is ChangeVerdict.CHANGED and not comparable:
-        moved = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
-        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=moved),)
-        constants = {name: replace(c, moved=False) for name, c in constants.items()}
-        verdict = ChangeVerdict.CANNOT_TELL
+        # Pieces of a record say nothing of another motion: a change counts that is more than what the model lacks could ever do.
+        wanted = [name for name, c in constants.items() if c.moved]
+        moved = [name for name in wanted if shares.get(name, 0.0) > 1]
+        constants = {name: replace(c, moved=name in moved) for name, c in constants.items()}
+        if moved:
+            conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
+            least = min(moved, key=lambda name: shares[name])
+            values = {"constants": moved, "ratio": shares[least]}
+            findings = (*findings, Finding(ChangeCode.BEYOND_MISSING_PART, Severity.NOTE, least, values))
+        else:
+            values = {"constants": wanted, "p": test.p_value if test else None}
+            conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=values),)
+            verdict = ChangeVerdict.CANNOT_TELL
     return ChangeDetection(
         verdict,
         reference,
@@ -321,6 +334,36 @@ def detect_changes(
         p_value=test.p_value if test else None,
         seconds=time.perf_counter() - began,
     )
+
+
+# What a model lacks may hide more of itself in a constant than it leaves: so many times the residual at records of one level, ...
+HIDDEN_PART = 1.25
+
+
+def _share_beyond_missing_part(
+    fits: tuple[Fit, Fit], before: FittedConstants, after: FittedConstants
+) -> dict[str, float]:
+    """The change of each constant over the most that what the model lacks could do to it from the one motion to the other."""
+    level = _compare_levels(*([trace.experiment for trace in f.traces] for f in fits))
+    # ... and between two levels as a cubic spring under a sine does, whose fundamental 3/4 K A^3 acts as a spring and whose third harmonic
+    # 1/4 K A^3 stays: 3 |A^2 - B^2| / (A^2 + B^2) of both residuals together.
+    hidden = max(HIDDEN_PART, 3 * (level**2 - 1) / (level**2 + 1))
+    reach = hidden * (reach_of_missing_part(fits[0], before) + reach_of_missing_part(fits[1], after))
+    change = np.where(before.positive == after.positive, np.abs(after.scaled - before.scaled), 0.0)
+    return dict(zip(before.names, (change / np.maximum(reach, TINY)).tolist(), strict=True))
+
+
+def _compare_levels(before: Sequence[Experiment], after: Sequence[Experiment]) -> float:
+    """How many times larger an input (an output, where there is none) is in the records of one side than in those of the other."""
+
+    def measure(records: Sequence[Experiment]) -> dict[str, float]:
+        signals = [r.inputs or r.outputs for r in records]
+        return {n: float(np.nanstd(np.concatenate([s[n] for s in signals if n in s]))) for n in signals[0]}
+
+    one, other = measure(before), measure(after)
+    ratios = [max(one[n], other[n], TINY) / max(min(one[n], other[n]), TINY) for n in one if n in other]
+    # An input that is held at one value moves nothing: the offsets of the records are what it has.
+    return max((r for r in ratios if r < 1 / TINY), default=1.0)
 
 
 def _fit_repeats(reference: Fit, today: Fit, repeats: Repeats) -> tuple[Fit, Fit]:
