@@ -316,11 +316,11 @@ def detect_changes(
         if moved:
             conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
             least = min(moved, key=lambda name: shares[name])
-            values = {"constants": moved, "ratio": shares[least]}
-            findings = (*findings, Finding(ChangeCode.BEYOND_MISSING_PART, Severity.NOTE, least, values))
+            reason = Finding(ChangeCode.BEYOND_MISSING_PART, Severity.NOTE, least, {"ratio": shares[least]})
+            findings = (*findings, reason)
         else:
-            values = {"constants": wanted, "p": test.p_value if test else None}
-            conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=values),)
+            differing = {"constants": wanted, "p": test.p_value if test else None}
+            conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=differing),)
             verdict = ChangeVerdict.CANNOT_TELL
     return ChangeDetection(
         verdict,
