@@ -43,10 +43,7 @@ def options(case: Case) -> FitOptions:
 
 def prepared(case: Case, model=None) -> EstimationProblem:
     """The laid out problem."""
-    chosen = options(case)
-    return prepare_problem(
-        model or case.start, case.experiment, case.noise, at_rest=True, method=chosen.method, substeps=chosen.substeps
-    )
+    return prepare_problem(model or case.start, case.experiment, case.noise, options(case))
 
 
 def simulation(case: Case) -> Callable[[], float]:

@@ -225,15 +225,7 @@ def check(
     if outputs is not None:
         group = tuple(_select_outputs(e, outputs) for e in group)
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
-    problem = prepare_problem(
-        model,
-        group,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        policy=options.policy,
-    )
+    problem = prepare_problem(model, group, noise, options.integration)
     measured = list_measured_outputs(problem)
     structure, doubt = _analyse_structure(model, measured, options.at_rest)
     return ModelCheck(

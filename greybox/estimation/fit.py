@@ -32,8 +32,8 @@ from greybox.estimation.fit_issues import (
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
-from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.policy import NOISE_RATIO
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.parameter_constancy import NOISE_RATIO
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -51,7 +51,7 @@ from greybox.estimation.result_parts import (
     StartResult,
 )
 from greybox.estimation.starts import draw_starts
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
 from greybox.estimation.validate import validate
 from greybox.estimation.versions import read_versions
@@ -169,7 +169,7 @@ def fit(
         tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
         optimum = PredictionOptimum(model, estimate.solution, options.policy, tests, maximum=estimate.optimum)
     else:
-        problem = prepare_estimation(model, experiments, noise, options, quiet=quiet, initial=initial)
+        problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
         begun = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
@@ -220,7 +220,7 @@ def _begin_with_effects(
         plain = reduce(Model.without, (e.name for e in fresh), model)
     except ModelError:  # a tie or a schedule of the user's needs them
         return None
-    of_plain = prepare_estimation(plain, experiments, problem.noise, options)
+    of_plain = prepare_problem(plain, experiments, problem.noise, options)
     smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report), options.policy)
     if not np.isfinite(smaller.evaluation.cost):
         return None
@@ -234,14 +234,14 @@ def _begin_with_effects(
     fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
     # Its best point is that of the whole model, whose effects are neutral.
     if smaller.status is TerminationStatus.INTERRUPTED:
-        began_at = prepare_estimation(model.start(**fitted), experiments, problem.noise, near, initial=initial)
+        began_at = prepare_problem(model.start(**fitted), experiments, problem.noise, near, initial=initial)
         evaluation = began_at.shooting().evaluate(began_at.variables.here)
         ended = replace(
             smaller.search, problem=began_at, variables=began_at.variables, evaluation=evaluation, joined=None
         )
         return SimulationOptimum(model, ended, options.policy)
 
-    begun = prepare_estimation(model, experiments, problem.noise, near, initial=initial)
+    begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
@@ -261,7 +261,7 @@ def _begin_with_effects(
         # The optimum without the effects is searched from only where no other start does better.
         if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
             continue
-        other = prepare_estimation(model.start(**begin), experiments, problem.noise, near, initial=initial)
+        other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report), options.policy))
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
@@ -324,7 +324,7 @@ def _try_other_starts(
     order = [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]
     ends = [({q.name: q.value for q in model.free_parameters}, first)]
     for k in order:
-        other = prepare_estimation(model.start(**drawn[k]), experiments, problem.noise, options)
+        other = prepare_problem(model.start(**drawn[k]), experiments, problem.noise, options)
         solution = estimate_by_simulation_error(other, options, colour, report)
         ends.append((drawn[k], SimulationOptimum(model, solution, options.policy)))
         if solution.status is TerminationStatus.INTERRUPTED:

@@ -18,8 +18,7 @@ from greybox.estimation.covariance import ParameterCovariance
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.noise_loop import compute_noise_ratios
 from greybox.estimation.optimum import Optimum, PredictionOptimum
-from greybox.estimation.parameter_constancy import ParameterShift
-from greybox.estimation.policy import NOISE_RATIO, EstimationPolicy
+from greybox.estimation.parameter_constancy import NOISE_RATIO, ParameterShift, find_certain_ratio
 from greybox.estimation.prediction_error import ProcessNoiseTest
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import DecisionVector
@@ -195,7 +194,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
     result += [] if predicts else _find_nothing_to_explain(optimum.problem, misfit)
-    result += [] if predicts else _find_excess_misfit(optimum.problem, misfit, optimum.policy)
+    result += [] if predicts else _find_excess_misfit(optimum.problem, misfit)
     result += _find_shifts(optimum.parameter_shifts, LISTED_SHIFTS)
     result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
     result += _find_correlation(optimum)
@@ -415,15 +414,13 @@ def _find_narrowed(covariance: ParameterCovariance, at_bound: Sequence[str]) -> 
     ]
 
 
-def _find_excess_misfit(
-    problem: EstimationProblem, misfit: Mapping[str, Misfit], policy: EstimationPolicy
-) -> list[Finding]:
+def _find_excess_misfit(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> list[Finding]:
     """Misfit above the noise; what it means depends on how the noise is known."""
     ratios = compute_noise_ratios(problem, misfit)
     louder = {n: ratio for n, ratio in ratios.items() if ratio > NOISE_RATIO}
     if not louder:
         return []
-    uncertain = all(ratio <= policy.excess.certain_ratio(problem.noise, n) for n, ratio in louder.items())
+    uncertain = all(ratio <= find_certain_ratio(problem.noise, n) for n, ratio in louder.items())
     code = EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE if uncertain else EstimationCode.MISFIT_ABOVE_NOISE
     return [Finding(code, Severity.WARNING, "", {"ratios": louder})]
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.estimation.noise_loop import estimate_by_simulation_error
-from greybox.estimation.options import FitOptions
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Transcription
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.simulation.kernel.record import Record
 

@@ -20,7 +20,7 @@ from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.starts import (
@@ -30,6 +30,7 @@ from greybox.estimation.starts import (
     hash_start,
     summarise_starts,
 )
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
 
@@ -137,7 +138,7 @@ def multistart(
             " without its process noise"
         )
     group = as_records(experiments)
-    known_noise = prepare_estimation(
+    known_noise = prepare_problem(
         model, group, noise, options, quiet=quiet
     ).noise  # once; refuses here what no start can use
     begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
@@ -211,7 +212,7 @@ def multistart(
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
-    solution = solve(prepare_estimation(model.start(**begin), experiments, noise, options), options)
+    solution = solve(prepare_problem(model.start(**begin), experiments, noise, options), options)
     if solution.status is TerminationStatus.INTERRUPTED:  # the search hears Ctrl-C itself
         raise KeyboardInterrupt
     evaluation, status = solution.evaluation, str(solution.status)

@@ -16,12 +16,11 @@ from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination
-from greybox.estimation.options import ColourTreatment, FitOptions
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy
+from greybox.estimation.options import ColourTreatment, FitOptions, LossKind
 from greybox.estimation.result_parts import Misfit, RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.simulation_error import LossKind
 from greybox.estimation.transcription.solution import FitProgressCallback, Runs, Solution
 from greybox.estimation.transcription.solve import solve
 
@@ -34,13 +33,13 @@ def estimate_by_simulation_error(
 ) -> Solution:
     """The solution of ``problem`` under a noise model that agrees with its residual.
 
-    A failed solution ends the loop, and so do the rounds of `NoiseLoopPolicy`. The last solution gets its last digits by Gauss-Newton
+    A failed solution ends the loop, and so does `EstimationPolicy.noise_rounds`. The last solution gets its last digits by Gauss-Newton
     steps.
     """
     if colour == ColourTreatment.WHITE:
         problem = problem.with_white_noise()
     solution = solve(problem, options, report)
-    for _ in range(options.policy.noise_loop.rounds):
+    for _ in range(options.policy.noise_rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
         if wanted is None:
             break
@@ -97,7 +96,7 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
         return None
     scale = estimate_bulk_scale(solution)
     if before is None and loss.kind != LossKind.HUBER:
-        loss = replace(loss, kind=LossKind.HUBER, threshold=loss.policy.huber_threshold)
+        loss = replace(loss, kind=LossKind.HUBER, threshold=options.policy.huber_threshold)
     elif before is not None and before.kind == loss.kind and is_settled(scale / before.scale):
         return None
     return replace(solution.problem, loss=replace(loss, scale=scale))
@@ -128,6 +127,10 @@ def is_settled(ratio: np.ndarray) -> bool:
 POLISHING_STEPS = 3
 # The same with a robust loss, where each step of reweighted least squares is nearer by about the same share.
 ROBUST_POLISHING_STEPS = 30
+# They end where the next one would move the parameters by a millionth of their standard deviations.
+LAST_DIGITS = TerminationPolicy(negligible_decrease=1e-12, perfect_noise_ratio=0.0, little_gain=0.0)
+# Undamped, so that they go to the end along sloppy directions as well; the first that gains nothing is the last.
+POLISHING = GaussNewtonPolicy(initial_damping=0.0, max_rejections=1)
 
 
 def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
@@ -136,7 +139,7 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     The search ends where nothing is left to gain statistically; these give the parameters their last digits. With a robust loss they are
     steps of reweighted least squares, each nearer by about the same share: there are more of them.
     """
-    problem, policy = solution.problem, options.policy.noise_loop
+    problem = solution.problem
     if solution.joined or not solution.status.success:
         return solution
     objective = SimulationErrorObjective(solution.at_optimum)
@@ -149,8 +152,8 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=solution.evaluation,
         iterations=POLISHING_STEPS if problem.loss is None else ROBUST_POLISHING_STEPS,
-        termination_test=Termination(policy.last_digits, low, high, objective.squares).test,
-        policy=replace(options.policy.minimisation, damped=policy.polishing),
+        termination_test=Termination(LAST_DIGITS, low, high, objective.squares).test,
+        policy=replace(options.policy.minimisation, damped=POLISHING),
     )
     if not outcome.evaluations:
         return solution

@@ -35,6 +35,13 @@ class ObjectiveMinimum(Generic[ObjectiveT]):
 LikelihoodMaximum = ObjectiveMinimum[PredictionErrorObjective]
 
 
+# Where a search ends: a thousandth of a standard deviation, squared; acceptable where -2 log L fell by less than a hundredth within the
+# patience, as a filter of a model with dry friction is not smooth everywhere.
+LIKELIHOOD_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, little_gain=1e-2)
+# The same for the steps after it, so that the parameters have their digits.
+LIKELIHOOD_LAST_DIGITS = TerminationPolicy(negligible_decrease=1e-12, little_gain=0.0)
+
+
 def search_minimum(
     objective: ObjectiveT, options: FitOptions, report: FitProgressCallback | None = None
 ) -> ObjectiveMinimum[ObjectiveT]:
@@ -47,7 +54,6 @@ def search_minimum(
     # A step of one in ``z`` then changes the cost by about itself: IPOPT is told not to scale the problem by itself.
     objective = objective.at(objective.variables.rescale(float(max(begin.count, 1)), np.diag(begin.hessian) / 2))
     low, high = objective.variables.bounds()
-    policy = options.policy.likelihood_search
 
     def progress(iteration: int, _: float) -> None:
         if report:
@@ -61,14 +67,14 @@ def search_minimum(
         scale=float(max(begin.count, 1)),
         tolerance=options.tolerance,
         iterations=options.iterations,
-        termination_test=Termination(policy.termination, low, high, objective.squares).test,
+        termination_test=Termination(LIKELIHOOD_TERMINATION, low, high, objective.squares).test,
         thorough=False,
         progress=progress,
         policy=options.policy.minimisation,
     )
     near = objective.at(objective.variables.recentre(outcome.z))
     # IPOPT's tolerance is not the end: likelihood ratios are differences of two such costs.
-    last = refine_minimum(near, options, policy.last_digits, begin=outcome.value)
+    last = refine_minimum(near, options, LIKELIHOOD_LAST_DIGITS, begin=outcome.value)
     status = outcome.status
     # Steps that converge say more than the search that handed over; Ctrl-C stays an interruption.
     if last.status.success and status is not TerminationStatus.INTERRUPTED:
@@ -99,7 +105,6 @@ def refine_minimum(
 
     ``termination``: what is nothing left to gain, as for a whole search if left out. ``begin``: the evaluation at the present point.
     """
-    policy = options.policy.likelihood_search
     passes = 0 if begin else 1
     begin = begin or objective.evaluate(objective.variables.here)
     low, high = objective.variables.bounds()
@@ -111,7 +116,7 @@ def refine_minimum(
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=begin,
         iterations=SCORING_STEPS,
-        termination_test=Termination(termination or policy.termination, low, high, objective.squares).test,
+        termination_test=Termination(termination or LIKELIHOOD_TERMINATION, low, high, objective.squares).test,
         policy=options.policy.minimisation,
     )
     return ObjectiveMinimum(

@@ -18,8 +18,8 @@ from greybox.estimation.covariance import ParameterCovariance, estimate_covarian
 from greybox.estimation.objective import Objective, ResidualRows, SimulationErrorObjective
 from greybox.estimation.objective_search import LikelihoodMaximum
 from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.options import EstimationPolicy
 from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, expect_noise, find_parameter_shifts
-from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.prediction_error import ProcessNoiseTest
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, PredictionReport, Trace
@@ -296,7 +296,7 @@ class SimulationOptimum(Optimum):
     @property
     def _expected_noise(self) -> ResidualColour:
         """As the noise is known where the residual clearly exceeds it."""
-        return expect_noise(self.colour, self._linearised[1], self.problem.noise, self.policy)
+        return expect_noise(self.colour, self._linearised[1], self.problem.noise)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

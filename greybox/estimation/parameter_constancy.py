@@ -12,8 +12,7 @@ from scipy.special import ndtri
 
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.base.numerics import ROWS_AT_A_TIME
-from greybox.data.noise.noise_model import AutoRegression, NoiseModel
-from greybox.estimation.policy import EstimationPolicy
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.solution import Runs
@@ -197,11 +196,24 @@ def _square_motion(y: np.ndarray, mean: np.ndarray, spread: np.ndarray) -> np.nd
     return squares
 
 
+# Misfit over a noise that was measured or given from which a residual is more than noise: above the scatter of an estimated level.
+NOISE_RATIO = 1.3
+# The same over a noise told by differences of the records alone, which may be coloured and that much too small.
+DIFFERENCE_NOISE_RATIO = 10.0
+
+
+def find_certain_ratio(noise: NoiseModel, output: str) -> float:
+    """Misfit over the noise that is weighed with from which a residual is certainly more than noise."""
+    if noise.sources.get(output) is NoiseSource.DIFFERENCES:
+        return DIFFERENCE_NOISE_RATIO
+    return NOISE_RATIO * noise.ceiling_ratio(output)
+
+
 # A residual below this share of the noise is rounding or integration error, which is not random.
 CONSTANCY_LEAST_NOISE_RATIO = 0.1
 
 
-def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: EstimationPolicy) -> ResidualColour:
+def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residuals ``rows``, which have the ``colour``.
 
     Where the residual clearly exceeds the noise it is white noise of the size that is known.
@@ -213,7 +225,7 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: 
     del squares
     models, variance = list(colour.models), [max(v, CONSTANCY_LEAST_NOISE_RATIO**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
-        if ratio[j] > policy.excess.certain_ratio(noise, name):
+        if ratio[j] > find_certain_ratio(noise, name):
             models[j], variance[j] = AutoRegression(), 1.0
     return replace(colour, models=tuple(models), variance=tuple(variance))
 

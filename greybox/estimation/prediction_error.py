@@ -7,13 +7,14 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.objective import PredictionErrorObjective, add_noise_levels
 from greybox.estimation.objective_search import (
+    LIKELIHOOD_TERMINATION,
     LikelihoodMaximum,
     hold_parameters,
     raise_noise_to_innovations,
@@ -22,10 +23,10 @@ from greybox.estimation.objective_search import (
     select_best_start,
     start_at,
 )
-from greybox.estimation.options import FitOptions, prepare_estimation
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Transcription
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.transcription.solution import FitProgressCallback, Solution
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
@@ -121,6 +122,9 @@ def remove_process_noise(cost: PredictionErrorObjective, name: str) -> Predictio
 PROCESS_NOISE_FLOOR = 1e-08
 # Level at which an intensity counts as clearly above zero.
 PROCESS_NOISE_SIGNIFICANCE = 0.01
+# Likelihood ratio at an upper limit: the chi-square point of the two-sided level 0.1, which is one-sided 95 %, as the ratio is zero in
+# half of all cases without any process noise.
+LIMIT_RATIO = float(chdtri(1, 0.1))
 
 
 def likelihood_ratio_tests(
@@ -133,7 +137,7 @@ def likelihood_ratio_tests(
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
     if not optimum.status.success:
         return ()
-    policy, variables = options.policy.process_noise, optimum.objective.variables
+    variables = optimum.objective.variables
     p = variables.parameters(variables.here)
     values = dict(zip((q.name for q in variables.model.all_parameters), p, strict=True))
     tests = []
@@ -147,7 +151,7 @@ def likelihood_ratio_tests(
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         # Zero is on the edge: half the mass at zero, half chi-square of one degree (Self and Liang 1987).
         p_value = 0.5 * float(chdtrc(1, ratio))
-        limited = ratio < policy.limit_ratio
+        limited = ratio < LIMIT_RATIO
         limits = (0.0, find_upper_limit(optimum, name, values[name], options)) if limited else None
         tests.append(ProcessNoiseTest(name, values[name], ratio, p_value, p_value < PROCESS_NOISE_SIGNIFICANCE, limits))
     return tuple(tests)
@@ -166,9 +170,8 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
 
     ``begin`` is one that does not.
     """
-    policy = options.policy.process_noise
-    limit, tolerance = policy.limit_ratio, PROCESS_NOISE_LIMIT_TOLERANCE * policy.limit_ratio
-    enough = replace(options.policy.likelihood_search.termination, negligible_decrease=tolerance)
+    limit, tolerance = LIMIT_RATIO, PROCESS_NOISE_LIMIT_TOLERANCE * LIMIT_RATIO
+    enough = replace(LIKELIHOOD_TERMINATION, negligible_decrease=tolerance)
     least = optimum.evaluation.cost
     near, low, high = optimum.objective, begin, np.inf
     value = begin
@@ -236,7 +239,7 @@ def estimate_by_prediction_error(
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     undriven = model.fix(*names)  # a free run knows nothing of the intensities
     solution = solve(
-        prepare_estimation(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
+        prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
     )
     # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
     changes = [

@@ -18,10 +18,10 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autor
 from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states
 from greybox.estimation.objective import PredictionErrorObjective
 from greybox.estimation.objective_search import refine_minimum, search_minimum
-from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
@@ -55,8 +55,7 @@ def fix_parameters(
 
 def restore_integration_options(fit: Fit) -> FitOptions:
     """How ``fit`` integrated and began its records."""
-    saved = FitOptions.from_data(fit.provenance.options)
-    return FitOptions(at_rest=saved.at_rest, method=saved.method, substeps=saved.substeps, policy=saved.policy)
+    return FitOptions.from_data(fit.provenance.options).integration
 
 
 def make_likelihood(
@@ -69,7 +68,7 @@ def make_likelihood(
 
 def _prepare_known(given: FixedParameterModel, experiments: Experiment | Sequence[Experiment]) -> EstimationProblem:
     frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
-    return prepare_estimation(frozen, experiments, given.noise, options)
+    return prepare_problem(frozen, experiments, given.noise, options)
 
 
 def estimate_initial_state(
@@ -129,7 +128,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         levels = _name_levels(frozen, cost.noise, cost.records)
         return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
     options = replace(given.options, per_experiment=())
-    problem = prepare_estimation(frozen, experiments, given.noise, options)
+    problem = prepare_problem(frozen, experiments, given.noise, options)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     # The free run's own error: what an autoregression would have to predict.
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]

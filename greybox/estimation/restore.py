@@ -9,10 +9,9 @@ import numpy as np
 from greybox.base.errors import FitError
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.estimation.objective import Objective, PredictionErrorObjective, ResidualRows, SimulationErrorObjective
-from greybox.estimation.options import FitOptions, prepare_estimation
+from greybox.estimation.options import FitOptions, RobustLoss
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.simulation_error import RobustLoss
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 
 
 def restore_options(fit: Fit) -> FitOptions:
@@ -46,7 +45,7 @@ def restore_problem(fit: Fit) -> EstimationProblem:
     """
     _check_fit(fit)
     without = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
-    problem = prepare_estimation(
+    problem = prepare_problem(
         fit.model.fix(*without), [t.experiment for t in fit.traces], restore_noise(fit), restore_options(fit)
     )
     variables = problem.variables.with_values(_label_experiment_values(fit))

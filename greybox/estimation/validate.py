@@ -12,11 +12,10 @@ from greybox.data.experiment import Experiment
 from greybox.estimation.initial_states import determine_initial_states, fit_first_rows
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
-from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Hessian, Transcription
-from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
+from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
 from greybox.estimation.transcription.solution import Solution
@@ -79,7 +78,7 @@ def validate(
         hessian=Hessian.GAUSS_NEWTON,
     )
     frozen = model.fix(*model.values)
-    problem = prepare_estimation(frozen, experiments, noise, options)
+    problem = prepare_problem(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")

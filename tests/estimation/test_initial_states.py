@@ -8,8 +8,8 @@ from scipy.linalg import expm
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
 from greybox.estimation import initial_states
 from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states, fit_first_rows
-from greybox.estimation.options import prepare_estimation
 from greybox.estimation.residuals import score
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.validate import validate
 
 STEP = 5e-4
@@ -115,7 +115,7 @@ def test_the_rows_follow_from_the_time_constant(rate, monkeypatch):
         allow_constant_input=True,
     )
     model = first_order(rate)
-    problem = prepare_estimation(model.fix("a"), record, {"y": 1e-3}, FitOptions())
+    problem = prepare_problem(model.fix("a"), record, {"y": 1e-3}, FitOptions())
     every = 1 - np.exp(-2 * rate * STEP * rows)
     half = -np.log(1 - 0.5 * every) / (2 * rate * STEP)
     taken: list[int] = []

@@ -118,7 +118,7 @@ def test_curvature_profile_and_bootstrap_agree():
 
 def test_the_gradient_holds_with_priors():
     known = micro_actuator.fix("Ra").prior(M=(0.0101, 0.0001), La=(4e-4, 1e-5))
-    problem = prepare_problem(known, actuator(), LEVEL, at_rest=False, method="automatic", substeps=0)
+    problem = prepare_problem(known, actuator(), LEVEL, FitOptions())
     shooting, n = problem.shooting(), problem.variables.size
     z = 0.01 * np.random.default_rng(1).normal(size=n)
     here = shooting.evaluate(z)

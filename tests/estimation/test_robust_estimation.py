@@ -13,9 +13,10 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.spectrum import estimate_noise_from_differences
 from greybox.estimation.findings import EstimationCode
+from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.simulation_error import RobustShooting, parse_loss
+from greybox.estimation.transcription.simulation_error import RobustShooting
 from greybox.estimation.uncertainty.bootstrap import bootstrap
 from greybox.estimation.uncertainty.profile import profile
 from models.micro_actuator import micro_actuator
@@ -84,9 +85,7 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
         TRUTH.start(K=5800),
         replace(data, outputs=gap),
         LEVEL,
-        at_rest=False,
-        method="automatic",
-        substeps=0,
+        FitOptions(),
         quiet=quiet if rho else (),
     )
     assert problem.noise.coloured == bool(rho)

@@ -27,6 +27,7 @@ from greybox.estimation.identifiability.sensitivity import SensitivityRank
 from greybox.estimation.identifiability.sensitivity import compute_rank as rank_at
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
+from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model.model import Model
@@ -144,7 +145,7 @@ def analyse_practical_identifiability(
     >>> analyse_practical_identifiability(model, record, noise={"x": 2e-7}).undetermined  # doctest: +SKIP
     ('La',)
     """
-    problem = prepare_problem(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
+    problem = prepare_problem(model, experiments, noise, FitOptions(at_rest=at_rest, method=method, substeps=substeps))
     if structure is None:
         measured = list_measured_outputs(problem)
         structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)

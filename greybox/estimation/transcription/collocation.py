@@ -19,9 +19,9 @@ from greybox.base.errors import ModelError, nearest
 from greybox.base.numerics import AT_BOUND
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import MinimisationResult
+from greybox.estimation.options import FitOptions, Hessian
 from greybox.estimation.transcription.condensing import compute_state_slopes
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Hessian, SolverOptions
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.projected_initial_states import initialise_without_continuity
 from greybox.estimation.transcription.segments import cut_by_growth, measure_state_ranges
@@ -46,7 +46,7 @@ _TITLES = {"radau": "Radau", "legendre": "Legendre"}
 
 
 def solve_collocation(
-    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise over the constants and the states at three points of every sampling interval.
 
@@ -76,7 +76,7 @@ def solve_collocation(
 class _CollocationSearch:
     """A search with ever shorter elements, each from the optimum of those twice as long."""
 
-    def __init__(self, choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None) -> None:
+    def __init__(self, choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> None:
         problem = choice.problem
         self.options, self.report = options, report
         self.scheme = choice.transcription.removeprefix("collocation-")

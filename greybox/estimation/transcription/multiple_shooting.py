@@ -27,11 +27,11 @@ import numpy as np
 from greybox.base.errors import DataError, ModelError
 from greybox.base.numerics import TINY
 from greybox.estimation.optim.methods import minimise
-from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.transcription.condensing import CondensedProblem, LinearisedSegment, condense
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import SolverOptions, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.projected_initial_states import (
     MAX_LOG_CHANGE,
@@ -44,6 +44,7 @@ from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, cu
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
 from greybox.estimation.transcription.single_shooting import (
+    CONVERGENCE,
     Refinement,
     refine_step,
     solve_single_shooting,
@@ -63,7 +64,7 @@ from greybox.simulation.kernel.record import Record
 
 
 def solve_multiple_shooting(
-    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of each record's segments, which end where the next one begins; arcs need not.
 
@@ -84,7 +85,7 @@ def solve_multiple_shooting(
 LENGTH_TOLERANCE = 0.01
 
 
-def _cut_into_arcs(problem: EstimationProblem, options: SolverOptions) -> Cuts:
+def _cut_into_arcs(problem: EstimationProblem, options: FitOptions) -> Cuts:
     """Arcs of the length that ``options`` ask for."""
     length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
     if length > longest * (1 + LENGTH_TOLERANCE):
@@ -102,7 +103,7 @@ class _SegmentSearch:
         self,
         segmented: SegmentedProblem,
         continuity: bool,
-        options: SolverOptions,
+        options: FitOptions,
         report: FitProgressCallback | None,
     ) -> None:
         self.segmented, self.continuity, self.options, self.report = segmented, continuity, options, report
@@ -179,6 +180,8 @@ class MultipleShootingResult:
         return self.segmented.pieces.variables.initial.guess
 
 
+# Nothing is left to gain: within a thousandth of a standard deviation.
+MULTIPLE_SHOOTING_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=8)
 # Largest gap between segments of a converged solution, as a share of each state's range.
 MULTIPLE_SHOOTING_CONTINUITY = 1e-07
 # Shares of a step that are tried in turn, until the cost or the gaps come down.
@@ -205,7 +208,6 @@ class MultipleShooting:
 
     def __init__(self, segmented: SegmentedProblem, *, continuity: bool = True) -> None:
         self.continuity, self.evaluations = continuity, 0
-        self.policy = segmented.whole.policy.transcription
         self._place(segmented)
 
     def _place(self, segmented: SegmentedProblem) -> None:
@@ -221,7 +223,7 @@ class MultipleShooting:
 
     def solve(
         self,
-        options: SolverOptions | None = None,
+        options: FitOptions | None = None,
         *,
         initialise: bool = True,
         report: FitProgressCallback | None = None,
@@ -237,7 +239,7 @@ class MultipleShooting:
         report
             Called after every iteration.
         """
-        options = options or SolverOptions()
+        options = options or FitOptions()
         return (self._solve_joined if self.continuity else self._solve_apart)(options, initialise, report)
 
     def gauss_newton_step(self) -> np.ndarray:
@@ -250,7 +252,7 @@ class MultipleShooting:
         return np.full(self.n, np.nan) if linearised is None else self._compute_step(linearised)[: self.n]
 
     def _solve_apart(
-        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+        self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
     ) -> MultipleShootingResult:
         """Without continuity.
 
@@ -263,7 +265,7 @@ class MultipleShooting:
             solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
             return _make_apart(segmented, solution.evaluation, solution)
-        projected = ProjectedShooting(pieces.shooting(), self.policy.projection)
+        projected = ProjectedShooting(pieces.shooting())
         if initialise:
             projected.carry_states(self.segmented.starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
@@ -277,7 +279,7 @@ class MultipleShooting:
             value_at_start=first,
             tolerance=options.tolerance,
             iterations=options.iterations,
-            termination_test=Termination(options.policy.convergence, low, high, first.count).test,
+            termination_test=Termination(CONVERGENCE, low, high, first.count).test,
             thorough=options.thorough,
             progress=ProgressMonitor(pieces, report),
             policy=options.policy.minimisation,
@@ -286,7 +288,7 @@ class MultipleShooting:
         return _make_apart(segmented, outcome.value or first, outcome)
 
     def _solve_joined(
-        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+        self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
     ) -> MultipleShootingResult:
         """With continuity: lifted Gauss-Newton."""
         began = time.perf_counter()
@@ -297,7 +299,7 @@ class MultipleShooting:
             status, iteration = TerminationStatus.NO_START, 0
             if linearised is not None:
                 count = max(int(linearised.counts.sum()), 1)
-                termination = Termination(self.policy.multiple_shooting.termination, count=count)
+                termination = Termination(MULTIPLE_SHOOTING_TERMINATION, count=count)
                 visited: list[tuple[float, float]] = []
                 while (ended := self._judge(linearised, termination, iteration, options, monitor)) is None:
                     visited.append((linearised.violation, linearised.cost))
@@ -324,7 +326,7 @@ class MultipleShooting:
         """First states estimated from the samples of each segment, and constants fitted without continuity."""
         segmented, v = self.segmented, self.segmented.whole.variables
         arcs = estimate_segment_states(segmented)
-        point = self.variables.recentre(fit_without_continuity(arcs, self.policy.relaxation))
+        point = self.variables.recentre(fit_without_continuity(arcs))
         states, declared = point.initial.guess.copy(), ~v.initial.free
         for e, k in enumerate(np.flatnonzero(segmented.starts_record)):
             states[k, declared] = v.initial.guess[e, declared]
@@ -335,7 +337,7 @@ class MultipleShooting:
         linearised: _LinearisedPoint,
         termination: Termination,
         iteration: int,
-        options: SolverOptions,
+        options: FitOptions,
         monitor: ProgressMonitor,
     ) -> TerminationStatus | None:
         """How the search ends at a point; None where it goes on."""
@@ -502,7 +504,7 @@ def _make_apart(
 MOST_UNKNOWNS = 1000
 
 
-def _check_number(segmented: SegmentedProblem, options: SolverOptions) -> None:
+def _check_number(segmented: SegmentedProblem, options: FitOptions) -> None:
     most, size = MOST_UNKNOWNS, segmented.pieces.variables.size
     if size > most:
         raise ModelError(

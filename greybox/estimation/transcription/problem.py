@@ -14,16 +14,11 @@ from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.problems import is_constant
+from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.policy import DEFAULT_SOLVER_POLICY, SolverPolicy
-from greybox.estimation.transcription.simulation_error import (
-    RobustLoss,
-    RobustShooting,
-    SingleShooting,
-    WhitenedShooting,
-)
+from greybox.estimation.transcription.simulation_error import RobustShooting, SingleShooting, WhitenedShooting
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import DiscretisationPolicy, discretise
+from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -49,7 +44,7 @@ class EstimationProblem:
     method: str
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
-    policy: SolverPolicy = DEFAULT_SOLVER_POLICY
+    policy: EstimationPolicy = DEFAULT_POLICY
 
     def predict_cost(self, variables: DecisionVector) -> float:
         """The cost that one step of the quadratic model promises from ``variables``; infinite where the model cannot be simulated there."""
@@ -97,7 +92,14 @@ class EstimationProblem:
 
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
         """The same with a step made anew: another method, or another number of substeps (0 to choose)."""
-        step = _discretise(self.model, self.records, p, None, self.method, substeps, self.policy.discretisation)
+        lengths, no_states = (
+            np.unique(np.concatenate([r.lengths for r in self.records])),
+            np.zeros((0, self.model.system.x.numel())),
+        )
+        policy = self.policy.discretisation
+        step = discretise(
+            self.model.system, p, no_states, lengths, method=self.method, substeps=substeps, policy=policy
+        )
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
 
     def with_substeps(self, substeps: int) -> EstimationProblem:
@@ -116,81 +118,72 @@ def prepare_problem(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
     noise: Mapping[str, float] | NoiseModel | None,
+    options: FitOptions,
     *,
-    at_rest: bool,
-    method: str,
-    substeps: int,
     quiet: Experiment | Sequence[Experiment] = (),
-    per_experiment: Sequence[str] = (),
-    robust: bool = False,
-    common_noise: bool = False,
     initial: Sequence[Mapping[str, float]] = (),
-    policy: SolverPolicy = DEFAULT_SOLVER_POLICY,
 ) -> EstimationProblem:
-    """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.data.noise`).
+    """Check model and data against each other and lay out the problem as ``options`` say.
 
-    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit.
-    ``per_experiment``: parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise.
-    ``common_noise``: outputs whose noise nothing tells have one level in common.
-    ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and
-    whose noise is not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
+    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit; ``quiet``
+    records tell it (`greybox.data.noise`). ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An
+    output that reads the same in every row, and whose noise is not known, is left out (`EstimationProblem.constant_outputs`).
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
+    policy = options.policy
     group = to_experiments(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
-    deviation = (
-        noise
-        if isinstance(noise, NoiseModel)
-        else estimate_noise(
+    if not isinstance(noise, NoiseModel):
+        noise = estimate_noise(
             model,
             group,
             noise or {},
             quiet,
-            robust=robust,
-            alike=not per_experiment,
-            common=common_noise,
+            robust=options.to_loss() is not None,  # outliers must not pass for noise
+            alike=not options.per_experiment,
+            common=options.common_noise,
             policy=policy.noise,
         )
+    # Outputs that read the same in every row and have no noise from anywhere count as not measured.
+    columns = {o.name: [e.outputs[o.name] for e in group if o.name in e.outputs] for o in model.outputs}
+    constant = tuple(
+        n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
-    constant = _find_constant_outputs(model, group, deviation)
-    is_constant_output = [o.name in constant for o in model.outputs]
-    records = tuple(_drop_outputs(to_record(model, e), is_constant_output) for e in group)
-    beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
+    records = tuple(to_record(model, e) for e in group)
+    if constant:
+        dead = [o.name in constant for o in model.outputs]
+        records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
+    beginning = guess_initial_states(model, records, options.at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
-    p = np.array(list(model.values.values()))
-    step = _discretise(model, records, p, beginning.guess, method, substeps, policy.discretisation)
+    p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
+    step = discretise(
+        model.system,
+        p,
+        beginning.guess,
+        lengths,
+        method=options.method,
+        substeps=options.substeps,
+        policy=policy.discretisation,
+    )
     if not step.per_interval:
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
-    variables = DecisionVector.of(model, beginning, conditions, per_experiment, [e.name for e in group])
+    variables = DecisionVector.of(model, beginning, conditions, options.per_experiment, [e.name for e in group])
     return EstimationProblem(
         model,
         group,
         records,
-        deviation,
+        noise,
         variables,
         step,
         make_kernel(step, variables.which),
-        method,
+        options.method,
         constant_outputs=constant,
         policy=policy,
     )
-
-
-def _find_constant_outputs(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
-    """Outputs that read the same in every row and have no noise from anywhere."""
-    columns = {o.name: [e.outputs[o.name] for e in experiments if o.name in e.outputs] for o in model.outputs}
-    return tuple(
-        n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
-    )
-
-
-def _drop_outputs(record: Record, outputs: Sequence[bool]) -> Record:
-    """``record`` as if some of its outputs had not been measured."""
-    return replace(record, y=np.where(outputs, np.nan, record.y)) if any(outputs) else record
 
 
 def guess_initial_states(
@@ -254,17 +247,3 @@ def apply_initial_guess(
 
 def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
-
-
-def _discretise(
-    model: Model,
-    records: Sequence[Record],
-    p: np.ndarray,
-    x: np.ndarray | None,
-    method: str,
-    substeps: int,
-    policy: DiscretisationPolicy,
-) -> Step:
-    lengths = np.unique(np.concatenate([r.lengths for r in records]))
-    states = np.zeros((0, len(model.system.state_names))) if x is None else x
-    return discretise(model.system, p, states, lengths, method=method, substeps=substeps, policy=policy)

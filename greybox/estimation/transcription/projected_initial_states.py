@@ -10,10 +10,9 @@ import numpy as np
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.estimation.optim.gauss_newton import run_gauss_newton
 from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
-from greybox.estimation.optim.minimisation import Minimisation, Termination
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Minimisation, Termination, TerminationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, ProjectionPolicy, RelaxationPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, find_measured_states
 from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
@@ -21,6 +20,9 @@ from greybox.simulation.kernel.interface import GaussNewtonSums
 
 # Gauss-Newton steps at most; from the state of the last point one or two are enough.
 PROJECTION_MAX_STEPS = 12
+# Found when a further step would lower chi-square by less than this many residual variances, or the misfit over noise by less than that:
+# data without noise end at rounding errors.
+PROJECTION_TERMINATION = TerminationPolicy(negligible_decrease=1e-8, perfect_noise_ratio=1e-8)
 
 
 class ProjectedShooting:
@@ -32,8 +34,8 @@ class ProjectedShooting:
     states of one point begins where the last one ended, moved along the slope ``dx0/dz = -C^-1 B'``.
     """
 
-    def __init__(self, shooting: SingleShooting, policy: ProjectionPolicy = DEFAULT_POLICY.projection) -> None:
-        self.shooting, self.policy = shooting, policy
+    def __init__(self, shooting: SingleShooting) -> None:
+        self.shooting = shooting
         v = shooting.variables
         self.size = len(v.which)
         self._low, self._high = (v.split(edge).initial_states for edge in v.bounds())
@@ -109,7 +111,7 @@ class ProjectedShooting:
     def _find_initial_state(self, z: np.ndarray, e: int, states: np.ndarray) -> _StateModel | None:
         """The best initial state of one record at ``z``, from ``states`` on; None where nothing can be simulated."""
         measured = int(np.isfinite(self.shooting.records[e].y).sum())
-        test = Termination(self.policy, self._low[e], self._high[e], measured).test
+        test = Termination(PROJECTION_TERMINATION, self._low[e], self._high[e], measured).test
         search = Minimisation(lambda s: self._model_states(z, e, s), 1.0, test, None, MINIMISATION)
         if not np.isfinite(search(states).cost):
             search.best_value = None
@@ -165,7 +167,7 @@ def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
     estimated from the samples of the segment. A short segment, which a wrong constant cannot spoil much, acts as an observer.
     """
     pieces = segmented.pieces.with_plain_squares()
-    projected = ProjectedShooting(pieces.shooting(), pieces.policy.transcription.projection)
+    projected = ProjectedShooting(pieces.shooting())
     projected.carry_states(segmented.starts_record)
     return projected
 
@@ -174,13 +176,15 @@ def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
 MAX_LOG_CHANGE = 4.6
 # Steps at most.
 RELAXATION_MAX_STEPS = 15
+# A step is the last one when it gained less than a hundredth of the cost, or hardly anything is left.
+RELAXATION_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)
+# Damped quickly, as the start need not be good.
+RELAXATION_DAMPED = GaussNewtonPolicy(damping_growth=100.0, max_rejections=5)
 # Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation.
 PRIOR_WEIGHT = 0.25
 
 
-def fit_without_continuity(
-    projected: ProjectedShooting, policy: RelaxationPolicy = DEFAULT_POLICY.relaxation
-) -> np.ndarray:
+def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
     """A point of the variables near the best for segments that need not meet, by damped Gauss-Newton steps from the start.
 
     A segment cannot lose its place in an oscillation, so this search is spared the wrong optima of a long run; its result is good to
@@ -197,9 +201,9 @@ def fit_without_continuity(
         return replace(e, cost=cost, gradient=e.gradient + 2 * precision * z, hessian=hessian)
 
     low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)
-    search = Minimisation(evaluate, 1.0, Termination(policy.termination, low, high, 1).test, None, MINIMISATION)
+    search = Minimisation(evaluate, 1.0, Termination(RELAXATION_TERMINATION, low, high, 1).test, None, MINIMISATION)
     if np.isfinite(search(start).cost) and not search.test_termination():
-        run_gauss_newton(search, low, high, policy.damped, steps=RELAXATION_MAX_STEPS)
+        run_gauss_newton(search, low, high, RELAXATION_DAMPED, steps=RELAXATION_MAX_STEPS)
     return projected.full(search.best)
 
 
@@ -207,6 +211,6 @@ def initialise_without_continuity(problem: EstimationProblem, cuts: Cuts) -> tup
     """``problem`` at constants fitted without continuity, and states (N, nx) along each record: a start for `Collocation`."""
     segmented = SegmentedProblem.of(problem, cuts)
     arcs = estimate_segment_states(segmented)
-    z = fit_without_continuity(arcs, problem.policy.transcription.relaxation)
+    z = fit_without_continuity(arcs)
     segmented = segmented.at(segmented.pieces.variables.recentre(z))
     return segmented.whole, [x for _, x in segmented.simulate()]

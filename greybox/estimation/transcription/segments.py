@@ -16,8 +16,8 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
 from greybox.data.experiment import Experiment, as_records
+from greybox.estimation.options import DEFAULT_POLICY, TranscriptionPolicy
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, SegmentPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.select import estimate_error_growth
 from greybox.estimation.transcription.solution import Runs
@@ -66,9 +66,9 @@ def split_into_arcs(
 def cut_by_growth(problem: EstimationProblem) -> Cuts:
     """Segments over which errors grow little at the start values."""
     p, policy = problem.start_parameters, problem.policy.transcription
-    growths = [estimate_error_growth(problem.model.system, p, r, policy.choice) for r in problem.records]
+    growths = [estimate_error_growth(problem.model.system, p, r, policy) for r in problem.records]
     pairs = zip(growths, problem.records, strict=True)
-    return cut_in_rows(problem, [choose_segment_rows(growth, r, policy.segments) for growth, r in pairs])
+    return cut_in_rows(problem, [choose_segment_rows(growth, r, policy) for growth, r in pairs])
 
 
 # Factor by which an error may grow over one segment of an unstable plant.
@@ -77,7 +77,9 @@ MAX_GROWTH = 5.0
 SEGMENT_LEAST_ROWS = 8
 
 
-def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
+def choose_segment_rows(
+    growth: float, record: Record, policy: TranscriptionPolicy = DEFAULT_POLICY.transcription
+) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0

@@ -13,8 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.base.findings import Finding, Severity
-from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, TranscriptionChoicePolicy
+from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.solution import TranscriptionReason, make_strategy
 from greybox.model.system import System
@@ -40,7 +39,7 @@ class TranscriptionChoice:
         return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
 
-def select_transcription(problem: EstimationProblem, options: SolverOptions) -> TranscriptionChoice:
+def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
     """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
 
     A stiff model also gets implicit steps, unless the method or the substeps were given.
@@ -51,7 +50,7 @@ def select_transcription(problem: EstimationProblem, options: SolverOptions) -> 
         problem.model.system,
         p,
         longest,
-        policy=policy.transcription.choice,
+        policy=policy.transcription,
         free_run=options.transcription == Transcription.SINGLE,
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
@@ -84,7 +83,7 @@ def propose_transcription(
     p: np.ndarray,
     record: Record,
     *,
-    policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
+    policy: TranscriptionPolicy = DEFAULT_POLICY.transcription,
     free_run: bool = False,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
@@ -132,7 +131,7 @@ def propose_transcription(
 
 
 def estimate_error_growth(
-    system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
+    system: System, p: np.ndarray, record: Record, policy: TranscriptionPolicy = DEFAULT_POLICY.transcription
 ) -> float:
     """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
     jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
@@ -153,7 +152,7 @@ GROWTH_POINTS = 1000
 
 
 def _compute_growth(
-    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionChoicePolicy
+    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionPolicy
 ) -> float:
     """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
     if not len(jacobians):

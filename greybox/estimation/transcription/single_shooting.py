@@ -9,10 +9,15 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.estimation.optim.methods import minimise
-from greybox.estimation.optim.minimisation import IterationCallback, MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import (
+    IterationCallback,
+    MinimisationResult,
+    Termination,
+    TerminationPolicy,
+    TerminationStatus,
+)
+from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.policy import StepRefinementPolicy
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback, Runs, Solution, make_strategy
@@ -156,7 +161,7 @@ CHECKED_ROWS = 2000
 
 
 def refine_step(
-    solution: Solution, options: SolverOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
+    solution: Solution, options: FitOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
 ) -> Refinement:
     """What half the step changes in the outputs at a solution, and a smaller step if that matters.
 
@@ -244,7 +249,7 @@ def _find_stable_substeps(problem: EstimationProblem, visited: np.ndarray) -> in
 
 
 def solve_single_shooting(
-    problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None
+    problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of the free run over each record."""
     search = _Search(problem, options, report)
@@ -259,6 +264,10 @@ WEAK_PRIOR = 0.25
 STIFF_GROWTH = 16
 # A first part of whose movement less than this can be followed is too long for that start.
 FOLLOWED_SHARE = 0.5
+# When a search by simulation error has converged.
+CONVERGENCE = TerminationPolicy()
+# The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do.
+CONVERGENCE_IN_PART = replace(CONVERGENCE, negligible_decrease=0.01)
 
 
 class _Search:
@@ -267,9 +276,8 @@ class _Search:
     ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
     """
 
-    def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
+    def __init__(self, problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None) -> None:
         self.options, self.report = options, report
-        self.convergence = options.policy.convergence
         self.first_substeps = problem.step.substeps
         self.progressive = options.progressive and problem.variables.size > 0
         self.known: Evaluation | None = None
@@ -365,7 +373,7 @@ class _Search:
         evaluate = self.problem.shooting(variables, share).evaluate
         is_whole, low_high = share == 1, variables.bounds()
         prior = None if is_whole else _make_weak_prior(variables, start, WEAK_PRIOR)
-        policy = self.convergence if is_whole else self.convergence.in_part
+        policy = CONVERGENCE if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
             evaluate if prior is None else lambda z: prior(z, evaluate(z)),
             variables.here,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 from greybox.base.errors import ModelError
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
-from greybox.estimation.transcription.options import SolverOptions, Transcription
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
@@ -16,7 +16,7 @@ from greybox.estimation.transcription.solution import Completion, FitProgressCal
 __all__ = ["Solution", "solve"]
 
 
-def solve(problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None) -> Solution:
+def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
     """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.
 
     Raises ModelError for a transcription that the model does not allow.
@@ -38,9 +38,7 @@ COST_RATIO = 1.1
 PERFECT_NOISE_RATIO = 0.001
 
 
-def finish_by_simulation_error(
-    solution: Solution, options: SolverOptions, report: FitProgressCallback | None
-) -> Solution:
+def finish_by_simulation_error(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
     """``solution``, found with white noise and least squares; carried on by a free run where its problem asks for more.
 
     Where the free run does not follow it (an unstable plant) the noise's colour is left to the intervals, and the strategy says so;

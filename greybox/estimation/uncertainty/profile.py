@@ -14,9 +14,8 @@ from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
 from greybox.estimation.objective import Objective, SimulationErrorObjective
-from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
+from greybox.estimation.objective_search import LIKELIHOOD_TERMINATION, hold_parameters, refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions
-from greybox.estimation.policy import EstimationPolicy
 from greybox.estimation.restore import restore_objective, restore_options
 from greybox.estimation.result import Fit
 from greybox.estimation.sandwich import estimate_residual_colour
@@ -137,14 +136,14 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     k, evaluation = v.names.index(name), objective.evaluate(v.here)
     options = restore_options(fit)
     if isinstance(objective, SimulationErrorObjective):
-        std, scale, threshold = _scale_simulation_error(objective, evaluation, k, options.policy)
+        std, scale, threshold = _scale_simulation_error(objective, evaluation, k)
     else:
         std, scale, threshold = _scale_likelihood(fit, v, k)
     return _follow(_HeldObjective(objective, k, evaluation.cost, scale, options, policy), name, std, threshold, policy)
 
 
 def _scale_simulation_error(
-    objective: SimulationErrorObjective, evaluation: Evaluation, k: int, policy: EstimationPolicy
+    objective: SimulationErrorObjective, evaluation: Evaluation, k: int
 ) -> tuple[float | None, float, float]:
     """Standard deviation of the free constant number ``k``, the cost that is one of them squared, and the threshold in that unit."""
     problem, v = objective.problem, objective.variables
@@ -202,8 +201,8 @@ class _HeldObjective:
             given[owner][which] = value
             others = v.hold(np.arange(len(v.which)) == self.k) if near is None else near
             held = self.objective.at(replace(others, conditions=tuple(given)))
-        termination = self.options.policy.likelihood_search.termination
-        optimum = refine_minimum(held, self.options, replace(termination, negligible_decrease=COST_DECREASE))
+        enough = replace(LIKELIHOOD_TERMINATION, negligible_decrease=COST_DECREASE)
+        optimum = refine_minimum(held, self.options, enough)
         if not optimum.status.success:
             optimum = search_minimum(optimum.objective, self.options)
         # A held constant has lost its prior, which the cost at the optimum has.

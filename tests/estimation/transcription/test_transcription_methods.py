@@ -92,7 +92,7 @@ def pneumatic():
 
 
 def problem(start, data, noise, at_rest, substeps=0):
-    return prepare_problem(start, data, noise, at_rest=at_rest, method="automatic", substeps=substeps)
+    return prepare_problem(start, data, noise, FitOptions(at_rest=at_rest, substeps=substeps))
 
 
 def by_single(p, at_rest, substeps):
@@ -282,14 +282,14 @@ def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau
         MAX_IMPLICIT_STATES - 1: ("collocation-radau", False),
     }.items():
         larger = stiff(line)
-        prepared = prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
+        prepared = prepare_problem(larger, data, {"x": 1e-4}, FitOptions(at_rest=True, substeps=1))
         transcription, reason, implicit = propose_transcription(larger.system, p, prepared.records[0])
         assert (transcription, implicit) == expected
         assert reason.values["fastest"] == pytest.approx(2e-5, rel=0.05)
         code = TranscriptionReason.STIFF_IMPLICIT if implicit else TranscriptionReason.STIFF_COLLOCATION
         assert reason.code == code
     start = model.start(a=3.0, c=0.2)
-    prepared = prepare_problem(start, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
+    prepared = prepare_problem(start, data, {"x": 1e-4}, FitOptions(at_rest=True, substeps=1))
     program = Collocation(prepared, [np.column_stack([u, np.array(y)])])
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success
