@@ -1,4 +1,4 @@
-"""Extensions: what this package and others add to the core, found through entry points.
+"""Extensions: what this package and others add to the core, found through entry points; and versions.
 
 A package adds a kind of file, an export target, a kind of plant, a command or an effect by an entry point in one of five groups. The
 core names no extension; it asks for what is there. An entry that cannot be loaded is kept with its reason and hurts nothing else.
@@ -6,11 +6,12 @@ core names no extension; it asks for what is there. An entry that cannot be load
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
@@ -124,3 +125,28 @@ def _load(kind: ExtensionKind, entry: EntryPoint, reason: str) -> Extension:
 
 def _distribution(entry: EntryPoint) -> str:
     return entry.dist.name if entry.dist else ""
+
+
+# Which programs computed a result.
+
+
+def read_versions() -> dict[str, str]:
+    """Versions of what computed a result."""
+    import casadi  # slow to import, and a command's help needs neither
+    import numpy
+
+    return {
+        "greybox": read_greybox_version(),
+        "casadi": casadi.__version__,
+        "numpy": numpy.__version__,
+        "python": platform.python_version(),
+    }
+
+
+@cache
+def read_greybox_version(without: str = "not installed") -> str:
+    """Of the installed package, from its files, read once; ``without`` where it was not installed."""
+    try:
+        return version(OWN)
+    except PackageNotFoundError:
+        return without

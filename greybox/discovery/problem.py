@@ -10,20 +10,19 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from greybox.base.extensions import read_versions
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.policy import SearchBudget
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.estimation.transcription.solution import Solution
-from greybox.estimation.transcription.solve import solve
-from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
 
 StartValues = Mapping[str, float]

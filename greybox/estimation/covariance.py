@@ -10,8 +10,7 @@ from scipy.special import ndtri, stdtrit
 
 from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
 from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, RANK_CUTOFF, TINY
-from greybox.estimation.objective import ResidualRows
-from greybox.estimation.objective_search import LikelihoodMaximum
+from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector

@@ -9,6 +9,7 @@ from functools import reduce
 import numpy as np
 
 from greybox.base.errors import FitError, ModelError, nearest
+from greybox.base.extensions import read_versions
 from greybox.base.findings import Finding, Severity
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
@@ -20,9 +21,9 @@ from greybox.estimation.covariance import (
     to_model_covariance,
     to_tied_estimates,
 )
-from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit_issues import (
     LAST_DIGIT,
+    EstimationCode,
     add_record_findings,
     find_fit_issues,
     find_option_issues,
@@ -50,15 +51,18 @@ from greybox.estimation.result_parts import (
     SolverReport,
     StartResult,
 )
-from greybox.estimation.starts import draw_starts
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgressCallback,
+    make_strategy,
+    prepare_problem,
+)
 from greybox.estimation.validate import validate
-from greybox.estimation.versions import read_versions
 from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
+from greybox.model.signals import Parameter
 from greybox.simulation.records import to_experiments
 
 # Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at
@@ -364,6 +368,28 @@ def _try_other_starts(
         "after": after,
     }
     return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
+
+
+def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
+    """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
+
+    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
+    for a factor of one or less.
+    """
+    if not factor > 1:
+        raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
+    rng = np.random.default_rng(seed)
+    return [{q.name: _draw(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
+
+
+def _draw(q: Parameter, factor: float, share: float) -> float:
+    low, high = q.bounds
+    if q.value == 0:
+        return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
+    smaller, larger = sorted((q.value / factor, q.value * factor))
+    a, b = max(smaller, low), min(larger, high)
+    size = np.sign(q.value)
+    return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
 
 
 def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:

@@ -15,7 +15,7 @@ from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
-from greybox.estimation.transcription.solution import Runs
+from greybox.estimation.transcription.problem import Runs
 
 
 class PartKind(StrEnum):

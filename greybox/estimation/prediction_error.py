@@ -12,10 +12,13 @@ from scipy.special import chdtrc, chdtri
 from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
-from greybox.estimation.objective import PredictionErrorObjective, add_noise_levels
-from greybox.estimation.objective_search import (
+from greybox.estimation.noise_loop import solve
+from greybox.estimation.objective import (
     LIKELIHOOD_TERMINATION,
     LikelihoodMaximum,
+    PredictionErrorObjective,
+    ProcessNoiseTest,
+    add_noise_levels,
     hold_parameters,
     raise_noise_to_innovations,
     refine_minimum,
@@ -26,30 +29,11 @@ from greybox.estimation.objective_search import (
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.solution import FitProgressCallback, Solution
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.problem import FitProgressCallback, Solution, prepare_problem
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import KalmanFilter
 
 # Intensities of process noise: from which to start, whether zero would do as well, and how large one may be.
-
-
-@dataclass(frozen=True)
-class ProcessNoiseTest:
-    """One intensity of process noise as a fit found it.
-
-    ``ratio``: likelihood ratio, twice the gain of the logarithm over zero intensity; ``p_value``: how often chance alone gives so
-    much; ``significant``: whether the records show process noise; ``limits``: one-sided 95 % limit
-    (0, upper) where it is not significant, else None.
-    """
-
-    name: str
-    value: float
-    ratio: float
-    p_value: float
-    significant: bool = False
-    limits: tuple[float, float] | None = None
 
 
 def compute_largest_intensities(model: Model, steps: np.ndarray) -> dict[str, float]:

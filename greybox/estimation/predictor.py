@@ -15,14 +15,13 @@ from greybox.base.numerics import TINY, UNSEEN_INFORMATION
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
-from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states
-from greybox.estimation.objective import PredictionErrorObjective
-from greybox.estimation.objective_search import refine_minimum, search_minimum
+from greybox.estimation.noise_loop import solve
+from greybox.estimation.objective import PredictionErrorObjective, refine_minimum, search_minimum
 from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.validate import FIRST_ROWS, determine_initial_states
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
 from greybox.simulation.filtering.smoother import smooth_states

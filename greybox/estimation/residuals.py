@@ -17,9 +17,9 @@ from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.estimation.objective import SimulationErrorObjective
+from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import Predictor, predictor
-from greybox.estimation.restore import restore_residuals
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.estimation.sandwich import ColumnLayout, compute_toeplitz_form

@@ -191,8 +191,8 @@ def _answer(
 
 def _residual_tests(result: Fit) -> ResidualTests | None:
     """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
+    from greybox.estimation.optimum import has_free_run
     from greybox.estimation.residuals import residual_tests
-    from greybox.estimation.restore import has_free_run
 
     testable = result.success and (has_free_run(result) or result.prediction.process_noise)
     return residual_tests(result) if testable else None

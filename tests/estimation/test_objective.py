@@ -10,9 +10,14 @@ import pytest
 from greybox import FitOptions, fit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import compute_lag_one_correlation
-from greybox.estimation.objective import PredictionErrorObjective, SimulationErrorObjective
-from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
-from greybox.estimation.restore import restore_objective
+from greybox.estimation.objective import (
+    PredictionErrorObjective,
+    SimulationErrorObjective,
+    hold_parameters,
+    refine_minimum,
+    search_minimum,
+)
+from greybox.estimation.optimum import restore_objective
 from greybox.estimation.transcription.problem import prepare_problem
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 

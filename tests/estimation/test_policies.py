@@ -14,9 +14,9 @@ from greybox.discovery.problem import DiscoveryProblem
 from greybox.estimation.check import check
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
+from greybox.estimation.optimum import restore_problem
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, TranscriptionPolicy
 from greybox.estimation.predictor import restore_integration_options
-from greybox.estimation.restore import restore_problem
 from greybox.estimation.result import load_fit
 from greybox.estimation.uncertainty.bootstrap import BootstrapPolicy, bootstrap
 from greybox.estimation.uncertainty.profile import ProfilePolicy, profile

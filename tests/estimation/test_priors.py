@@ -5,7 +5,7 @@ import pytest
 
 from greybox import FitOptions, Parameter, fit, load_fit
 from greybox.base.errors import ModelError
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty.bootstrap import bootstrap
 from greybox.estimation.uncertainty.profile import profile

@@ -12,7 +12,7 @@ from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.spectrum import estimate_noise_from_differences
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem

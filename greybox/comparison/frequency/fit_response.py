@@ -20,8 +20,7 @@ from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.objective import ResidualRows, SimulationErrorObjective
-from greybox.estimation.objective_search import search_minimum
+from greybox.estimation.objective import ResidualRows, SimulationErrorObjective, search_minimum
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel

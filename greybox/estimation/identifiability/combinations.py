@@ -15,8 +15,12 @@ from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompo
 from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import Sensitivity, SensitivityRank, highest_ranks
+from greybox.estimation.identifiability.sensitivity import (
+    IdentifiabilityCode,
+    Sensitivity,
+    SensitivityRank,
+    highest_ranks,
+)
 from greybox.estimation.identifiability.transfer_functions import (
     Polynomial,
     divide,

@@ -13,8 +13,7 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.model.model import Model
 

@@ -22,8 +22,7 @@ from greybox.estimation.identifiability.combinations import (
     simplicity_key,
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import SensitivityRank
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, SensitivityRank
 from greybox.estimation.identifiability.sensitivity import compute_rank as rank_at
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -13,7 +14,6 @@ from greybox.base.findings import Finding
 from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
 from greybox.data.experiment import Experiment
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
@@ -24,6 +24,26 @@ from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.records import to_record
 from greybox.simulation.simulate import declared_initial_state, simulate
+
+
+class IdentifiabilityCode(StrEnum):
+    """Findings about models, records and inputs, and what would determine more constants."""
+
+    MEASURE_OUTPUT = "measure_output"
+    ADD_SENSOR = "add_sensor"
+    FIX_CONSTANTS = "fix_constants"
+    RICHER_RECORD = "richer_record"
+
+    NO_INPUT_MOVES = "no_input_moves"
+    EXCITATION_ORDER_LOW = "excitation_order_low"
+    EXCITATION_BAND_NARROW = "excitation_band_narrow"
+
+    RECORDS_SHOW_FEWER = "records_show_fewer"
+    AVERAGING_ONLY = "averaging_only"
+    NO_FREE_CONSTANT = "no_free_constant"
+    MODEL_OVERFLOWS = "model_overflows"
+    SIMULATED_RECORD = "simulated_record"
+
 
 # Where nothing special is true: random constants near the nominal ones, and records with a rich input.
 

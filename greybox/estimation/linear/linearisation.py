@@ -22,7 +22,7 @@ from greybox.base.numerics import (
     TINY,
 )
 from greybox.base.values import Printable
-from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.plant import ExportFinding
 
 # Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them.
 

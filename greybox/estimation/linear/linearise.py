@@ -11,10 +11,9 @@ from greybox.base.errors import ModelError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model.model import Model

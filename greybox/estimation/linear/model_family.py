@@ -13,11 +13,10 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
 from greybox.estimation.result import Fit
 
 # Samples of the fitted parameters from their covariance, within their bounds.

@@ -22,8 +22,7 @@ from greybox.base.numerics import (
     TINY,
 )
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
-from greybox.estimation.linear.plant import format_signals
+from greybox.estimation.linear.plant import ExportFinding, format_signals
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
 from greybox.model.model import Model

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import TIME_ROUNDING
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
+from greybox.estimation.linear.plant import ExportFinding
 
 METHODS = ("zoh", "tustin")
 

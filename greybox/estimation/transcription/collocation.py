@@ -20,11 +20,17 @@ from greybox.base.numerics import AT_BOUND
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import MinimisationResult
 from greybox.estimation.options import FitOptions, Hessian
-from greybox.estimation.transcription.condensing import compute_state_slopes
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.projected_initial_states import initialise_without_continuity
-from greybox.estimation.transcription.segments import cut_by_growth, measure_state_ranges
+from greybox.estimation.transcription.eliminated_states import compute_state_slopes
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgressCallback,
+    ProgressMonitor,
+    Runs,
+    SegmentedRun,
+    Solution,
+)
+from greybox.estimation.transcription.segments import cut_by_growth, initialise_without_continuity, measure_state_ranges
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.simulation_error import Evaluation, add_prior_penalty
 from greybox.estimation.transcription.single_shooting import (
@@ -33,7 +39,6 @@ from greybox.estimation.transcription.single_shooting import (
     is_too_coarse,
     solve_with_refined_steps,
 )
-from greybox.estimation.transcription.solution import FitProgressCallback, ProgressMonitor, Runs, SegmentedRun, Solution
 from greybox.simulation.kernel.record import Record
 
 SCHEMES = ("radau", "legendre")

@@ -569,3 +569,11 @@ def _place_constants(
         elif k not in given:
             places.append((k, SHARED))
     return places
+
+
+def find_measured_states(variables: DecisionVector) -> dict[int, int]:
+    """States that are themselves an output: position of the state -> position of the output."""
+    system = variables.model.system
+    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
+    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
+    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}

@@ -30,17 +30,32 @@ from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions, Transcription
-from greybox.estimation.transcription.condensing import CondensedProblem, LinearisedSegment, condense
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.projected_initial_states import (
-    MAX_LOG_CHANGE,
+from greybox.estimation.transcription.eliminated_states import (
+    CondensedProblem,
+    LinearisedSegment,
     ProjectedShooting,
-    estimate_segment_states,
-    fit_without_continuity,
+    condense,
     project_states,
 )
-from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, cut_by_growth, cut_in_seconds
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgressCallback,
+    ProgressMonitor,
+    Runs,
+    SegmentedRun,
+    Solution,
+    monitor_progress,
+)
+from greybox.estimation.transcription.segments import (
+    MAX_LOG_CHANGE,
+    Cuts,
+    SegmentedProblem,
+    cut_by_growth,
+    cut_in_seconds,
+    estimate_segment_states,
+    fit_without_continuity,
+)
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
 from greybox.estimation.transcription.single_shooting import (
@@ -49,14 +64,6 @@ from greybox.estimation.transcription.single_shooting import (
     refine_step,
     solve_single_shooting,
     solve_with_refined_steps,
-)
-from greybox.estimation.transcription.solution import (
-    FitProgressCallback,
-    ProgressMonitor,
-    Runs,
-    SegmentedRun,
-    Solution,
-    monitor_progress,
 )
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel

@@ -3,6 +3,8 @@
 Segments that must meet are those of multiple shooting. Segments of a chosen length that need not meet are called arcs. Short arcs
 forget: what drifts slowly (an offset, a wrong slow mode) has no time to add up, and the structure of the fast motion shows. Long
 arcs remember: drift and slow constants show. A model that is right fits both with the same constants.
+
+Where a search over segments or by collocation begins is found from them as well, as if they need not meet.
 """
 
 from __future__ import annotations
@@ -16,11 +18,15 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
 from greybox.data.experiment import Experiment, as_records
+from greybox.estimation.optim.gauss_newton import run_gauss_newton
+from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Minimisation, Termination, TerminationPolicy
 from greybox.estimation.options import DEFAULT_POLICY, TranscriptionPolicy
-from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates, find_measured_states
+from greybox.estimation.transcription.eliminated_states import ProjectedShooting
+from greybox.estimation.transcription.problem import EstimationProblem, Runs
 from greybox.estimation.transcription.select import estimate_error_growth
-from greybox.estimation.transcription.solution import Runs
+from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.simulation.kernel.record import Record
 
 Cuts = tuple[tuple[int, ...], ...]
@@ -254,14 +260,6 @@ def _guess_states(variables: DecisionVector, e: int, record: Record, starts: Seq
     return guess
 
 
-def find_measured_states(variables: DecisionVector) -> dict[int, int]:
-    """States that are themselves an output: position of the state -> position of the output."""
-    system = variables.model.system
-    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
-    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
-    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}
-
-
 def slice_rows(record: Record, a: int, b: int) -> Record:
     """Rows ``a`` up to but without ``b``."""
     return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
@@ -271,3 +269,62 @@ def measure_state_ranges(states: np.ndarray) -> np.ndarray:
     """Range of each state (k, nx), its size where it never moves; one where it is zero."""
     spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
     return np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))
+
+
+# Where a search over segments or by collocation begins: states along the record, and constants without continuity.
+
+
+def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
+    """The cost of the segments with the initial state of each estimated in turn, the constants at their start values.
+
+    A state that is an output is taken as measured to begin with, a hidden one from the end of the segment before; then both are
+    estimated from the samples of the segment. A short segment, which a wrong constant cannot spoil much, acts as an observer.
+    """
+    pieces = segmented.pieces.with_plain_squares()
+    projected = ProjectedShooting(pieces.shooting())
+    projected.carry_states(segmented.starts_record)
+    return projected
+
+
+# A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer.
+MAX_LOG_CHANGE = 4.6
+# Steps at most.
+RELAXATION_MAX_STEPS = 15
+# A step is the last one when it gained less than a hundredth of the cost, or hardly anything is left.
+RELAXATION_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)
+# Damped quickly, as the start need not be good.
+RELAXATION_DAMPED = GaussNewtonPolicy(damping_growth=100.0, max_rejections=5)
+# Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation.
+PRIOR_WEIGHT = 0.25
+
+
+def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
+    """A point of the variables near the best for segments that need not meet, by damped Gauss-Newton steps from the start.
+
+    A segment cannot lose its place in an oscillation, so this search is spared the wrong optima of a long run; its result is good to
+    the noise over one segment.
+    """
+    v, start = projected.variables, np.zeros(projected.size)
+    precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
+    reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
+    low, high = projected.bounds()
+
+    def evaluate(z: np.ndarray) -> Evaluation:
+        e = projected.evaluate(z)
+        cost, hessian = e.cost + precision @ z**2, e.hessian + np.diag(2 * precision)
+        return replace(e, cost=cost, gradient=e.gradient + 2 * precision * z, hessian=hessian)
+
+    low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)
+    search = Minimisation(evaluate, 1.0, Termination(RELAXATION_TERMINATION, low, high, 1).test, None, MINIMISATION)
+    if np.isfinite(search(start).cost) and not search.test_termination():
+        run_gauss_newton(search, low, high, RELAXATION_DAMPED, steps=RELAXATION_MAX_STEPS)
+    return projected.full(search.best)
+
+
+def initialise_without_continuity(problem: EstimationProblem, cuts: Cuts) -> tuple[EstimationProblem, list[np.ndarray]]:
+    """``problem`` at constants fitted without continuity, and states (N, nx) along each record: a start for `Collocation`."""
+    segmented = SegmentedProblem.of(problem, cuts)
+    arcs = estimate_segment_states(segmented)
+    z = fit_without_continuity(arcs)
+    segmented = segmented.at(segmented.pieces.variables.recentre(z))
+    return segmented.whole, [x for _, x in segmented.simulate()]

@@ -14,8 +14,7 @@ from scipy.linalg import expm
 
 from greybox.base.findings import Finding, Severity
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.solution import TranscriptionReason, make_strategy
+from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
 from greybox.model.system import System
 from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate

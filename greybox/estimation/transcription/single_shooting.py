@@ -18,9 +18,15 @@ from greybox.estimation.optim.minimisation import (
 )
 from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgress,
+    FitProgressCallback,
+    Runs,
+    Solution,
+    make_strategy,
+)
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback, Runs, Solution, make_strategy
 from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 

@@ -12,8 +12,8 @@ from greybox.base.errors import DataError, FitError
 from greybox.base.files import write_file
 from greybox.base.json_file import ResultKind, read_json
 from greybox.base.linear_algebra import pseudo_inverse
+from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
-from greybox.estimation.restore import restore_residuals
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import iterate_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour

@@ -13,10 +13,16 @@ from greybox.base.json_file import ResultKind
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
-from greybox.estimation.objective import Objective, SimulationErrorObjective
-from greybox.estimation.objective_search import LIKELIHOOD_TERMINATION, hold_parameters, refine_minimum, search_minimum
+from greybox.estimation.objective import (
+    LIKELIHOOD_TERMINATION,
+    Objective,
+    SimulationErrorObjective,
+    hold_parameters,
+    refine_minimum,
+    search_minimum,
+)
+from greybox.estimation.optimum import restore_objective, restore_options
 from greybox.estimation.options import FitOptions
-from greybox.estimation.restore import restore_objective, restore_options
 from greybox.estimation.result import Fit
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from greybox.estimation.options import TranscriptionPolicy
+from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
-from greybox.estimation.transcription.solution import TranscriptionReason
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State

@@ -7,9 +7,8 @@ import pytest
 
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions, StepRefinementPolicy
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
-from greybox.estimation.transcription.solution import Solution
 from tests.oracles.independent import solved_record
 from tests.support.oscillator import oscillator
 

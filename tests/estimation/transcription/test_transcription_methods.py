@@ -9,23 +9,23 @@ import pytest
 from scipy.integrate import ode, solve_ivp
 
 from greybox.base.errors import ModelError
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.collocation import Collocation
+from greybox.estimation.transcription.eliminated_states import ProjectedShooting
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
-from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.projected_initial_states import ProjectedShooting, initialise_without_continuity
+from greybox.estimation.transcription.problem import TranscriptionReason, prepare_problem
 from greybox.estimation.transcription.segments import (
     SegmentedProblem,
     choose_segment_rows,
     cut_in_rows,
     cut_in_seconds,
+    initialise_without_continuity,
     split_into_arcs,
 )
 from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
-from greybox.estimation.transcription.solution import TranscriptionReason
-from greybox.estimation.transcription.solve import solve
 from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model

@@ -1,20 +1,24 @@
-"""Variable projection: many initial states, eliminated record by record, so that the optimiser works on the parameters alone."""
+"""Many initial states, eliminated, so that the optimiser works on the parameters alone.
+
+Variable projection does it record by record, where they need not meet; condensing all at once, where each ends as the next begins.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import bmat, coo_matrix, csc_matrix, diags
+from scipy.sparse.linalg import splu
 
 from greybox.base.linear_algebra import decompose_symmetric
+from greybox.base.numerics import FREE_STATE_CURVATURE, TINY
 from greybox.estimation.optim.gauss_newton import run_gauss_newton
 from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
-from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Minimisation, Termination, TerminationPolicy
+from greybox.estimation.optim.minimisation import Minimisation, Termination, TerminationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, find_measured_states
+from greybox.estimation.transcription.decision_vector import DecisionVector, find_measured_states
 from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
 from greybox.simulation.kernel.interface import GaussNewtonSums
 
@@ -157,60 +161,144 @@ def project_states(matrix: np.ndarray, n: int, is_held: np.ndarray | bool = Fals
     return -inverse @ b.T
 
 
-# Where a search over segments or by collocation begins: states along the record, and constants without continuity.
+# Condensing: segments that must meet are eliminated from a least-squares problem; the one that is left has the parameters alone.
 
 
-def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
-    """The cost of the segments with the initial state of each estimated in turn, the constants at their start values.
+@dataclass(frozen=True)
+class LinearisedSegment:
+    """One linearised segment, in scaled states.
 
-    A state that is an output is taken as measured to begin with, a hidden one from the end of the segment before; then both are
-    estimated from the samples of the segment. A short segment, which a wrong constant cannot spoil much, acts as an observer.
+    ``residual`` (m,) with ``jacobian`` (m, n + nx) along the constants and its first state; ``ends`` (nx, n + nx) slopes of its last
+    state; ``defect`` (nx,) that state minus the first of the next segment (zero after the last one). ``tie``, for states that begin
+    as declared: their numbers, how far they are from that, and its slope along the constants (k, n).
     """
-    pieces = segmented.pieces.with_plain_squares()
-    projected = ProjectedShooting(pieces.shooting())
-    projected.carry_states(segmented.starts_record)
-    return projected
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    ends: np.ndarray
+    defect: np.ndarray
+    tie: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 
 
-# A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer.
-MAX_LOG_CHANGE = 4.6
-# Steps at most.
-RELAXATION_MAX_STEPS = 15
-# A step is the last one when it gained less than a hundredth of the cost, or hardly anything is left.
-RELAXATION_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)
-# Damped quickly, as the start need not be good.
-RELAXATION_DAMPED = GaussNewtonPolicy(damping_growth=100.0, max_rejections=5)
-# Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation.
-PRIOR_WEIGHT = 0.25
+@dataclass(frozen=True)
+class CondensedProblem(QuadraticModel):
+    """The model of the cost along the constants, with every segment's first state at its best for them."""
+
+    offset: np.ndarray
+    """Step of the first states (segments, nx) where the constants stay."""
+
+    slope: np.ndarray
+    """How they follow the constants (segments, nx, n)."""
+
+    segments: Sequence[LinearisedSegment]
+    """What was condensed."""
+
+    def step(self, dz: np.ndarray) -> np.ndarray:
+        """``dz`` and the step of the first states that belongs to it."""
+        return np.concatenate([dz, (self.offset + self.slope @ dz).ravel()])
+
+    def cost_after(self, step: np.ndarray) -> float:
+        """Cost of the linearised residuals after a step."""
+        dz, states = np.split(step, [self.slope.shape[2]])
+        pairs = zip(self.segments, states.reshape(self.offset.shape), strict=True)
+        residuals = (s.residual + s.jacobian @ np.concatenate([dz, ds]) for s, ds in pairs)
+        return float(sum(r @ r for r in residuals))
 
 
-def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
-    """A point of the variables near the best for segments that need not meet, by damped Gauss-Newton steps from the start.
+def condense(records: Sequence[Sequence[LinearisedSegment]], n: int) -> CondensedProblem | None:
+    """Eliminate the first states of the segments from a constrained least-squares problem in the constants (n,) and all of them.
 
-    A segment cannot lose its place in an oscillation, so this search is spared the wrong optima of a long run; its result is good to
-    the noise over one segment.
+    With ``K = [[H, C'], [C, 0]]`` over the first states and their constraints, ``H = R'R`` block diagonal and the constants on the right:
+    a sparse factorisation with pivoting, which is stable whether errors grow or decay along the record. None where there is no step,
+    as with slopes of a segment so near to overflow that their squares are beyond it.
     """
-    v, start = projected.variables, np.zeros(projected.size)
-    precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
-    reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
-    low, high = projected.bounds()
+    solutions = []
+    for segments in records:
+        nx = len(segments[0].defect)
+        with np.errstate(over="ignore", invalid="ignore"):
+            matrix, right = _build_system(segments, n, nx)
+        try:
+            factors = splu(matrix)
+        except RuntimeError:  # SuperLU: "Factor is exactly singular"
+            return None
+        solution = factors.solve(right)
+        if not np.isfinite(solution).all():
+            return None
+        solutions.append(solution[: len(segments) * nx].reshape(len(segments), nx, n + 1))
+    states, flat = np.concatenate(solutions), [s for segments in records for s in segments]
+    offset, slope = states[:, :, 0], states[:, :, 1:]
+    cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, s in enumerate(flat):
+            jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
+            residual, jacobian = s.residual + js @ offset[k], jz + js @ slope[k]
+            cost += float(residual @ residual)
+            gradient += 2 * jacobian.T @ residual
+            hessian += 2 * jacobian.T @ jacobian
+    if not (np.isfinite(cost) and np.isfinite(hessian).all()):
+        return None
+    return CondensedProblem(cost, gradient, hessian, offset, slope, flat)
 
-    def evaluate(z: np.ndarray) -> Evaluation:
-        e = projected.evaluate(z)
-        cost, hessian = e.cost + precision @ z**2, e.hessian + np.diag(2 * precision)
-        return replace(e, cost=cost, gradient=e.gradient + 2 * precision * z, hessian=hessian)
 
-    low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)
-    search = Minimisation(evaluate, 1.0, Termination(RELAXATION_TERMINATION, low, high, 1).test, None, MINIMISATION)
-    if np.isfinite(search(start).cost) and not search.test_termination():
-        run_gauss_newton(search, low, high, RELAXATION_DAMPED, steps=RELAXATION_MAX_STEPS)
-    return projected.full(search.best)
+def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tuple[csc_matrix, np.ndarray]:
+    """The matrix ``K`` and its right-hand sides (., 1 + n): for the step as it is, and for each constant."""
+    count = len(segments)
+    states, joints = count * nx, (count - 1) * nx
+    size = states + joints + sum(len(s.tie[0]) for s in segments if s.tie)
+    right = np.zeros((size, n + 1))
+    rows: list[np.ndarray] = []
+    columns: list[np.ndarray] = []
+    entries: list[np.ndarray] = []
+
+    def put(block: np.ndarray, row: int, column: int, mirrored: bool = False) -> None:
+        i, j = np.indices(block.shape)
+        for a, b, values in ((i + row, j + column, block), *(((j + column, i + row, block),) if mirrored else ())):
+            rows.append(a.ravel())
+            columns.append(b.ravel())
+            entries.append(values.ravel())
+
+    curvatures = [s.jacobian[:, n:].T @ s.jacobian[:, n:] for s in segments]
+    regularisation = FREE_STATE_CURVATURE * np.mean([np.diag(c) for c in curvatures], axis=0)
+    regularisation = np.diag(
+        np.where(
+            regularisation > 0, regularisation, FREE_STATE_CURVATURE * max(float(regularisation.max(initial=0.0)), 1.0)
+        )
+    )
+    for k, s in enumerate(segments):
+        node, next_node, joint = k * nx, (k + 1) * nx, states + k * nx
+        put(curvatures[k] + regularisation, node, node)
+        right[node:next_node, 0] = -s.jacobian[:, n:].T @ s.residual
+        right[node:next_node, 1:] = -s.jacobian[:, n:].T @ s.jacobian[:, :n]
+        if k + 1 < count:  # it ends where the next one begins
+            put(s.ends[:, n:], joint, node, mirrored=True)
+            put(-np.eye(nx), joint, next_node, mirrored=True)
+            right[joint : joint + nx, 0] = -s.defect
+            right[joint : joint + nx, 1:] = -s.ends[:, :n]
+    row = states + joints
+    for k, s in enumerate(segments):
+        if s.tie:
+            which, distance, slope = s.tie
+            put(np.eye(nx)[which], row, k * nx, mirrored=True)
+            right[row : row + len(which), 0] = distance
+            right[row : row + len(which), 1:] = slope
+            row += len(which)
+    places = np.concatenate(rows), np.concatenate(columns)
+    return coo_matrix((np.concatenate(entries), places), (size, size)).tocsc(), right
 
 
-def initialise_without_continuity(problem: EstimationProblem, cuts: Cuts) -> tuple[EstimationProblem, list[np.ndarray]]:
-    """``problem`` at constants fitted without continuity, and states (N, nx) along each record: a start for `Collocation`."""
-    segmented = SegmentedProblem.of(problem, cuts)
-    arcs = estimate_segment_states(segmented)
-    z = fit_without_continuity(arcs)
-    segmented = segmented.at(segmented.pieces.variables.recentre(z))
-    return segmented.whole, [x for _, x in segmented.simulate()]
+def compute_state_slopes(
+    along: csc_matrix, states: csc_matrix, equations: csc_matrix, constraints: csc_matrix
+) -> np.ndarray:
+    """How states (ns, n) that satisfy linearised equations follow the constants, at their best for the residuals.
+
+    The least ``|along dz + states dx|^2`` with ``equations dz + constraints dx = 0``: residuals (m, n) and (m, ns), equations (k, n) and
+    (k, ns). Directions that no residual shows are held back a little, as in `condense`.
+    """
+    curvature = (states.T @ states).tocsc()
+    diagonal = curvature.diagonal()
+    regularisation = FREE_STATE_CURVATURE * max(float(diagonal.mean()) if diagonal.any() else 1.0, TINY)
+    matrix = bmat(
+        [[curvature + regularisation * diags(np.ones(len(diagonal))), constraints.T], [constraints, None]], format="csc"
+    )
+    right = -np.vstack([(states.T @ along).toarray(), equations.toarray()])
+    return splu(matrix).solve(right)[: len(diagonal)]
