@@ -62,7 +62,6 @@ from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
-from greybox.model.signals import Parameter
 from greybox.simulation.records import to_experiments
 
 # Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at
@@ -181,9 +180,12 @@ def fit(
             solution = estimate_by_simulation_error(problem, options, colour, report)
             begun = SimulationOptimum(model, solution, options.policy)
         optimum = begun
-        # A search that goes on from where another one ended is not to end elsewhere.
-        if not initial and _is_lost(optimum):
-            optimum, starts, notices = _try_other_starts(optimum, problem, experiments, options, colour, report)
+        # Another start may do better where a search explains nothing, or stands where it began. One that goes on from where another
+        # ended is not to end elsewhere.
+        can_move = model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial
+        gave_up = can_move and begun.status is TerminationStatus.ITERATION_LIMIT
+        if gave_up or (can_move and (explains_nothing(begun) or stands_where_it_began(begun))):
+            optimum, starts, notices = _try_other_starts(begun, problem, experiments, options, colour, report)
     result = assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
@@ -272,15 +274,6 @@ def _begin_with_effects(
     return min(ends, key=lambda end: _compute_ratio(end, std))
 
 
-def _is_lost(optimum: SimulationOptimum) -> bool:
-    """Whether another start may do better: the search explains nothing, or stands where it began."""
-    if not optimum.model.free_parameters or optimum.status is TerminationStatus.INTERRUPTED:
-        return False
-    if optimum.status is TerminationStatus.ITERATION_LIMIT:
-        return True
-    return explains_nothing(optimum) or stands_where_it_began(optimum)
-
-
 def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
     if not np.isfinite(optimum.evaluation.cost):
@@ -299,9 +292,8 @@ def is_at_noise(optimum: SimulationOptimum) -> bool:
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     """Whether a search got stuck without having moved any free constant in its digits."""
     end, begin = optimum.fitted_model.values, optimum.model.values
-    digit = LAST_DIGIT
     return optimum.status is TerminationStatus.STUCK and all(
-        abs(end[q.name] - begin[q.name]) <= digit * abs(begin[q.name]) for q in optimum.model.free_parameters
+        abs(end[q.name] - begin[q.name]) <= LAST_DIGIT * abs(begin[q.name]) for q in optimum.model.free_parameters
     )
 
 
@@ -379,17 +371,20 @@ def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -
     if not factor > 1:
         raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
     rng = np.random.default_rng(seed)
-    return [{q.name: _draw(q, factor, rng.uniform()) for q in model.free_parameters} for _ in range(max(starts, 0))]
-
-
-def _draw(q: Parameter, factor: float, share: float) -> float:
-    low, high = q.bounds
-    if q.value == 0:
-        return float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
-    smaller, larger = sorted((q.value / factor, q.value * factor))
-    a, b = max(smaller, low), min(larger, high)
-    size = np.sign(q.value)
-    return float(np.clip(size * np.exp(np.log(size * a) + share * np.log(b / a)), low, high))
+    drawn = []
+    for _ in range(max(starts, 0)):
+        begin = {}
+        for q in model.free_parameters:
+            (low, high), share = q.bounds, rng.uniform()
+            if q.value == 0:
+                begin[q.name] = float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
+                continue
+            smaller, larger = sorted((q.value / factor, q.value * factor))
+            a, b, sign = max(smaller, low), min(larger, high), np.sign(q.value)
+            # Uniform in the logarithm, from a to b: a factor up is as likely as one down.
+            begin[q.name] = float(np.clip(sign * np.exp(np.log(sign * a) + share * np.log(b / a)), low, high))
+        drawn.append(begin)
+    return drawn
 
 
 def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:
@@ -409,7 +404,13 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     priors = check_priors(variables, covariance)
     per_experiment, tied = to_experiment_estimates(variables, covariance), to_tied_estimates(variables, covariance)
     robust = summarise_outliers(problem, optimum.runs)
-    free, matrix = _to_named_covariance(optimum)
+    # The parameters that were free in the order of the model, and their covariance; NaN for an intensity that became zero.
+    everything = model.all_parameters
+    fitted = [everything[k].name for k in locate_fitted(variables)]
+    zero = [test.name for test in optimum.tests if test.value == 0]
+    free = tuple(q.name for q in everything if q.name in (*fitted, *zero))
+    matrix, places = np.full((len(free), len(free)), np.nan), [free.index(name) for name in fitted]
+    matrix[np.ix_(places, places)] = to_model_covariance(variables, covariance.covariance)
     findings = (
         *find_fit_issues(optimum, parameters),
         *find_option_issues(problem, tied, per_experiment, priors, robust),
@@ -468,15 +469,3 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         prediction=prediction.report() if prediction else PredictionReport(),
         findings=add_record_findings(findings, problem.experiments),
     )
-
-
-def _to_named_covariance(optimum: Optimum) -> tuple[tuple[str, ...], np.ndarray]:
-    """The parameters that were free in the order of the model, and their covariance; NaN for an intensity that became zero."""
-    everything, variables = optimum.model.all_parameters, optimum.variables
-    estimated = [everything[k].name for k in locate_fitted(variables)]
-    zero = [test.name for test in optimum.tests if test.value == 0]
-    free = tuple(q.name for q in everything if q.name in (*estimated, *zero))
-    matrix = np.full((len(free), len(free)), np.nan)
-    places = [free.index(name) for name in estimated]
-    matrix[np.ix_(places, places)] = to_model_covariance(variables, optimum.covariance.covariance)
-    return free, matrix

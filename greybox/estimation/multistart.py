@@ -50,7 +50,12 @@ class StartJournal:
     known: dict[str, JobResult] = field(init=False)
 
     def __post_init__(self) -> None:
-        self.known = dict(read_journal(self.path, _parse).entries)
+        def parse(data: Mapping[str, Any]) -> tuple[str, JobResult]:
+            values = {str(name): float(value) for name, value in data["values"].items()}
+            ratio = float("inf") if data["ratio"] is None else float(data["ratio"])
+            return str(data["key"]), JobResult((values, ratio, str(data["status"])), "", float(data["seconds"]))
+
+        self.known = dict(read_journal(self.path, parse).entries)
 
     def add(self, key: str, result: JobResult) -> None:
         """Keep one more, on the disk when this returns. Raises OutputError."""
@@ -86,17 +91,19 @@ def hash_start(
     return hashlib.sha256(repr(identity).encode(errors="backslashreplace")).hexdigest()[:32]
 
 
-def _parse(data: Mapping[str, Any]) -> tuple[str, JobResult]:
-    values = {str(name): float(value) for name, value in data["values"].items()}
-    ratio = float("inf") if data["ratio"] is None else float(data["ratio"])
-    return str(data["key"]), JobResult((values, ratio, str(data["status"])), "", float(data["seconds"]))
+# Two ends are the same optimum where their costs differ by at most this share of the smaller one ...
+MULTISTART_SAME_COST = 0.01
+# ... or their misfits over noise by this.
+SAME_NOISE_RATIO = 0.001
 
 
 def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartResult]]:
     """Results at the same optimum, best first; starts without a result are left out."""
     groups: list[list[StartResult]] = []
     for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
-        if groups and _is_same_optimum(groups[-1][0].noise_ratio, result.noise_ratio):
+        best, ratio = groups[-1][0].noise_ratio if groups else 0.0, result.noise_ratio
+        is_same = ratio**2 <= (1 + MULTISTART_SAME_COST) * best**2 or ratio - best <= SAME_NOISE_RATIO
+        if groups and is_same:
             groups[-1].append(result)
         else:
             groups.append([result])
@@ -112,16 +119,6 @@ def summarise_starts(start_results: Sequence[StartResult]) -> Finding:
         "without_result": sum(not result.values for result in start_results),
     }
     return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
-
-
-# Difference of two costs over the smaller one.
-MULTISTART_SAME_COST = 0.01
-# Or difference of two misfits over noise.
-SAME_NOISE_RATIO = 0.001
-
-
-def _is_same_optimum(a: float, b: float) -> bool:
-    return b**2 <= (1 + MULTISTART_SAME_COST) * a**2 or b - a <= SAME_NOISE_RATIO
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,6 @@ from greybox.estimation.transcription.problem import (
 )
 from greybox.estimation.transcription.segments import (
     MAX_LOG_CHANGE,
-    Cuts,
     SegmentedProblem,
     cut_by_growth,
     cut_in_seconds,
@@ -69,6 +68,9 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
+# Arcs longer than the longest record by at most this share are the whole record, and no mistake.
+LENGTH_TOLERANCE = 0.01
+
 
 def solve_multiple_shooting(
     choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
@@ -79,28 +81,19 @@ def solve_multiple_shooting(
     their states cannot be eliminated.
     """
     continuity = choice.transcription is Transcription.MULTIPLE
-    cuts = cut_by_growth(choice.problem) if continuity else _cut_into_arcs(choice.problem, options)
-    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
-    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
-    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
-    values = {"segments": count} if continuity else {"arcs": count, "arc_length": options.arc_length, "whole": is_whole}
-    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
-    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
-
-
-# Arcs longer than the longest record by at most this share are the whole record, and no mistake.
-LENGTH_TOLERANCE = 0.01
-
-
-def _cut_into_arcs(problem: EstimationProblem, options: FitOptions) -> Cuts:
-    """Arcs of the length that ``options`` ask for."""
-    length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
-    if length > longest * (1 + LENGTH_TOLERANCE):
+    length, longest = options.arc_length, max(float(record.h.sum()) for record in choice.problem.records)
+    if not continuity and length > longest * (1 + LENGTH_TOLERANCE):
         raise DataError(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
         )
-    return cut_in_seconds(problem, length)
+    cuts = cut_by_growth(choice.problem) if continuity else cut_in_seconds(choice.problem, length)
+    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
+    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
+    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
+    values = {"segments": count} if continuity else {"arcs": count, "arc_length": length, "whole": is_whole}
+    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
+    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
 
 
 class _SegmentSearch:
@@ -195,6 +188,8 @@ MULTIPLE_SHOOTING_CONTINUITY = 1e-07
 STEP_LENGTHS: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.03)
 # Dampings, as shares of the curvature, that are tried in turn with all step lengths.
 MULTIPLE_SHOOTING_DAMPINGS: tuple[float, ...] = (0.0, 0.01, 1.0, 100.0)
+# Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense.
+MOST_UNKNOWNS = 1000
 # Share of the gaps by which a step has to be better than every point before it, in the gaps or in the cost.
 FILTER_MARGIN = 0.001
 # Where no step helps any more, a point that meets the convergence test this many times less strictly is an optimum to within rounding
@@ -225,7 +220,8 @@ class MultipleShooting:
         self.joints = [not begins for begins in segmented.starts_record[1:]] + [False]
         if self.continuity:
             step, weight = add_state_outputs(pieces.step), np.concatenate([1 / pieces.noise.std, np.ones(self.nx)])
-            records = [r for e in range(len(segmented.cuts)) for r in self._slice_record(e)]
+            whole = zip(segmented.whole.shooting().records, segmented.cuts, strict=True)
+            records = [slice_segment(r, a, b, self.nx) for r, places in whole for a, b in pairwise(places)]
             self.with_ends = SingleShooting(self.variables, step, make_kernel(step), records, weight)
 
     def solve(
@@ -268,7 +264,11 @@ class MultipleShooting:
         """
         pieces = self.segmented.pieces
         if not pieces.is_plain_squares:
-            _check_number(self.segmented, options)
+            if pieces.variables.size > MOST_UNKNOWNS:
+                raise ModelError(
+                    f"arcs of {options.arc_length:g} s: {len(self.segmented.starts_record)} of them have {pieces.variables.size} unknowns"
+                    f" together; with coloured noise, robust loss or priors at most {MOST_UNKNOWNS} are possible: take longer arcs"
+                )
             solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
             return _make_apart(segmented, solution.evaluation, solution)
@@ -300,61 +300,48 @@ class MultipleShooting:
         """With continuity: lifted Gauss-Newton."""
         began = time.perf_counter()
         with monitor_progress(self.segmented.pieces, report) as monitor:
+            # First states are estimated from the samples of each segment, and the constants fitted as if they need not meet.
             if initialise:
-                self._place(self._initialise())
+                v, arcs = self.segmented.whole.variables, estimate_segment_states(self.segmented)
+                point = self.variables.recentre(fit_without_continuity(arcs))
+                states, declared = point.initial.guess.copy(), ~v.initial.free
+                for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
+                    states[k, declared] = v.initial.guess[e, declared]
+                self._place(self.segmented.at(replace(point, initial=replace(point.initial, guess=states))))
             linearised = self._linearise(self.variables.here)
             status, iteration = TerminationStatus.NO_START, 0
             if linearised is not None:
                 count = max(int(linearised.counts.sum()), 1)
                 termination = Termination(MULTIPLE_SHOOTING_TERMINATION, count=count)
                 visited: list[tuple[float, float]] = []
-                while (ended := self._judge(linearised, termination, iteration, options, monitor)) is None:
-                    visited.append((linearised.violation, linearised.cost))
-                    following = self._search_step(linearised, visited)
-                    if following is None:  # at rounding errors, or truly stuck
-                        slack = ROUNDING_SLACK
-                        is_optimum = self._is_converged(linearised, termination, slack)
-                        ended = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
-                        break
-                    linearised = following
-                    iteration += 1
-                status = ended
-                if (
-                    status is TerminationStatus.CONVERGED
-                ):  # the last step is known already: it gives the constants their digits
+                while True:
+                    is_joined = linearised.gap < MULTIPLE_SHOOTING_CONTINUITY
+                    if monitor(iteration, linearised.cost):
+                        status = TerminationStatus.INTERRUPTED
+                    elif self._is_converged(linearised, termination):
+                        status = TerminationStatus.CONVERGED
+                    elif termination.is_flat(linearised.cost) and is_joined:
+                        status = TerminationStatus.ACCEPTABLE
+                    elif iteration == options.iterations:
+                        status = TerminationStatus.ITERATION_LIMIT
+                    else:
+                        visited.append((linearised.violation, linearised.cost))
+                        following = self._search_step(linearised, visited)
+                        if following is not None:
+                            linearised, iteration = following, iteration + 1
+                            continue
+                        # At rounding errors, or truly stuck.
+                        is_optimum = self._is_converged(linearised, termination, ROUNDING_SLACK)
+                        status = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
+                    break
+                # The last step is known already: it gives the constants their digits.
+                if status is TerminationStatus.CONVERGED:
                     last = self._linearise(linearised.z + self._compute_step(linearised))
                     if last and last.cost <= linearised.cost and self._is_converged(last, termination):
                         linearised = last
                 if monitor.stop:  # also where the last iteration was the last anyway: the caller would go on
                     status = TerminationStatus.INTERRUPTED
         return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
-
-    def _initialise(self) -> SegmentedProblem:
-        """First states estimated from the samples of each segment, and constants fitted without continuity."""
-        segmented, v = self.segmented, self.segmented.whole.variables
-        arcs = estimate_segment_states(segmented)
-        point = self.variables.recentre(fit_without_continuity(arcs))
-        states, declared = point.initial.guess.copy(), ~v.initial.free
-        for e, k in enumerate(np.flatnonzero(segmented.starts_record)):
-            states[k, declared] = v.initial.guess[e, declared]
-        return segmented.at(replace(point, initial=replace(point.initial, guess=states)))
-
-    def _judge(
-        self,
-        linearised: _LinearisedPoint,
-        termination: Termination,
-        iteration: int,
-        options: FitOptions,
-        monitor: ProgressMonitor,
-    ) -> TerminationStatus | None:
-        """How the search ends at a point; None where it goes on."""
-        if monitor(iteration, linearised.cost):
-            return TerminationStatus.INTERRUPTED
-        if self._is_converged(linearised, termination):
-            return TerminationStatus.CONVERGED
-        if termination.is_flat(linearised.cost) and linearised.gap < MULTIPLE_SHOOTING_CONTINUITY:
-            return TerminationStatus.ACCEPTABLE
-        return TerminationStatus.ITERATION_LIMIT if iteration == options.iterations else None
 
     def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
@@ -398,7 +385,16 @@ class MultipleShooting:
             counts += is_measured.sum(axis=0)
             defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
             segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
-        self._tie_declared_states(segments, z, states)
+        # The first states of records are held to what is declared.
+        whole = self.segmented.whole.variables
+        declared = np.flatnonzero(~whole.initial.free)
+        if len(declared):
+            point = whole.here
+            whole.split(point).parameters[:] = z[: self.n]
+            for e, first in enumerate(np.flatnonzero(self.segmented.starts_record)):
+                x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
+                distance, slope = (x0 - states[first]) / scale, dx0[:, : self.n] / scale[:, None]
+                segments[first] = replace(segments[first], tie=(declared, distance[declared], slope[declared]))
         edges = np.cumsum([0, *(len(places) - 1 for places in self.segmented.cuts)])
         condensed = condense([segments[a:b] for a, b in pairwise(edges)], self.n)
         if condensed is None:
@@ -406,24 +402,6 @@ class MultipleShooting:
         gaps = np.concatenate([np.abs(s.defect) for s in segments])
         prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
         return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
-
-    def _tie_declared_states(self, segments: list[LinearisedSegment], z: np.ndarray, states: np.ndarray) -> None:
-        """Hold the first states of records to what is declared."""
-        whole, scale = self.segmented.whole.variables, self.variables.initial.scale
-        declared = np.flatnonzero(~whole.initial.free)
-        if not len(declared):
-            return
-        point = whole.here
-        whole.split(point).parameters[:] = z[: self.n]
-        for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
-            x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
-            distance, slope = (x0 - states[k]) / scale, dx0[:, : self.n] / scale[:, None]
-            segments[k] = replace(segments[k], tie=(declared, distance[declared], slope[declared]))
-
-    def _slice_record(self, e: int) -> list[Record]:
-        """The segments of record ``e``; the last row of each is the first of the next and counts for its states alone."""
-        record, places = self.segmented.whole.shooting().records[e], self.segmented.cuts[e]
-        return [slice_segment(record, a, b, self.nx) for a, b in pairwise(places)]
 
     def _make_joined(
         self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
@@ -505,19 +483,6 @@ def _make_apart(
     rows = _project_residuals(segmented.pieces)
     reached = replace(_evaluate_rows(rows, v), cost=evaluation.cost, squares=evaluation.squares)
     return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
-
-
-# Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense.
-MOST_UNKNOWNS = 1000
-
-
-def _check_number(segmented: SegmentedProblem, options: FitOptions) -> None:
-    most, size = MOST_UNKNOWNS, segmented.pieces.variables.size
-    if size > most:
-        raise ModelError(
-            f"arcs of {options.arc_length:g} s: {len(segmented.starts_record)} of them have {size} unknowns together; with coloured"
-            f" noise, robust loss or priors at most {most} are possible: take longer arcs"
-        )
 
 
 def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:

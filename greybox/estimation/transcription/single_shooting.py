@@ -187,7 +187,14 @@ def refine_step(
     used = problem.step.substeps
     if options.substeps or used >= policy.max_substeps:
         return None, error
-    needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
+    # Substeps that an explicit method needs at the states it came by to be stable, and a little more.
+    needed, system, p = 1, problem.model.system, problem.variables.fixed
+    if problem.method not in IMPLICIT:
+        visited = np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs])
+        longest = max(float(r.lengths.max()) for r in problem.records)
+        fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
+        rules = problem.policy.discretisation
+        needed = choose_substeps(system, p, visited, longest, relaxing=fast, policy=rules)
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
@@ -230,28 +237,14 @@ def is_too_coarse(
     noise_share = NOISE_SHARE_OF_FEW if few else STEP_REFINEMENT_NOISE_SHARE
     misfit_share = NOISE_SHARE_OF_FEW if few else MISFIT_SHARE
     allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
-    allowed = np.maximum(allowed, MOVEMENT_SHARE * _compute_output_movement(problem) / problem.noise.std)
-    measured = evaluation.counts > 0
-    return not np.isfinite(error).all() or bool(np.any((error > allowed)[measured]))
-
-
-def _compute_output_movement(problem: EstimationProblem) -> np.ndarray:
-    """Standard deviation of each output as measured (ny,), zero where it was not."""
+    # Standard deviation of each output as measured, zero where it was not.
     y = np.concatenate([r.y for r in problem.records])
-    measured = np.isfinite(y)
-    count = np.maximum(measured.sum(axis=0), 1)
-    mean = np.where(measured, y, 0.0).sum(axis=0) / count
-    return np.sqrt(np.where(measured, (y - mean) ** 2, 0.0).sum(axis=0) / count)
-
-
-def _find_stable_substeps(problem: EstimationProblem, visited: np.ndarray) -> int:
-    """Substeps that an explicit method needs at the states ``visited`` (k, nx) to be stable and a little more."""
-    system, p = problem.model.system, problem.variables.fixed
-    if problem.method in IMPLICIT:
-        return 1
-    longest = max(float(r.lengths.max()) for r in problem.records)
-    fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
-    return choose_substeps(system, p, visited, longest, relaxing=fast, policy=problem.policy.discretisation)
+    seen = np.isfinite(y)
+    count = np.maximum(seen.sum(axis=0), 1)
+    mean = np.where(seen, y, 0.0).sum(axis=0) / count
+    movement = np.sqrt(np.where(seen, (y - mean) ** 2, 0.0).sum(axis=0) / count)
+    allowed = np.maximum(allowed, MOVEMENT_SHARE * movement / problem.noise.std)
+    return not np.isfinite(error).all() or bool(np.any((error > allowed)[evaluation.counts > 0]))
 
 
 def solve_single_shooting(
@@ -375,13 +368,25 @@ class _Search:
             self.status = TerminationStatus.NO_START
             return None
         self.shares.append(share)
-        variables, start = _rescale(self.variables, start)
-        evaluate = self.problem.shooting(variables, share).evaluate
+        # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
+        variables = self.variables.rescale(start.cost, np.diag(start.hessian) / 2)
+        ratio = variables.units / self.variables.units
+        start = replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
+        shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
-        prior = None if is_whole else _make_weak_prior(variables, start, WEAK_PRIOR)
+        # A weak prior on positive constants, in units of the residual variance at the start, where part of the record leaves some open.
+        held = variables.here
+        variance = max(1.0, start.cost / max(start.count, 1))
+        variables.split(held).parameters[variables.logarithmic] = WEAK_PRIOR * variance
+
+        def evaluate_part(z: np.ndarray) -> Evaluation:
+            e = shooting.evaluate(z)
+            cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
+            return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
+
         policy = CONVERGENCE if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
-            evaluate if prior is None else lambda z: prior(z, evaluate(z)),
+            shooting.evaluate if is_whole else evaluate_part,
             variables.here,
             *low_high,
             scale=max(start.cost, TINY),
@@ -412,25 +417,3 @@ class _Search:
             report(FitProgress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
 
         return progress
-
-
-def _rescale(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
-    """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
-    scaled = variables.rescale(start.cost, np.diag(start.hessian) / 2)
-    ratio = scaled.units / variables.units
-    return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
-
-
-def _make_weak_prior(
-    v: DecisionVector, start: Evaluation, precision: float
-) -> Callable[[np.ndarray, Evaluation], Evaluation]:
-    """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
-    held = np.zeros(v.size)
-    v.split(held).parameters[v.logarithmic] = precision * max(1.0, start.cost / max(start.count, 1))
-
-    def add_prior(z: np.ndarray, e: Evaluation) -> Evaluation:
-        return replace(
-            e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
-        )
-
-    return add_prior
