@@ -17,7 +17,6 @@ from greybox.data.experiment import Experiment
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
-from greybox.model.signals import Parameter
 from greybox.model.validation import check_constants
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.kernel.interpreted import InterpretedKernel
@@ -290,7 +289,9 @@ def compute_free_run_sensitivities(
     plan = [*(RANDOM_EXPERIMENT_AMPLITUDES * draws)[:draws], *LARGE_AMPLITUDES]
     for k, amplitude in enumerate(plan):
         enough = len(points) >= count
-        if enough and (amplitude not in LARGE_AMPLITUDES or _have_influence(points).all()):
+        # Further amplitudes are for constants that move no output at any point so far.
+        moved = [s.lengths(list(s.blocks)) > 0 for s, _ in points]
+        if enough and (amplitude not in LARGE_AMPLITUDES or np.any(moved, axis=0).all()):
             continue
         generator = np.random.default_rng((seed, k))
         # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
@@ -325,44 +326,31 @@ def switch_on(model: Model, generator: np.random.Generator) -> Model:
     off = [q for q in model.free_parameters if q.value == 0.0]
     names = [q.name for q in model.free_parameters]
     for _ in range(SWITCHING_ROUNDS if off else 0):
-        slope = _measure_influence(model, generator)
-        values = {
-            q.name: _choose_next_value(q, model.values[q.name], slope[names.index(q.name)], SWITCHED_ON_SHARE)
-            for q in off
-        }
+        # Movement of the outputs, as a share of their own, that a unit of each free constant makes.
+        records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
+        start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+        sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
+        slope = np.zeros(len(names))
+        if sensitivity is not None:
+            slope = sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(RUN_ROWS * len(records))
+        values = {}
+        for q in off:
+            value, moves = model.values[q.name], slope[names.index(q.name)]
+            if value != 0.0:  # too large where the equations cut it off
+                values[q.name] = value if moves > 0 else value / 10
+                continue
+            up, down = (
+                np.clip([SWITCHED_ON_SHARE / moves, -SWITCHED_ON_SHARE / moves], *q.bounds) if moves else (0.0, 0.0)
+            )
+            values[q.name] = float(up or down)
         if all(values[q.name] == model.values[q.name] for q in off):
             break
         model = model.start(**values)
     return model
 
 
-def _choose_next_value(q: Parameter, value: float, slope: float, share: float) -> float:
-    """The next value to try, given the present one and what a step of one in it (or of itself) does."""
-    if value != 0.0:
-        return value if slope > 0 else value / 10
-    if slope == 0:
-        return 0.0
-    up, down = np.clip([share / slope, -share / slope], *q.bounds)
-    return float(up or down)
-
-
 # Rows of each run whose slopes are computed.
 RUN_ROWS = 600
-
-
-def _measure_influence(model: Model, generator: np.random.Generator) -> np.ndarray:
-    """Movement of the outputs, as a share of their own, that a unit of each free constant makes (nf,)."""
-    records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
-    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
-    sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
-    if sensitivity is None:
-        return np.zeros(len(model.free_parameters))
-    return sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(RUN_ROWS * len(records))
-
-
-def _have_influence(points: list[tuple[Sensitivity, np.ndarray]]) -> np.ndarray:
-    """Which constants move an output at one of the points at least (nf,)."""
-    return np.any([s.lengths(list(s.blocks)) > 0 for s, _ in points], axis=0)
 
 
 # Share of its start value by which an initial state is off.
@@ -389,7 +377,7 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
     if coarse is None:
         return None
     names = list(coarse.blocks)
-    before = _singular_values(coarse, names)
+    before = coarse.decompose(names).values
     # Neither rounding nor surely information: only these are worth a second run.
     small = (before > COLUMN_CUTOFF) & (before < RECHECK_BELOW)
     if not small.any():
@@ -399,12 +387,8 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
         return coarse
     # Information stays where the step is refined; the error of a method of order four falls by far more than the
     # factor.
-    shrunk = before[small & (_singular_values(fine, names) < before / factor)]
+    shrunk = before[small & (fine.decompose(names).values < before / factor)]
     return replace(coarse, doubtful=max(coarse.doubtful, 2 * float(shrunk.max(initial=0.0))))
-
-
-def _singular_values(point: Sensitivity, names: list[str]) -> np.ndarray:
-    return point.decompose(names).values
 
 
 def set_parameters(model: Model, p: np.ndarray) -> Model:
