@@ -7,7 +7,7 @@ only at high frequency as visible as the gain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -50,12 +50,11 @@ def compute_transfer_function_sensitivity(
 ) -> Sensitivity:
     """Slopes at the parameters ``p`` (np,), along those numbered ``which`` in steps of ``slopes``; ``at_rest``: known x0."""
     nominal, along = _matrices(system, p, which, slopes)
-    s = _draw_frequencies(nominal.a, len(which), generator, POLE_DECADES)
+    s = _draw_frequencies(nominal.a, len(which), generator)
     forced = _responses(s, nominal, along, nominal.b, along.b, nominal.d, along.d)
     blocks: dict[str, Rows] = {name: ([], []) for name in system.output_names}
     nx, nu = len(nominal.a), system.u.numel()
-    responses = FREE_RESPONSES
-    states = 0 if at_rest else responses * nx
+    states = 0 if at_rest else FREE_RESPONSES * nx
     for j, rows in enumerate(blocks.values()):
         for m in range(nu):
             value, slope, size = (part[:, j, m] for part in forced)
@@ -63,40 +62,26 @@ def compute_transfer_function_sensitivity(
             # d/dp of G e^(-s tau)
             slope = (slope - s[:, None] * along.tau[:, m] * value[:, None]) * delay[:, None]
             _add(rows, value * delay, slope, np.zeros((len(s), states)), size)
-    for e in range(1 if at_rest else responses):
-        _add_free(blocks.values(), s, nominal, along, at_rest, e, responses, generator)
+    # The free response of each record: C R (x0 + c / s) + d / s.
+    d, dd = nominal.d[None, :, nu] / s[:, None], along.d[None, :, :, nu] / s[:, None, None]
+    for e in range(1 if at_rest else FREE_RESPONSES):
+        x0 = nominal.start if at_rest else nominal.start * generator.uniform(0.7, 1.4, nx) + generator.normal(size=nx)
+        dx0 = along.start if at_rest else np.zeros_like(along.start)
+        b = x0[None, :] + nominal.b[None, :, nu] / s[:, None]
+        db = dx0[None] + along.b[None, :, :, nu] / s[:, None, None]
+        value, slope, size = _responses(s, nominal, along, b[:, :, None], db[..., None], d[:, :, None], dd[..., None])
+        of_states = nominal.c @ _resolvent(s, nominal.a)
+        for j, rows in enumerate(blocks.values()):
+            columns = np.zeros((len(s), states), complex)
+            if not at_rest:
+                columns[:, e * nx : (e + 1) * nx] = of_states[:, j]
+            _add(rows, value[:, j, 0], slope[:, j, 0], columns, size[:, j, 0])
     n = len(which)
     stacked = {
         name: (np.vstack([np.zeros((1, states)), *x]), np.vstack([np.zeros((1, n)), *c]))
         for name, (x, c) in blocks.items()
     }
     return Sensitivity(stacked).compress()
-
-
-def _add_free(
-    blocks: Iterable[Rows],
-    s: np.ndarray,
-    nominal: _Matrices,
-    along: _Matrices,
-    at_rest: bool,
-    e: int,
-    responses: int,
-    generator: np.random.Generator,
-) -> None:
-    """Rows of the free response of one record: ``C R (x0 + c / s) + d / s``."""
-    nx, nu = len(nominal.a), nominal.b.shape[1] - 1
-    x0 = nominal.start if at_rest else nominal.start * generator.uniform(0.7, 1.4, nx) + generator.normal(size=nx)
-    dx0 = along.start if at_rest else np.zeros_like(along.start)
-    b = x0[None, :] + nominal.b[None, :, nu] / s[:, None]
-    db = dx0[None] + along.b[None, :, :, nu] / s[:, None, None]
-    d, dd = nominal.d[None, :, nu] / s[:, None], along.d[None, :, :, nu] / s[:, None, None]
-    value, slope, size = _responses(s, nominal, along, b[:, :, None], db[..., None], d[:, :, None], dd[..., None])
-    of_states = nominal.c @ _resolvent(s, nominal.a)
-    for j, rows in enumerate(blocks):
-        columns = np.zeros((len(s), 0 if at_rest else responses * nx), complex)
-        if not at_rest:
-            columns[:, e * nx : (e + 1) * nx] = of_states[:, j]
-        _add(rows, value[:, j, 0], slope[:, j, 0], columns, size[:, j, 0])
 
 
 def _responses(
@@ -140,13 +125,13 @@ def _add(rows: Rows, value: np.ndarray, constants: np.ndarray, states: np.ndarra
         kept += [relative.real, relative.imag]
 
 
-def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Generator, decades: float) -> np.ndarray:
+def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Generator) -> np.ndarray:
     """Random points of the right half-plane, from below the slowest pole to above the fastest."""
     size = np.abs(np.linalg.eigvals(a))
     size = size[size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)]
     low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
     count = 40 + 8 * (constants + 2 * len(a))
-    reach = np.log(10.0) * decades
+    reach = np.log(10.0) * POLE_DECADES
     radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
     # Right half-plane: R of a stable model has no pole there, and a random point misses those of an unstable one.
     return radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
@@ -261,7 +246,8 @@ def format_polynomial(poly: Polynomial, names: Sequence[str]) -> str:
     outside = np.where(low > 0, low, np.where(high < 0, high, 0))
     if len(poly) == 1:
         return _product(powers[0], names)
-    terms = [_number(f) + _product(np.array(e) - outside, names) for e, f in poly.items()]
+    factors = ("" if f == 1 else "-" if f == -1 else f"{float(f):g} " for f in poly.values())
+    terms = [factor + _product(np.array(e) - outside, names) for factor, e in zip(factors, poly, strict=True)]
     total = " + ".join(terms).replace("+ -", "- ")
     return _product(outside, names, f"({total})") if outside.any() else total
 
@@ -278,10 +264,6 @@ def _product(powers: np.ndarray, names: Sequence[str], first: str = "") -> str:
 
 def _power(name: str, exponent: float) -> str:
     return name if exponent == 1 else f"{name}^{exponent:g}"
-
-
-def _number(factor: Fraction) -> str:
-    return "" if factor == 1 else "-" if factor == -1 else f"{float(factor):g} "
 
 
 def _leverrier(a: list[list[Polynomial]], width: int) -> tuple[list[Polynomial], list[list[list[Polynomial]]]]:

@@ -341,9 +341,12 @@ def _solve(
         solution = _run_newton(functions, solution, p, free, rows)
         unmet = [r for r in _residuals_of_rows(functions, solution, p, to_meet) if not r.met]
         if not unmet:
-            if not attempt:
-                return _snap(solution, z, sizes)
-            return _move_nearer(functions, z, p, free, rows, to_meet, solution)
+            if attempt:  # the solution next to the states of z with these inputs, if there is one
+                nearer = np.concatenate([z[: functions.nx], solution[functions.nx :]])
+                nearer = _run_newton(functions, nearer, p, free, rows)
+                met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
+                solution = nearer if met else solution
+            return _snap(solution, z, sizes)
         excess = sum(abs(r.value) / max(r.tolerance, TINY) for r in unmet)
         if excess < least:
             best, least = solution, excess
@@ -397,22 +400,6 @@ def _run_newton(
 def _snap(z: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """``z`` without rounding errors, which are neither a move nor sliding."""
     return np.where(np.abs(z - begin) > NEGLIGIBLE_MOVE * sizes, z, begin)
-
-
-def _move_nearer(
-    functions: ModelFunctions,
-    z: np.ndarray,
-    p: np.ndarray,
-    free: np.ndarray,
-    rows: Sequence[int],
-    to_meet: Sequence[int],
-    solution: np.ndarray,
-) -> np.ndarray:
-    """The solution next to the states of ``z`` with the inputs of ``solution``, if there is one; else ``solution``."""
-    start = np.concatenate([z[: functions.nx], solution[functions.nx :]])
-    nearer = _run_newton(functions, start, p, free, rows)
-    met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
-    return _snap(nearer if met else solution, z, functions.sizes(z, p))
 
 
 def _apply_updates(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, given: Mapping[str, float]) -> np.ndarray:

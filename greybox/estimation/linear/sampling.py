@@ -75,7 +75,10 @@ def sample(
             f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {MOST_DELAY_STATES};"
             " use a longer sampling time"
         )
-    parts = [_split_delay(seconds, dt) for seconds in late]
+    # Each delay as whole intervals and the share (0 to below 1) of one more.
+    wholes = [math.floor(seconds / dt + TIME_ROUNDING) for seconds in late]
+    shares = [seconds / dt - whole for seconds, whole in zip(late, wholes, strict=True)]
+    parts = [(whole, f if f > TIME_ROUNDING else 0.0) for whole, f in zip(wholes, shares, strict=True)]
     a, c, now, before, direct = (
         _hold_with_delays(model, dt, parts) if method == "zoh" else _apply_tustin(model, dt, parts)
     )
@@ -113,13 +116,6 @@ def sample(
         delay=np.zeros(len(parts)),
         findings=(*model.findings, *_check_sampling_time(model, dt, method)),
     )
-
-
-def _split_delay(delay: float, dt: float) -> tuple[int, float]:
-    """A delay as whole intervals and the share (0 to below 1) of one more."""
-    whole = math.floor(delay / dt + TIME_ROUNDING)
-    share = delay / dt - whole
-    return whole, share if share > TIME_ROUNDING else 0.0
 
 
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
