@@ -98,9 +98,7 @@ def describe_failures(kind: ExtensionKind) -> str:
     return f"; not loaded: {', '.join(failed)}" if failed else ""
 
 
-@cache
-def _entries() -> Any:
-    return entry_points()  # reads the metadata of every installed distribution, once
+_entries = cache(entry_points)  # reads the metadata of every installed distribution, once
 
 
 def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:

@@ -29,6 +29,9 @@ if sys.platform != "win32":
 PART = ".greybox-{}.part"
 """Name of a file that is being written, in the folder of the one it will replace; short enough beside any name."""
 
+# A part that nobody has written to for so long belongs to a process that was killed.
+LEFTOVER_SECONDS = 3600.0
+
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
 """Permissions of a file for one user."""
 
@@ -66,7 +69,7 @@ def write_file(
     part: Path | None = None
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
-        mode = _mode_of(final)
+        mode = final.stat().st_mode if final.exists() else None
         if mode is not None and not stat.S_ISREG(mode):
             if stat.S_ISDIR(mode):
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -75,7 +78,11 @@ def write_file(
             return target
         if mode is not None and not os.access(final, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        _remove_leftovers(final.parent)
+        # What killed processes left behind.
+        with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
+            for old in final.parent.glob(PART.format("*")):
+                if time.time() - old.stat().st_mtime > LEFTOVER_SECONDS:
+                    old.unlink()
         part = final.parent / PART.format(secrets.token_hex(8))
         with open(part, "xb") as file:
             if private or mode is not None:
@@ -84,9 +91,24 @@ def write_file(
             _fill(file, content)
             file.flush()
             os.fsync(file.fileno())
-        _replace(part, final)
+        # On Windows another program may hold the old file for a moment.
+        for pause in (0.05, 0.2, 1.0, 0.0) if sys.platform == "win32" else (0.0,):
+            try:
+                os.replace(part, final)
+                break
+            except PermissionError:
+                if not pause:
+                    raise
+                time.sleep(pause)
         part = None
-        _sync_folder(final.parent)
+        # The renaming itself goes to the disk as well, where the system can.
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):  # some file systems refuse to sync a folder
+                descriptor = os.open(final.parent, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
     except OSError as error:
         if isinstance(error, BrokenPipeError):  # the reader of the pipe has gone, which is no fault of the file
             raise
@@ -129,19 +151,6 @@ def append_line(path: str | os.PathLike[str], line: str) -> None:
                 raise
     except OSError as error:
         raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
-
-
-@contextlib.contextmanager
-def open_locked(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A file that is there, for reading and cutting off, while nobody adds a line to it. Raises OSError."""
-    with open(path, "r+b") as file, locked(file):
-        yield file
-
-
-def cut_file(file: BinaryIO, size: int) -> None:
-    """Cut an open file off after its first ``size`` bytes. Raises OSError."""
-    file.truncate(size)
-    os.fsync(file.fileno())
 
 
 @contextlib.contextmanager
@@ -204,49 +213,6 @@ def _fill(file: BinaryIO, content: str | bytes | Iterable[str] | Callable[[Binar
             file.write(part.encode())
 
 
-def _mode_of(path: Path) -> int | None:
-    """Kind and permissions of a file, None where there is none."""
-    try:
-        return path.stat().st_mode
-    except FileNotFoundError:
-        return None
-
-
-def _replace(part: Path, final: Path) -> None:
-    """Rename; on Windows another program may hold the old file for a moment."""
-    for pause in (0.05, 0.2, 1.0) if sys.platform == "win32" else ():
-        try:
-            os.replace(part, final)
-            return
-        except PermissionError:
-            time.sleep(pause)
-    os.replace(part, final)
-
-
-# A part that nobody has written to for so long belongs to a process that was killed.
-LEFTOVER_SECONDS = 3600.0
-
-
-def _remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left behind in ``folder``."""
-    with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
-        for old in folder.glob(PART.format("*")):
-            if time.time() - old.stat().st_mtime > LEFTOVER_SECONDS:
-                old.unlink()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Put the renaming itself on the disk, where the system can."""
-    if sys.platform == "win32":
-        return
-    with contextlib.suppress(OSError):  # some file systems refuse to sync a folder
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
 class JournalCode(StrEnum):
     """Codes of the findings of a journal."""
 
@@ -294,19 +260,24 @@ def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> Jou
     broken: dict[int, str] = {}
     findings: list[Finding] = []
     try:
-        with open_locked(path) as file:
+        # Nobody adds a line while the file is read, and a last one that was cut short cut off.
+        with open(path, "r+b") as file, locked(file):
             *lines, tail = file.read().split(b"\n")
             end = file.tell() - len(tail)
             for number, line in enumerate([*lines, tail], 1):
                 if not line.strip():
                     continue
                 try:
-                    entries.append(_parse_line(line, parse))
-                except _NoEntryError as error:
-                    broken[number] = str(error)
+                    data = json.loads(line.decode())
+                    if not isinstance(data, dict):
+                        raise TypeError("not a JSON object")
+                    entries.append(parse(data))
+                except Exception as error:  # of the decoder, of a number with thousands of digits, of a missing key ...
+                    broken[number] = f"{type(error).__name__}: {error}"[:100]
             if len(lines) + 1 in broken and tail.startswith(b"{"):
                 del broken[len(lines) + 1]
-                cut_file(file, end)
+                file.truncate(end)
+                os.fsync(file.fileno())
                 findings.append(Finding(JournalCode.LAST_LINE_CUT, Severity.WARNING, path.name))
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror}); give another folder") from error
@@ -322,17 +293,3 @@ def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> Jou
 def add_entry(path: Path, entry: Mapping[str, Any]) -> None:
     """Add one entry, on the disk when this returns. Raises OutputError."""
     append_line(path, json.dumps(entry))
-
-
-class _NoEntryError(Exception):
-    """A line of a journal that is no entry."""
-
-
-def _parse_line(line: bytes, parse: Callable[[Mapping[str, Any]], Entry]) -> Entry:
-    try:
-        data = json.loads(line.decode())
-        if not isinstance(data, dict):
-            raise TypeError("not a JSON object")
-        return parse(data)
-    except Exception as error:  # of the decoder, of a number with thousands of digits, of a missing key ...
-        raise _NoEntryError(f"{type(error).__name__}: {error}"[:100]) from error

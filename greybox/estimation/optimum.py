@@ -26,7 +26,7 @@ from greybox.estimation.objective import (
 )
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import EstimationPolicy, FitOptions, RobustLoss
-from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, expect_noise, find_parameter_shifts
+from greybox.estimation.parameter_constancy import ParameterShift, expect_noise, find_parameter_shifts
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, PredictionReport, Trace
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
@@ -234,8 +234,8 @@ class Optimum(ABC):
             for record, (y, _) in zip(problem.records, self.runs, strict=True)
         ]
         names = [e.name for e in problem.experiments]
-        tested = ConstancyInput(self.variables, names, outputs, self._expected_noise, problem.model.noise_parameters)
-        return find_parameter_shifts(tested, self.residuals.rows)
+        excluded, rows = problem.model.noise_parameters, self.residuals.rows
+        return find_parameter_shifts(self.variables, rows, self._expected_noise, outputs, names, excluded)
 
     @property
     def _expected_noise(self) -> ResidualColour:
@@ -411,12 +411,28 @@ def restore_problem(fit: Fit) -> EstimationProblem:
     Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is neither a free one (but arcs, or
     the segments of an unstable plant) nor a prediction.
     """
-    _check_fit(fit)
+    if not fit.success:
+        raise FitError(
+            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
+        )
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    if not (has_free_run(fit) or fit.prediction.process_noise):
+        raise FitError(
+            f"fit of {fit.model.title}: its simulation is not a free run ({fit.solver.statistics['transcription']}), which"
+            " this result needs; use the intervals of the fit itself, or fit by single shooting if the plant is stable"
+        )
     without = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
     problem = prepare_problem(
         fit.model.fix(*without), [t.experiment for t in fit.traces], restore_noise(fit), restore_options(fit)
     )
-    variables = problem.variables.with_values(_label_experiment_values(fit))
+    # Parameters that each experiment has for itself go by their labels, ``B (day 1)``.
+    per_experiment = {
+        f"{name} ({title})": estimate.value
+        for name, estimates in fit.constraints.per_experiment.items()
+        for title, estimate in estimates.items()
+    }
+    variables = problem.variables.with_values(per_experiment)
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
     variables = replace(variables, initial=replace(variables.initial, guess=start))
     return replace(problem, loss=restore_loss(fit), variables=variables)
@@ -437,29 +453,6 @@ def restore_residuals(fit: Fit) -> tuple[Objective, ResidualRows]:
     if residuals is None:
         raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted parameters; fit again")
     return objective, residuals
-
-
-def _check_fit(fit: Fit) -> None:
-    if not fit.success:
-        raise FitError(
-            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
-        )
-    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
-        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
-    if not (has_free_run(fit) or fit.prediction.process_noise):
-        raise FitError(
-            f"fit of {fit.model.title}: its simulation is not a free run ({fit.solver.statistics['transcription']}), which"
-            " this result needs; use the intervals of the fit itself, or fit by single shooting if the plant is stable"
-        )
-
-
-def _label_experiment_values(fit: Fit) -> dict[str, float]:
-    """Values of the parameters that each experiment has for itself, by their labels ``B (day 1)``."""
-    return {
-        f"{name} ({title})": estimate.value
-        for name, estimates in fit.constraints.per_experiment.items()
-        for title, estimate in estimates.items()
-    }
 
 
 def restore_loss(fit: Fit) -> RobustLoss | None:

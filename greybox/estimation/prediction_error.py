@@ -219,7 +219,16 @@ def estimate_by_prediction_error(
 
     Raises ModelError for a robust loss or a transcription, which have no meaning here.
     """
-    _check_options(options)
+    if options.loss != "squares":
+        raise ModelError(
+            f"loss {options.loss!r}: a model with process noise is fitted by its likelihood, which is that of normal noise; leave out"
+            " the loss, or the process noise"
+        )
+    if options.transcription not in (Transcription.AUTOMATIC, Transcription.SINGLE) or options.arc_length:
+        raise ModelError(
+            f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
+            " none; leave out transcription and arc_length, or the process noise"
+        )
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     undriven = model.fix(*names)  # a free run knows nothing of the intensities
     solution = solve(
@@ -241,19 +250,6 @@ def estimate_by_prediction_error(
     may_be_zero = [n for n in names if model.parameter(n).bounds[0] == 0]
     optimum, zero = drop_insignificant(optimum, may_be_zero, options)
     return MaximumLikelihoodEstimate(solution, optimum, names, zero, sizes)
-
-
-def _check_options(options: FitOptions) -> None:
-    if options.loss != "squares":
-        raise ModelError(
-            f"loss {options.loss!r}: a model with process noise is fitted by its likelihood, which is that of normal noise; leave out"
-            " the loss, or the process noise"
-        )
-    if options.transcription not in (Transcription.AUTOMATIC, Transcription.SINGLE) or options.arc_length:
-        raise ModelError(
-            f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
-            " none; leave out transcription and arc_length, or the process noise"
-        )
 
 
 def _make_starts(

@@ -140,8 +140,14 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)
     estimate = estimate_by_prediction_error(frozen.with_process_noise(*states), experiments, given.noise, options)
-    colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
-    # BIC = -2 log L + k ln N: the filter pays for its intensities and noise levels.
+    # BIC = -2 log L + k ln N: of the autoregressions -2 log L = N (ln s^2 + 1 + ln 2 pi) at the most likely variance ...
+    colour_score = 0.0
+    for name, colour in colours.items():
+        samples = int(np.isfinite(series[name]).sum())
+        variance = float(np.nanmean(series[name] ** 2)) * colour.innovation_variance
+        colour_score += samples * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI)
+        colour_score += (colour.order + 1) * float(np.log(samples))
+    # ... and the filter pays for its intensities and noise levels.
     evaluation, variables = estimate.optimum.evaluation, estimate.optimum.objective.variables
     numbers = len(variables.which) + len(variables.estimated_noise)
     state_score = evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
@@ -173,14 +179,6 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
     """Noise of the outputs that were measured."""
     seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
     return {model.outputs[j].name: float(level[j]) for j in seen}
-
-
-def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:
-    """``-2 log L`` of an output's errors (N,) as an autoregression, and what its numbers cost."""
-    count = int(np.isfinite(series).sum())
-    variance = float(np.nanmean(series**2)) * colour.innovation_variance
-    # -2 log L = N (ln s^2 + 1 + ln 2 pi) at the most likely variance
-    return count * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI) + (colour.order + 1) * float(np.log(count))
 
 
 InitialState = Mapping[str, float]

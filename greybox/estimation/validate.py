@@ -42,10 +42,15 @@ def determine_initial_states(problem: EstimationProblem, options: FitOptions, le
         problem = replace(problem, variables=fit_first_rows(problem, rows, options))
         part = _initial_state_information(_cut_to_first_rows(problem, rows))
         whole = _initial_state_information(problem)
-        more = [
-            min(2 * n, _count_samples(r)) if _least_share(known, all_of_it) < INITIAL_STATE_SHARE else n
-            for n, r, known, all_of_it in zip(rows, problem.records, part, whole, strict=True)
-        ]
+        more = []
+        for n, r, known, everything in zip(rows, problem.records, part, whole, strict=True):
+            # Least share of the information that the first rows hold along any direction: with W = F F' the least eigenvalue of
+            # F^+ P F^+'; zero where the run fails.
+            share = 0.0
+            if np.isfinite(everything).all() and np.isfinite(known).all():
+                root = np.linalg.pinv(decompose_symmetric(everything).without_doubtful().root)
+                share = float(np.linalg.eigvalsh(root @ known @ root.T).min(initial=1.0))
+            more.append(min(2 * n, _count_samples(r)) if share < INITIAL_STATE_SHARE else n)
         if more == rows:
             return problem.variables
         rows = more
@@ -63,14 +68,6 @@ def _initial_state_information(problem: EstimationProblem) -> list[np.ndarray]:
     information = problem.shooting().evaluate(variables.here).hessian
     columns = [variables.columns(e) for e in range(len(problem.records))]
     return [information[np.ix_(c, c)] for c in columns]
-
-
-def _least_share(part: np.ndarray, whole: np.ndarray) -> float:
-    """Least share of the information ``whole`` (n, n) that ``part`` holds along any direction; zero where the run fails."""
-    if not (np.isfinite(whole).all() and np.isfinite(part).all()):
-        return 0.0
-    root = np.linalg.pinv(decompose_symmetric(whole).without_doubtful().root)
-    return float(np.linalg.eigvalsh(root @ part @ root.T).min(initial=1.0))
 
 
 def _count_samples(record: Record) -> int:
@@ -165,21 +162,15 @@ def validate(
                 if initial_rows
                 else determine_initial_states(problem, options, skip)
             )
-        problem = _refine_until_fine(problem, variables, options)
+
+        # The step is as small for these records as a fit to them would have made it.
+        def evaluate(problem: EstimationProblem) -> Solution:
+            evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
+            work = TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,)
+            return Solution(problem, problem.variables, evaluation, *work, nothing)
+
+        at_start, policy = replace(problem, variables=variables), options.policy.step_refinement
+        problem = solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = make_traces(problem, runs)
     return Validation(compute_misfits(problem, traces, skip), traces)
-
-
-def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
-    """The same problem with a step that is as small for these records as a fit to them would have made it."""
-
-    def evaluate(problem: EstimationProblem) -> Solution:
-        evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
-        return Solution(
-            problem, problem.variables, evaluation, TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,), nothing
-        )
-
-    at_start = replace(problem, variables=variables)
-    policy = options.policy.step_refinement
-    return solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem

@@ -236,7 +236,13 @@ class DecisionVector:
         count = len(initial.guess)
         resolved = resolve_conditions(model, conditions, per_experiment)
         check_own_constants(model, per_experiment, count)
-        places = _place_constants(model, per_experiment, resolved, count)
+        # Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it.
+        given, places = {k for each in resolved for k in each}, []
+        for k, q in enumerate(model.all_parameters):
+            if not q.fixed and q.name in per_experiment:
+                places += [(k, e) for e in range(count) if not resolved or k not in resolved[e]]
+            elif not q.fixed and k not in given:
+                places.append((k, SHARED))
         free = [model.all_parameters[k] for k, _ in places]
         base = np.array([q.value for q in free], float)
         titles = make_unique(experiments or [f"experiment {e + 1}" for e in range(count)])
@@ -398,10 +404,15 @@ class DecisionVector:
 
     def compute_initial_state(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
         """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
-        x0, slope = self._start(p)
+        # The declared start and its slope along all parameters, unless that is constant.
+        x0, slope = self.model.system.constant_start, None
+        if x0 is None:
+            x0, slope = (np.asarray(value) for value in self.model.system.start_function(p))
+        x0 = np.array(x0).ravel()
         n, free = len(self.which), self.free_states
         dx0 = np.zeros((len(x0), n + len(free) + len(self.estimated_noise)))
-        dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+        if slope is not None:
+            dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
         scaled_states = self.split(z).initial_states[experiment]
         x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
         dx0[free, :n] = 0.0
@@ -420,14 +431,6 @@ class DecisionVector:
         z, free = z.copy(), self.free_states
         self.split(z).initial_states[:] = (states - self.initial.guess)[:, free] / self.initial.scale[free]
         return z
-
-    def _start(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The declared initial state (nx,) and its slope along all parameters."""
-        system = self.model.system
-        if system.constant_start is not None:
-            return system.constant_start.copy(), np.zeros((len(system.constant_start), len(p)))
-        x0, slope = (np.asarray(value) for value in system.start_function(p))
-        return x0.ravel(), slope
 
     def rescale(self, cost: float, curvature: np.ndarray) -> DecisionVector:
         """Linear scales chosen so that a step of one in ``z`` changes the cost by about itself.
@@ -553,22 +556,6 @@ def make_unique(names: Sequence[str]) -> list[str]:
         count = sum(other == name for other in names[: len(result)])
         result.append(f"{name} {count + 1}" if count else name)
     return result
-
-
-def _place_constants(
-    model: Model, per_experiment: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
-) -> list[tuple[int, int]]:
-    """Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it."""
-    given = {k for each in conditions for k in each}
-    places = []
-    for k, q in enumerate(model.all_parameters):
-        if q.fixed:
-            continue
-        if q.name in per_experiment:
-            places += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
-        elif k not in given:
-            places.append((k, SHARED))
-    return places
 
 
 def find_measured_states(variables: DecisionVector) -> dict[int, int]:

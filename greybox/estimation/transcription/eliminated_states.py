@@ -100,7 +100,10 @@ class ProjectedShooting:
                 self.states = last_states  # a trial step too far: keep what belongs to the last good point
                 return Evaluation(np.inf, 0 * gradient, 0 * hessian, 0 * squares, 0 * counts, (e, 0))
             constants, sums = self.shooting.views[e].constants, model.sums
-            n, slope = len(constants), self._eliminate(model, e)
+            # How the initial state follows the constants; one pushed against its bound stays there.
+            n, states, g = len(constants), self.states[e], model.gradient
+            is_held = (states <= self._low[e]) & (g > 0) | (states >= self._high[e]) & (g < 0)
+            slope = project_states(sums.gauss_newton, n, is_held)
             # Along the constants the states follow; at their best they have no slope of their own.
             gradient[constants] += 2 * (sums.gradient[:n] + slope.T @ sums.gradient[n:])
             hessian[np.ix_(constants, constants)] += 2 * (sums.gauss_newton[:n, :n] + sums.gauss_newton[:n, n:] @ slope)
@@ -135,12 +138,6 @@ class ProjectedShooting:
         sums = shooting.kernel.sums(shooting.records[e], *shooting.at(point, e), shooting.weight, shooting.rows[e])
         cost = float(sums.squares.sum()) if np.isfinite(sums.cost) else np.inf
         return _StateModel(cost, 2 * sums.gradient[n:], 2 * sums.gauss_newton[n:, n:], sums)
-
-    def _eliminate(self, model: _StateModel, e: int) -> np.ndarray:
-        """How the initial state follows the constants (states, n); one pushed against its bound stays there."""
-        g, states = model.gradient, self.states[e]
-        is_held = (states <= self._low[e]) & (g > 0) | (states >= self._high[e]) & (g < 0)
-        return project_states(model.sums.gauss_newton, len(self.shooting.views[e].constants), is_held)
 
 
 @dataclass(frozen=True)

@@ -195,8 +195,17 @@ class SegmentedProblem:
             pieces += [slice_rows(record, a, b) for a, b in pairwise(places)]
         owner = np.repeat(np.arange(len(records)), [len(places) - 1 for places in cuts])
         if states is None:
-            given = zip(records, cuts, strict=True)
-            states = np.concatenate([_guess_states(v, e, r, places[:-1]) for e, (r, places) in enumerate(given)])
+            guesses = []
+            for e, (record, places) in enumerate(zip(records, cuts, strict=True)):
+                starts, guess = places[:-1], np.tile(v.initial.guess[e], (len(places) - 1, 1))
+                for k, column in find_measured_states(v).items():
+                    measured = np.flatnonzero(np.isfinite(record.y[:, column]))
+                    if len(measured):
+                        nearest = measured[np.minimum(np.searchsorted(measured, starts), len(measured) - 1)]
+                        guess[:, k] = record.y[nearest, column]
+                guess[0, ~v.initial.free] = v.initial.guess[e, ~v.initial.free]
+                guesses.append(guess)
+            states = np.concatenate(guesses)
             spread = np.ptp(states, axis=0)
             scale = np.where(spread > 0, spread, v.initial.scale)
         else:
@@ -244,20 +253,6 @@ class SegmentedProblem:
     def simulate(self) -> Runs:
         """For each record outputs (N, ny) and states (N, nx), each segment run from its own initial state."""
         return self.join(self.pieces.shooting().simulate(self.pieces.variables.here))
-
-
-def _guess_states(variables: DecisionVector, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
-    """States (segments, nx) at the ``starts`` of record ``e``: measured where a state is an output, else as the record begins."""
-    guess = np.tile(variables.initial.guess[e], (len(starts), 1))
-    for k, column in find_measured_states(variables).items():
-        values = record.y[:, column]
-        measured = np.flatnonzero(np.isfinite(values))
-        if len(measured):
-            places = np.searchsorted(measured, starts)
-            guess[:, k] = values[measured[np.minimum(places, len(measured) - 1)]]
-    is_declared = ~variables.initial.free
-    guess[0, is_declared] = variables.initial.guess[e, is_declared]
-    return guess
 
 
 def slice_rows(record: Record, a: int, b: int) -> Record:

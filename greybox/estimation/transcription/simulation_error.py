@@ -90,7 +90,9 @@ class SingleShooting:
         self.variables = variables
         self.step = step
         self.kernel = kernel
-        self.records = tuple(_read_by_step(r, step) for r in records)
+        # A piece of a record that the step has read carries the past of a delayed input already.
+        has_history = [step.past is not None and r.u.shape[1] == step.advance.size1_in(1) for r in records]
+        self.records = tuple(r if has else r.read_by(step) for r, has in zip(records, has_history, strict=True))
         self.weight = weight
         self.rows = [max(2, round(share * len(r.u))) for r in records]
         self._last_coefficients: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
@@ -124,17 +126,15 @@ class SingleShooting:
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[tuple[np.ndarray, np.ndarray]]]:
         """The outputs (N, ny) of the model with its first states (1, nx), and `residuals`, from one pass where nothing is missing."""
         errors = self.compute_weighted_errors(z)
-        # No name is left for the errors of a record: reweighing gives their memory back.
-        runs = [self._restore_run(z, e, errors[e][0]) for e in range(len(self.records))]
+        runs = []
+        for e, record in enumerate(self.records):
+            if record.rows_per_sample != 1 or not np.isfinite(record.y).all():
+                runs.append(self._simulate(z, e))
+                continue
+            x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
+            # yhat = y - s r. No name is left for the errors of a record: reweighing gives their memory back.
+            runs.append((record.y - errors[e][0] / self.weight, x0[None]))
         return runs, self.reweigh(errors)
-
-    def _restore_run(self, z: np.ndarray, e: int, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs of the model from its weighted ``error`` (N, ny), with its first states; simulated where something is missing."""
-        record = self.records[e]
-        if record.rows_per_sample != 1 or not np.isfinite(record.y).all():
-            return self._simulate(z, e)
-        x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
-        return record.y - error / self.weight, x0[None]
 
     def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Residuals and Jacobian of weighted errors and theirs."""
@@ -159,19 +159,16 @@ class SingleShooting:
     def at(self, z: np.ndarray, e: int, free: np.ndarray | None = None) -> KernelPoint:
         """What the kernel needs at ``z`` for record ``e``; ``free``: `DecisionVector.constants` there, if known already."""
         p, dp, x0, dx0 = self.views[e].at(z, self.variables.constants(z) if free is None else free)
-        return KernelPoint(*self._compute_coefficients(self.records[e], p, dp), p, dp, x0, dx0)
+        # Records with the same intervals (the arcs of one record) share one matrix exponential.
+        key = p.tobytes(), dp.tobytes(), self.records[e].lengths.tobytes()
+        if self._last_coefficients is None or self._last_coefficients[0] != key:
+            self._last_coefficients = key, self.kernel.coefficients(self.records[e], p, dp)
+        return KernelPoint(*self._last_coefficients[1], p, dp, x0, dx0)
 
     @cached_property
     def views(self) -> list[ExperimentView]:
         """Which entries of ``z`` concern each record."""
         return [ExperimentView(self.variables, e) for e in range(len(self.records))]
-
-    def _compute_coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
-        key = p.tobytes(), dp.tobytes(), record.lengths.tobytes()
-        if self._last_coefficients is None or self._last_coefficients[0] != key:
-            self._last_coefficients = key, self.kernel.coefficients(record, p, dp)
-        return self._last_coefficients[1]
 
 
 ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -314,12 +311,6 @@ def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation)
     low, high = variables.bounds()
     reach = np.where((np.abs(low) <= AT_BOUND) | (np.abs(high) <= AT_BOUND), 0.0, np.inf)
     return evaluation.bounded_step(-reach, reach)
-
-
-def _read_by_step(record: Record, step: Step) -> Record:
-    """The record as the step reads it; a piece of such a record carries the past of a delayed input already."""
-    has_history = step.past is not None and record.u.shape[1] == step.advance.size1_in(1)
-    return record if has_history else record.read_by(step)
 
 
 def _make_failed_evaluation(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:

@@ -17,7 +17,6 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import iterate_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.estimation.transcription.decision_vector import DecisionVector
 
 
 @dataclass(frozen=True)
@@ -203,7 +202,21 @@ def bootstrap(
     information = residuals.compute_information(v) + np.diag(prior)
     # z* = -(J'J + P)^-1 J'r*
     steps[:, inside] = -gradient[:, inside] @ pseudo_inverse(information[np.ix_(inside, inside)])
-    return _summarise(v, steps[:, : len(v.which)], block, policy)
+    samples, std, interval = np.empty((replicates, len(v.which))), {}, {}
+    for k, name in enumerate(v.names):
+
+        def place(step: np.ndarray, k: int = k) -> np.ndarray:
+            # value + scale z, or value exp(z), as the decision vector has it
+            linear, factor = v.base[k] + v.scale[k] * step, np.exp(np.clip(step, -300, 300))
+            return np.clip(v.base[k] * factor if v.logarithmic[k] else linear, v.low[k], v.high[k])
+
+        samples[:, k] = place(steps[:, k])
+        std[name] = float(samples[:, k].std(ddof=1))
+        upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
+        # Basic interval: the error of the estimate is that of the replicates, so that the quantiles change sides.
+        ends = place(np.array([-lower, -upper]))
+        interval[name] = (float(ends[0]), float(ends[1]))
+    return Bootstrap(v.names, samples, std, interval, block, policy)
 
 
 def _draw_scores(
@@ -224,7 +237,12 @@ def _draw_scores(
     with np.errstate(invalid="ignore"):
         centred = r - (np.where(measured, r, 0.0).sum(axis=0) / np.maximum(measured.sum(axis=0), 1))
     # A gap that falls on a measured row is filled by the block's neighbour: no residual must vanish.
-    filled = _fill_gaps(centred)
+    filled = centred.copy()
+    for column in filled.T:
+        known = np.flatnonzero(np.isfinite(column))
+        place = np.searchsorted(known, np.arange(n), side="right") - 1
+        # The last value before a gap, or the first after; nothing where nothing was measured.
+        column[:] = column[known[np.maximum(place, 0)]] if len(known) else 0.0
     squares = 0.5 * ((filled**2).mean(axis=0) - filled**2)
     louder = None if loudness is None else np.where(measured[:, :, None], loudness, 0.0).reshape(-1, jacobian.shape[2])
     places = np.arange(block)
@@ -237,34 +255,3 @@ def _draw_scores(
         if louder is not None:
             result[b] += squares[chosen].ravel() @ louder
     return result
-
-
-def _fill_gaps(values: np.ndarray) -> np.ndarray:
-    """Each column's gaps (NaN) filled with the last value before, or the first after."""
-    result = values.copy()
-    for column in result.T:
-        known = np.flatnonzero(np.isfinite(column))
-        if len(known) == 0:
-            column[:] = 0.0
-            continue
-        place = np.searchsorted(known, np.arange(len(column)), side="right") - 1
-        column[:] = column[known[np.maximum(place, 0)]]
-    return result
-
-
-def _summarise(v: DecisionVector, steps: np.ndarray, block: int, policy: BootstrapPolicy) -> Bootstrap:
-    samples, std, interval = np.empty_like(steps), {}, {}
-    for k, name in enumerate(v.names):
-
-        def place(step: np.ndarray, k: int = k) -> np.ndarray:
-            # value + scale z, or value exp(z), as the decision vector has it
-            linear, factor = v.base[k] + v.scale[k] * step, np.exp(np.clip(step, -300, 300))
-            return np.clip(v.base[k] * factor if v.logarithmic[k] else linear, v.low[k], v.high[k])
-
-        samples[:, k] = place(steps[:, k])
-        std[name] = float(samples[:, k].std(ddof=1))
-        upper, lower = np.quantile(steps[:, k], [0.025, 0.975])
-        # Basic interval: the error of the estimate is that of the replicates, so that the quantiles change sides.
-        ends = place(np.array([-lower, -upper]))
-        interval[name] = (float(ends[0]), float(ends[1]))
-    return Bootstrap(v.names, samples, std, interval, block, policy)

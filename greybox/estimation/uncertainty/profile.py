@@ -144,8 +144,19 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     if isinstance(objective, SimulationErrorObjective):
         std, scale, threshold = _scale_simulation_error(objective, evaluation, k)
     else:
-        std, scale, threshold = _scale_likelihood(fit, v, k)
-    return _follow(_HeldObjective(objective, k, evaluation.cost, scale, options, policy), name, std, threshold, policy)
+        # The standard deviation of a fit with process noise is widened by coloured innovations alone.
+        constant = v.quantities[k].name
+        owner = v.names[k][len(constant) + 2 : -1]
+        stated = fit.constraints.per_experiment[constant][owner] if owner else fit.parameters[constant]
+        widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
+        std, scale = stated.std, widened**2 if np.isfinite(widened) else 1.0
+        threshold = compute_quantile(np.inf) ** 2
+    search = _ProfileSearch(objective, k, evaluation.cost, std, scale, threshold, options, policy)
+    quantity, best = v.quantities[k], float(v.base[k])
+    low, points_low = search.follow(quantity.bounds[0], -1)
+    high, points_high = search.follow(quantity.bounds[1], +1)
+    values, increase = np.array(sorted([*points_low, (best, 0.0), *points_high])).T
+    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high), policy)
 
 
 def _scale_simulation_error(
@@ -168,30 +179,36 @@ def _scale_simulation_error(
     return float(np.sqrt(variance)), scale, threshold
 
 
-def _scale_likelihood(fit: Fit, v: DecisionVector, k: int) -> tuple[float | None, float, float]:
-    """The same of a fit with process noise: its standard deviation is widened by coloured innovations alone."""
-    name = v.quantities[k].name
-    owner = v.names[k][len(name) + 2 : -1]
-    stated = fit.constraints.per_experiment[name][owner] if owner else fit.parameters[name]
-    widened = fit.uncertainty.inflation.get(v.names[k], 1.0)
-    return stated.std, widened**2 if np.isfinite(widened) else 1.0, compute_quantile(np.inf) ** 2
-
-
 # The cost of each point is minimised to this share of the residual's variance (of one, for a likelihood); the threshold is near 4.
 COST_DECREASE = 0.0001
 
 
+# First step, in standard deviations: well inside the 95 % point, so that two points bracket it.
+FIRST_STEP = 1.0
+# Growth of the steps after it.
+PROFILE_GROWTH = 1.6
+# Steps to a side at most: 1.6^8 is 43 standard deviations, beyond which the side counts as open.
+PROFILE_STEPS = 9
+# Refits for the crossing at most.
+PROFILE_REFITS = 8
+# First step over the value of a parameter without a standard deviation: a factor of e^0.1.
+BLIND_STEP = 0.1
+
+
 @dataclass(frozen=True)
-class _HeldObjective:
+class _ProfileSearch:
     """What was minimised with the free parameter number ``k`` of ``objective`` held elsewhere, everything else estimated anew.
 
-    ``least`` is the cost at the optimum, and ``scale`` the unit of its rise.
+    ``least`` is the cost at the optimum, ``scale`` the unit of its rise, whose ``threshold`` is looked for; ``std``: the standard
+    deviation of the parameter, where it has one.
     """
 
     objective: Objective
     k: int
     least: float
+    std: float | None
     scale: float
+    threshold: float
     options: FitOptions
     policy: ProfilePolicy
 
@@ -216,48 +233,13 @@ class _HeldObjective:
         rise = max(cost - self.least, 0.0) / self.scale if np.isfinite(cost) else np.inf
         return rise, optimum.objective.variables
 
-
-def _follow(held: _HeldObjective, name: str, std: float | None, threshold: float, policy: ProfilePolicy) -> Profile:
-    v, k = held.objective.variables, held.k
-    quantity, best = v.quantities[k], float(v.base[k])
-    side = _Side(held, best, std, quantity.positive, threshold, policy)
-    low, points_low = side.follow(quantity.bounds[0], -1)
-    high, points_high = side.follow(quantity.bounds[1], +1)
-    points = sorted([*points_low, (best, 0.0), *points_high])
-    values, increase = np.array(points).T
-    return Profile(name, quantity.unit, best, values, increase, threshold, (low, high), policy)
-
-
-# First step, in standard deviations: well inside the 95 % point, so that two points bracket it.
-FIRST_STEP = 1.0
-# Growth of the steps after it.
-PROFILE_GROWTH = 1.6
-# Steps to a side at most: 1.6^8 is 43 standard deviations, beyond which the side counts as open.
-PROFILE_STEPS = 9
-# Refits for the crossing at most.
-PROFILE_REFITS = 8
-# First step over the value of a parameter without a standard deviation: a factor of e^0.1.
-BLIND_STEP = 0.1
-
-
-@dataclass(frozen=True)
-class _Side:
-    """What both sides of a profile share: refits, the best value, its standard deviation, and the threshold of the rise."""
-
-    held: _HeldObjective
-    best: float
-    std: float | None
-    positive: bool
-    threshold: float
-    policy: ProfilePolicy
-
     def follow(self, bound: float, sign: int) -> tuple[float, list[tuple[float, float]]]:
         """Where the rise crosses the threshold on one side, and the points visited."""
-        best = self.best
+        v, best = self.objective.variables, float(self.objective.variables.base[self.k])
 
         def place(step: float) -> float:
             value = best + sign * step
-            if self.positive:
+            if v.quantities[self.k].positive:
                 value = best * float(np.exp(np.clip(sign * step / abs(best), -300, 300)))
             return max(value, bound) if sign < 0 else min(value, bound)
 
@@ -269,7 +251,7 @@ class _Side:
         inner, near = (0.0, 0.0), None
         for _ in range(PROFILE_STEPS):
             value = place(step)
-            rise, near = self.held.rise(value, near)
+            rise, near = self.rise(value, near)
             points.append((value, rise))
             if rise > self.threshold:
                 return self._cross(place, inner, (step, rise), near, points), points
@@ -294,7 +276,7 @@ class _Side:
             straight = np.isfinite(rb) and k < refits - 2
             # sqrt(rise) is |value - best| / std near the best value: a straight line.
             step = a + (b - a) * (np.sqrt(threshold) - ra) / (rb - ra) if straight else (a + b) / 2
-            rise, near = self.held.rise(place(step), near)
+            rise, near = self.rise(place(step), near)
             points.append((place(step), rise))
             if abs(rise - threshold) <= self.policy.tolerance * threshold:
                 return place(step)
