@@ -170,15 +170,14 @@ def fit(
             model, experiments, noise, options, report, quiet=quiet, initial=initial
         )
         tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
-        optimum = PredictionOptimum(model, estimate.solution, options.policy, tests, maximum=estimate.optimum)
+        optimum = PredictionOptimum(model, estimate.solution, tests, maximum=estimate.optimum)
     else:
         problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
         begun = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
         if begun is None:
-            solution = estimate_by_simulation_error(problem, options, colour, report)
-            begun = SimulationOptimum(model, solution, options.policy)
+            begun = SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
         optimum = begun
         # Another start may do better where a search explains nothing, or stands where it began. One that goes on from where another
         # ended is not to end elsewhere.
@@ -227,7 +226,7 @@ def _begin_with_effects(
     except ModelError:  # a tie or a schedule of the user's needs them
         return None
     of_plain = prepare_problem(plain, experiments, problem.noise, options)
-    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report), options.policy)
+    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
     if not np.isfinite(smaller.evaluation.cost):
         return None
     _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
@@ -245,7 +244,7 @@ def _begin_with_effects(
         ended = replace(
             smaller.search, problem=began_at, variables=began_at.variables, evaluation=evaluation, joined=None
         )
-        return SimulationOptimum(model, ended, options.policy)
+        return SimulationOptimum(model, ended)
 
     begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
     begins: list[dict[str, float]] = [fitted]
@@ -268,7 +267,7 @@ def _begin_with_effects(
         if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
             continue
         other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
-        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report), options.policy))
+        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=lambda end: _compute_ratio(end, std))
@@ -322,7 +321,7 @@ def _try_other_starts(
     for k in order:
         other = prepare_problem(model.start(**drawn[k]), experiments, problem.noise, options)
         solution = estimate_by_simulation_error(other, options, colour, report)
-        ends.append((drawn[k], SimulationOptimum(model, solution, options.policy)))
+        ends.append((drawn[k], SimulationOptimum(model, solution)))
         if solution.status is TerminationStatus.INTERRUPTED:
             break
     # Under the noise that was known before any of them: a level that each learns from its own residual makes all alike.

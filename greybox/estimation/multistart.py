@@ -32,9 +32,6 @@ from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
 
-StartEnd = tuple[dict[str, float], float, str]
-"""Where a start ended: values, misfit over noise, status."""
-
 
 @dataclass
 class StartJournal:

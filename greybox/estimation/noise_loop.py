@@ -131,7 +131,7 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
     if is_settled(ratio):
         return None
-    return problem.with_noise(replace(problem.noise, std=problem.noise.std * ratio))
+    return replace(problem, noise=replace(problem.noise, std=problem.noise.std * ratio))
 
 
 def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem | None:
@@ -161,7 +161,7 @@ def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem
     )
     if all(a.order == b.order for a, b in zip(models, noise.colour, strict=True)):
         return None
-    return solution.problem.with_noise(replace(noise, colour=models))
+    return replace(solution.problem, noise=replace(noise, colour=models))
 
 
 # The level of a noise, or the scale of a robust loss, stands still when it changes by less than this share from round to round.

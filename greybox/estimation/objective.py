@@ -212,8 +212,7 @@ class PredictionErrorObjective:
         for e, innovations in enumerate(self.slopes(z)):
             sums = None if innovations is None else _sum_innovations(innovations)
             if innovations is None or sums is None:
-                nothing = np.zeros(v.size), np.zeros((v.size, v.size)), np.zeros(ny), np.zeros(ny, int)
-                return Evaluation(np.inf, *nothing, (e, 0))
+                return Evaluation.failure(v.size, ny, (e, 0))
             columns = v.columns(e)
             gradient[columns] += sums.gradient
             # First states of other experiments have no part in it.

@@ -25,7 +25,7 @@ from greybox.estimation.objective import (
     SimulationErrorObjective,
 )
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import EstimationPolicy, FitOptions, RobustLoss
+from greybox.estimation.options import FitOptions, RobustLoss
 from greybox.estimation.parameter_constancy import ParameterShift, expect_noise, find_parameter_shifts
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, PredictionReport, Trace
@@ -109,11 +109,6 @@ def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, M
     return {name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
 
 
-def to_noise_by_output(problem: EstimationProblem, measured: Mapping[str, Misfit]) -> dict[str, float]:
-    """Noise of the outputs that were measured."""
-    return {o.name: float(problem.noise.std[j]) for j, o in enumerate(problem.model.outputs) if o.name in measured}
-
-
 @dataclass(frozen=True, eq=False)
 class Optimum(ABC):
     """The end of an estimation of ``model``.
@@ -123,7 +118,6 @@ class Optimum(ABC):
 
     model: Model
     solution: Solution
-    policy: EstimationPolicy
 
     tests: Sequence[ProcessNoiseTest] = ()
     """Of the intensities of process noise."""
@@ -327,7 +321,7 @@ class PredictionOptimum(Optimum):
             sources={**problem.noise.sources, **dict.fromkeys(estimated, NoiseSource.INNOVATIONS)},
             colour=tuple(AutoRegression() for _ in std),
         )
-        return problem.with_noise(noise)
+        return replace(problem, noise=noise)
 
     @property
     def objective(self) -> Objective:
@@ -348,7 +342,7 @@ class PredictionOptimum(Optimum):
     def colour(self) -> ResidualColour:
         """Colour and variance of the innovations."""
         rows = self.residuals.rows if self.residuals else ()
-        return estimate_residual_colour(rows, 0, True, noise_policy=self.policy.noise)
+        return estimate_residual_colour(rows, 0, True, noise_policy=self.solution.problem.policy.noise)
 
     @cached_property
     def covariance(self) -> ParameterCovariance:

@@ -16,7 +16,7 @@ from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.simulation_error import RobustShooting
+from greybox.estimation.transcription.simulation_error import WhitenedShooting
 from greybox.estimation.uncertainty.bootstrap import bootstrap
 from greybox.estimation.uncertainty.profile import profile
 from models.micro_actuator import micro_actuator
@@ -92,7 +92,7 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
     loss = replace(parse_loss(text), scale=np.array([1.2, 1.0]))
     problem = replace(problem, loss=loss)
     shooting = problem.shooting()
-    assert isinstance(shooting, RobustShooting)
+    assert isinstance(shooting, WhitenedShooting) and shooting.loss is not None
     n = problem.variables.size
     z = 0.01 * np.random.default_rng(2).normal(size=n)
     here = shooting.evaluate(z)

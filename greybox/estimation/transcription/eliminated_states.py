@@ -98,7 +98,7 @@ class ProjectedShooting:
             model = self._find_initial_state(z, e, predicted[e])
             if model is None:
                 self.states = last_states  # a trial step too far: keep what belongs to the last good point
-                return Evaluation(np.inf, 0 * gradient, 0 * hessian, 0 * squares, 0 * counts, (e, 0))
+                return Evaluation.failure(self.size, ny, (e, 0))
             constants, sums = self.shooting.views[e].constants, model.sums
             # How the initial state follows the constants; one pushed against its bound stays there.
             n, states, g = len(constants), self.states[e], model.gradient

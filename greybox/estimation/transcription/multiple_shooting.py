@@ -96,6 +96,49 @@ def solve_multiple_shooting(
     return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
 
 
+@dataclass(frozen=True, kw_only=True)
+class MultipleShootingResult(Solution):
+    """The optimum of a search over segments: of the constants, every state eliminated (its rows of the evaluation are zero).
+
+    ``segmented``: the segments with their present point there; ``rows``: weighted residuals (N, ny) of each record and their Jacobian
+    (N, ny, L) along `DecisionVector.columns`; ``gap``: the largest jump between segments, as a share of the state's range.
+    """
+
+    segmented: SegmentedProblem
+    rows: Runs = ()
+    gap: float = np.inf
+
+    @classmethod
+    def of(
+        cls,
+        segmented: SegmentedProblem,
+        evaluation: Evaluation,
+        outcome: Solution | MinimisationResult,
+        rows: Runs = (),
+        gap: float = np.inf,
+    ) -> MultipleShootingResult:
+        """What a search ``outcome`` means; ``rows`` are those of the segments along the constants alone."""
+        whole = segmented.whole
+        states = len(whole.variables.free_states)
+        whole_rows = [(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows]
+        return cls(
+            whole,
+            whole.variables,
+            evaluation,
+            outcome.status,
+            outcome.solver_status,
+            outcome.iterations,
+            outcome.evaluations,
+            outcome.seconds,
+            (1.0,),
+            np.zeros(len(whole.noise.std)),
+            solver=outcome.solver,
+            segmented=segmented,
+            rows=segmented.join(whole_rows) if rows else (),
+            gap=gap,
+        )
+
+
 class _SegmentSearch:
     """A search over segments at one integration step after the other, each from the optimum of the one before."""
 
@@ -112,21 +155,9 @@ class _SegmentSearch:
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum with the step of ``problem``."""
         shooting = MultipleShooting(self.segmented.with_step_of(problem), continuity=self.continuity)
-        result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
-        self.result, self.segmented = result, result.segmented
-        return Solution(
-            result.segmented.whole,
-            result.variables,
-            result.evaluation,
-            result.status,
-            result.solver_status,
-            result.iterations,
-            result.evaluations,
-            result.seconds,
-            (1.0,),
-            np.zeros(len(problem.noise.std)),
-            solver=result.solver,
-        )
+        self.result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
+        self.segmented = self.result.segmented
+        return self.result
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be."""
@@ -142,42 +173,6 @@ class _SegmentSearch:
             shift = fine - coarse
         size = self.result.variables.size if self.continuity else self.segmented.pieces.variables.size
         return SegmentedRun(self.segmented.simulate(), self.result.rows, size, shift)
-
-
-@dataclass(frozen=True)
-class MultipleShootingResult:
-    """The optimum of a multiple-shooting fit."""
-
-    segmented: SegmentedProblem
-    """The segments with their present point at the optimum."""
-
-    evaluation: Evaluation
-    """Cost, gradient and Gauss-Newton matrix of the constants, every state eliminated: the rows of initial states are zero."""
-
-    rows: Runs
-    """Weighted residuals (N, ny) of each record and their Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated."""
-
-    gap: float
-    """The largest jump between segments, as a share of the state's range."""
-
-    status: TerminationStatus
-    """How the search ended."""
-
-    solver: str
-    solver_status: str
-    iterations: int
-    evaluations: int
-    seconds: float
-
-    @property
-    def variables(self) -> DecisionVector:
-        """The decision vector of the whole records with ``z = 0`` at the optimum."""
-        return self.segmented.whole.variables
-
-    @property
-    def states(self) -> np.ndarray:
-        """First states (segments, nx) of the segments of all records."""
-        return self.segmented.pieces.variables.initial.guess
 
 
 # Nothing is left to gain: within a thousandth of a standard deviation.
@@ -271,7 +266,7 @@ class MultipleShooting:
                 )
             solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
-            return _make_apart(segmented, solution.evaluation, solution)
+            return self._end_apart(segmented, solution.evaluation, solution)
         projected = ProjectedShooting(pieces.shooting())
         if initialise:
             projected.carry_states(self.segmented.starts_record)
@@ -292,7 +287,19 @@ class MultipleShooting:
             policy=options.policy.minimisation,
         )
         segmented = self.segmented.at(self.variables.recentre(projected.full(outcome.z)))
-        return _make_apart(segmented, outcome.value or first, outcome)
+        return self._end_apart(segmented, outcome.value or first, outcome)
+
+    def _end_apart(
+        self, segmented: SegmentedProblem, reached: Evaluation, outcome: Solution | MinimisationResult
+    ) -> MultipleShootingResult:
+        """What a search without continuity ended with, its states eliminated to first order."""
+        v = segmented.whole.variables
+        if not np.isfinite(reached.cost):
+            failed = Evaluation.failure(v.size, self.ny, reached.failed or (0, 0))
+            return MultipleShootingResult.of(segmented, failed, outcome)
+        rows = _project_residuals(segmented.pieces)
+        evaluation = replace(_evaluate_rows(rows, v), cost=reached.cost, squares=reached.squares)
+        return MultipleShootingResult.of(segmented, evaluation, outcome, rows, 0.0)
 
     def _solve_joined(
         self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
@@ -341,7 +348,24 @@ class MultipleShooting:
                         linearised = last
                 if monitor.stop:  # also where the last iteration was the last anyway: the caller would go on
                     status = TerminationStatus.INTERRUPTED
-        return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
+        work, label = (iteration, self.evaluations, time.perf_counter() - began), "lifted Gauss-Newton"
+        size, n, ny = self.segmented.whole.variables.size, self.n, self.ny
+        if linearised is None:
+            nowhere = MinimisationResult(self.variables.here, np.inf, status, *work, solver=label)
+            return MultipleShootingResult.of(self.segmented, Evaluation.failure(size, ny, (0, 0)), nowhere)
+        outcome = MinimisationResult(linearised.z, linearised.cost, status, *work, solver=label)
+        gradient, hessian = np.zeros(size), np.zeros((size, size))
+        gradient[:n], hessian[:n, :n] = linearised.model.gradient, linearised.model.hessian
+        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
+        # Residuals along the constants, the states following them: P + R S.
+        rows = []
+        residuals, slopes = self.with_ends.residuals(linearised.z), linearised.condensed.slope
+        for (r, j), record, slope in zip(residuals, self.segmented.pieces.records, slopes, strict=True):
+            count = len(record.samples(record.y))
+            r, j = r[:count, :ny], j[:count, :ny]
+            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
+        segmented = self.segmented.at(self.variables.recentre(linearised.z))
+        return MultipleShootingResult.of(segmented, evaluation, outcome, rows, linearised.gap)
 
     def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
@@ -403,34 +427,6 @@ class MultipleShooting:
         prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
         return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
 
-    def _make_joined(
-        self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
-    ) -> MultipleShootingResult:
-        size, ny, work = (
-            self.segmented.whole.variables.size,
-            self.ny,
-            ("lifted Gauss-Newton", "", iterations, self.evaluations, seconds),
-        )
-        gradient, hessian = np.zeros(size), np.zeros((size, size))
-        if linearised is None:
-            failed = Evaluation(np.inf, gradient, hessian, np.zeros(ny), np.zeros(ny, int), (0, 0))
-            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, *work)
-        model, n = linearised.model, self.n
-        gradient[:n], hessian[:n, :n] = model.gradient, model.hessian
-        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
-        rows = []
-        for (r, j), record, slope in zip(
-            self.with_ends.residuals(linearised.z),
-            self.segmented.pieces.records,
-            linearised.condensed.slope,
-            strict=True,
-        ):
-            count = len(record.samples(record.y))
-            r, j = r[:count, :ny], j[:count, :ny]
-            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
-        segmented = self.segmented.at(self.variables.recentre(linearised.z))
-        return MultipleShootingResult(segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, *work)
-
 
 @dataclass(frozen=True)
 class _LinearisedPoint:
@@ -470,21 +466,6 @@ class _LinearisedPoint:
         return self.condensed.cost_after(step) + cost + float(np.sum(slope * dz + 0.5 * curvature * dz**2))
 
 
-def _make_apart(
-    segmented: SegmentedProblem, evaluation: Evaluation, outcome: Solution | MinimisationResult
-) -> MultipleShootingResult:
-    """The result of a search without continuity, its states eliminated to first order."""
-    work = outcome.solver, outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
-    v = segmented.whole.variables
-    if not np.isfinite(evaluation.cost):
-        empty = np.zeros(v.size), np.zeros((v.size, v.size))
-        failed = Evaluation(np.inf, *empty, evaluation.squares, evaluation.counts, evaluation.failed)
-        return MultipleShootingResult(segmented, failed, (), np.inf, outcome.status, *work)
-    rows = _project_residuals(segmented.pieces)
-    reached = replace(_evaluate_rows(rows, v), cost=evaluation.cost, squares=evaluation.squares)
-    return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
-
-
 def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
     """Residuals (N, ny) of each segment and their Jacobian (N, ny, nf), its initial state at its best for the constants."""
     n, result = len(pieces.variables.which), []
@@ -507,12 +488,6 @@ def _evaluate_rows(rows: Runs, variables: DecisionVector) -> Evaluation:
         gradient[:n] += 2 * slopes.T @ r[measured]
         hessian[:n, :n] += 2 * slopes.T @ slopes
     return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
-
-
-def _join_rows(segmented: SegmentedProblem, rows: Runs) -> Runs:
-    """Rows of segments along the constants as those of whole records along `DecisionVector.columns`."""
-    states = len(segmented.whole.variables.free_states)
-    return segmented.join([(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows])
 
 
 def add_state_outputs(step: Step) -> Step:

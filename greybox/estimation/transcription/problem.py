@@ -22,7 +22,6 @@ from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOpti
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import (
     Evaluation,
-    RobustShooting,
     SingleShooting,
     WhitenedShooting,
 )
@@ -68,9 +67,9 @@ class EstimationProblem:
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
-        if self.loss is not None:
-            return RobustShooting(*base, colour=self.noise.colour, loss=self.loss)
-        return WhitenedShooting(*base, colour=self.noise.colour) if self.noise.coloured else SingleShooting(*base)
+        if self.loss is None and not self.noise.coloured:
+            return SingleShooting(*base)
+        return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
 
     @property
     def is_plain_squares(self) -> bool:
@@ -94,10 +93,6 @@ class EstimationProblem:
     def start_parameters(self) -> np.ndarray:
         """The parameters (np,) at the present point, without any experiment's own."""
         return self.variables.parameters(self.variables.here)
-
-    def with_noise(self, noise: NoiseModel) -> EstimationProblem:
-        """The same with other weights."""
-        return replace(self, noise=noise)
 
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
         """The same with a step made anew: another method, or another number of substeps (0 to choose)."""

@@ -101,14 +101,12 @@ def propose_transcription(
         The longest record.
     policy
         The limits.
-    discretisation
-        How many states the implicit methods take.
     free_run
         Whether a free run was asked for, however errors grow; only its steps are to be chosen.
     """
     jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     duration = record.duration
-    growth = 0.0 if free_run else _compute_growth(system, p, record, jacobians, policy)
+    growth = 0.0 if free_run else estimate_error_growth(system, p, record, policy, jacobians)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
@@ -130,11 +128,26 @@ def propose_transcription(
 
 
 def estimate_error_growth(
-    system: System, p: np.ndarray, record: Record, policy: TranscriptionPolicy = DEFAULT_POLICY.transcription
+    system: System,
+    p: np.ndarray,
+    record: Record,
+    policy: TranscriptionPolicy = DEFAULT_POLICY.transcription,
+    jacobians: np.ndarray | None = None,
 ) -> float:
-    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
-    jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
-    return _compute_growth(system, p, record, jacobians, policy)
+    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay.
+
+    The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record.
+    ``jacobians`` (k, nx, nx): those in some points of the record, if known already.
+    """
+    if jacobians is None:
+        jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
+    if not len(jacobians):
+        return 0.0
+    rates = np.linalg.eigvals(jacobians).real.max(axis=1)
+    duration = record.duration
+    if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
+        return float(rates.mean())
+    return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
 
 
 def _propose(
@@ -148,19 +161,6 @@ def _propose(
 
 # Points along the record from which the growth of errors is computed, where one of the first points is unstable.
 GROWTH_POINTS = 1000
-
-
-def _compute_growth(
-    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionPolicy
-) -> float:
-    """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
-    if not len(jacobians):
-        return 0.0
-    rates = np.linalg.eigvals(jacobians).real.max(axis=1)
-    duration = record.duration
-    if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
-        return float(rates.mean())
-    return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
 
 
 def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:

@@ -39,6 +39,11 @@ class Evaluation(QuadraticModel):
     failed: tuple[int, int] | None = None
     """In which experiment and at which sample the simulation overflowed."""
 
+    @classmethod
+    def failure(cls, size: int, outputs: int, at: tuple[int, int]) -> Evaluation:
+        """The evaluation of a point that cannot be simulated."""
+        return cls(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), at)
+
     @property
     def count(self) -> int:
         """Number of residuals."""
@@ -107,7 +112,7 @@ class SingleShooting:
         for e, (record, view) in enumerate(zip(self.records, self.views, strict=True)):
             sums = self.kernel.sums(record, *self.at(z, e, free), self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
-                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
+                return Evaluation.failure(v.size, ny, (e, sums.failed_at or 0))
             gradient[view.columns] += 2 * sums.gradient
             hessian[view.square] += 2 * sums.gauss_newton
             squares += sums.squares
@@ -171,14 +176,12 @@ class SingleShooting:
         return [ExperimentView(self.variables, e) for e in range(len(self.records))]
 
 
-ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Cost, half its slope and weight of each residual (N, ny)."""
-
-
 class WhitenedShooting(SingleShooting):
     """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
 
-    ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
+    With a robust ``loss`` it is ``sum rho(r)`` of the whitened error ``r``, and the Hessian weighs each residual as the loss does,
+    ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never indefinite, and never too small where ``rho`` bends
+    down. ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
     the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the whole Jacobian
     (N, ny, L) of a record in memory, where white noise needs only sums.
     """
@@ -193,9 +196,10 @@ class WhitenedShooting(SingleShooting):
         share: float = 1.0,
         *,
         colour: Sequence[AutoRegression],
+        loss: RobustLoss | None = None,
     ):
         super().__init__(variables, step, kernel, records, weight, share)
-        self.colour = tuple(colour)
+        self.colour, self.loss = tuple(colour), loss
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives at ``z``."""
@@ -214,24 +218,33 @@ class WhitenedShooting(SingleShooting):
                     is_lost = is_measured & ~(np.isfinite(r[block]) & np.isfinite(jacobian[block]).all(axis=2))
                     if is_lost.any():
                         failed_at = first + int(np.flatnonzero(is_lost.any(axis=1))[0])
-                        return _make_failed_evaluation(v.size, ny, (e, failed_at))
-                    cost, psi, weight = self.terms(np.where(is_measured, r[block], 0.0))
+                        return Evaluation.failure(v.size, ny, (e, failed_at))
+                    residual = np.where(is_measured, r[block], 0.0)
+                    # Least squares: rho = r^2, psi = rho' / 2 = r, W = 1.
+                    cost, psi, weight = residual**2, residual, np.ones_like(residual)
+                    if self.loss is not None:
+                        cost, psi, weight, _ = self.loss.terms(residual)
                     rows = jacobian[block][is_measured]
                     gradient[columns] += 2 * rows.T @ psi[is_measured]
                     hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
                     squares += np.where(is_measured, cost, 0.0).sum(axis=0)
                     counts += is_measured.sum(axis=0)
         if not np.isfinite(squares.sum()):
-            return _make_failed_evaluation(v.size, ny, (0, 0))
+            return Evaluation.failure(v.size, ny, (0, 0))
         return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
 
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        return r**2, r, np.ones_like(r)
-
     def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Whitened residuals and their Jacobian."""
-        return self.whiten(errors)
+        """Whitened residuals (N, ny) and Jacobian (N, ny, L); with a loss, of the least-squares problem that the optimum also solves.
+
+        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
+        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
+        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
+        """
+        raw = self.whiten(errors)
+        if self.loss is None:
+            return raw
+        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
+        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
 
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
@@ -255,45 +268,6 @@ class WhitenedShooting(SingleShooting):
         return result
 
 
-class RobustShooting(WhitenedShooting):
-    """Cost ``sum rho(r)`` of the free-run error ``r``, whitened first where its colour is known, with the loss ``rho`` of `RobustLoss`.
-
-    The Hessian weighs each residual as the loss does, ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never
-    indefinite, and never too small where ``rho`` bends down.
-    """
-
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-        *,
-        colour: Sequence[AutoRegression],
-        loss: RobustLoss,
-    ):
-        super().__init__(variables, step, kernel, records, weight, share, colour=colour)
-        self.loss = loss
-
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        rho, psi, weight, _ = self.loss.terms(r)
-        return rho, psi, weight
-
-    def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
-
-        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
-        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
-        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
-        """
-        raw = self.whiten(errors)
-        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
-        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
-
-
 def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
     """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
     if not variables.has_prior.any() or not np.isfinite(evaluation.cost):
@@ -311,8 +285,3 @@ def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation)
     low, high = variables.bounds()
     reach = np.where((np.abs(low) <= AT_BOUND) | (np.abs(high) <= AT_BOUND), 0.0, np.inf)
     return evaluation.bounded_step(-reach, reach)
-
-
-def _make_failed_evaluation(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:
-    """The evaluation of a point that cannot be simulated."""
-    return Evaluation(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), failed)

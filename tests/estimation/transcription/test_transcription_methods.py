@@ -398,6 +398,6 @@ def test_segments_of_several_records_keep_their_own_initial_states(duffing):
     found = lifted(p, (100, 40)).solve()
     assert found.status.success
     assert [len(places) - 1 for places in found.segmented.cuts] == [5, 7]  # 20 rows of 40 stay a segment
-    assert len(found.states) == 12
+    assert len(found.segmented.starts_record) == 12
     np.testing.assert_allclose(found.variables.initial.guess, [[0.3, 0.0], [-0.2, 1.0]], atol=1e-6)
     assert p.shooting(found.variables).evaluate(found.variables.here).cost < 1e-6
