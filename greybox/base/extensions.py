@@ -66,7 +66,15 @@ def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
     for entry in _sorted_entries(kind):
         taken = next((e for e in result if e.name == entry.name and not e.failure), None)
         reason = f"{taken.distribution} has the name {entry.name!r} already" if taken else ""
-        result.append(_load(kind, entry, reason))
+        of = _distribution(entry), entry.dist.version if entry.dist else ""
+        entered = Extension(kind, entry.name, entry.value, *of, failure=reason)
+        try:
+            entered = entered if reason else replace(entered, value=entry.load())
+        except Exception as error:  # a stranger's module may raise anything while it is imported
+            if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
+                raise
+            entered = replace(entered, failure=f"{type(error).__name__}: {error}")
+        result.append(entered)
     return tuple(result)
 
 
@@ -104,21 +112,6 @@ _entries = cache(entry_points)  # reads the metadata of every installed distribu
 def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
     """Own entries first, so that nobody's package takes the place of what is shipped."""
     return sorted(_entries().select(group=f"greybox.{kind}"), key=lambda entry: _distribution(entry) != OWN)
-
-
-def _load(kind: ExtensionKind, entry: EntryPoint, reason: str) -> Extension:
-    entered = Extension(
-        kind, entry.name, entry.value, _distribution(entry), entry.dist.version if entry.dist else "", failure=reason
-    )
-    if reason:
-        return entered
-    try:
-        value = entry.load()
-    except Exception as error:  # a stranger's module may raise anything while it is imported
-        if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
-            raise
-        return replace(entered, failure=f"{type(error).__name__}: {error}")
-    return replace(entered, value=value)
 
 
 def _distribution(entry: EntryPoint) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
@@ -210,14 +210,20 @@ class PredictionErrorObjective:
         gradient[:n] += slope
         hessian[np.arange(n), np.arange(n)] += curvature
         for e, innovations in enumerate(self.slopes(z)):
-            sums = None if innovations is None else _sum_innovations(innovations)
-            if innovations is None or sums is None:
+            if innovations is None:
                 return Evaluation.failure(v.size, ny, (e, 0))
-            columns = v.columns(e)
-            gradient[columns] += sums.gradient
             # First states of other experiments have no part in it.
-            hessian[np.ix_(columns, columns)] += sums.hessian
-            cost += sums.cost
+            columns, mean, louder = v.columns(e), innovations.mean_slopes, innovations.dlog_variance
+            block = np.ix_(columns, columns)
+            with np.errstate(over="ignore", invalid="ignore"):
+                added = float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI))
+                gradient[columns] += 2 * innovations.e @ innovations.de + louder.sum(axis=0)
+                # 2 J'J + L'L: twice the expected information, as the cost is -2 log L.
+                hessian[block] += 2 * mean.T @ mean + louder.T @ louder
+            # Squares may overflow although the numbers themselves do not.
+            if not (np.isfinite(added) and np.isfinite(gradient[columns]).all() and np.isfinite(hessian[block]).all()):
+                return Evaluation.failure(v.size, ny, (e, 0))
+            cost += added
             squares += np.bincount(innovations.outputs, innovations.e**2, ny)
             counts += np.bincount(innovations.outputs, minlength=ny)
         return Evaluation(cost, gradient, hessian, squares, counts)
@@ -270,28 +276,6 @@ class PredictionErrorObjective:
             y, _ = BatchFilter(self.kalman, record, self.start(e)[0]).outputs(x, np.arange(len(x)))
             runs.append((y, x))
         return tuple(runs)
-
-
-class _LikelihoodSums(NamedTuple):
-    """What one record adds to the cost, its gradient (L,) and its expected Hessian (L, L)."""
-
-    cost: float
-    gradient: np.ndarray
-    hessian: np.ndarray
-
-
-def _sum_innovations(innovations: InnovationSensitivities) -> _LikelihoodSums | None:
-    """None where squares overflow although the numbers themselves do not."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        mean = innovations.mean_slopes
-        sums = _LikelihoodSums(
-            float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI)),
-            2 * innovations.e @ innovations.de + innovations.dlog_variance.sum(axis=0),
-            # 2 J'J + L'L: twice the expected information, as the cost is -2 log L.
-            2 * mean.T @ mean + innovations.dlog_variance.T @ innovations.dlog_variance,
-        )
-    is_finite = np.isfinite(sums.cost) and np.isfinite(sums.gradient).all() and np.isfinite(sums.hessian).all()
-    return sums if is_finite else None
 
 
 ObjectiveT = TypeVar("ObjectiveT", bound=Objective)

@@ -167,10 +167,18 @@ def draw_constants(
     parameters = model.all_parameters
     for _ in range(tries):
         draw = generator.uniform(-1.0, 1.0, len(parameters))
-        p = [
-            q.value if q.fixed else _draw_value(q.value, q.bounds, spread * r)
-            for q, r in zip(parameters, draw, strict=True)
-        ]
+        p = [q.value for q in parameters]
+        for k, q in enumerate(parameters):
+            (low, high), exponent = q.bounds, spread * draw[k]
+            if q.fixed:
+                continue
+            drawn = q.value * math.exp(exponent)
+            if (
+                q.value == 0.0
+            ):  # off: a hundredth of its range, so that a slope along it shows, on the side where it may be
+                span = high - low if math.isfinite(high - low) else 1.0
+                drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
+            p[k] = min(max(drawn, low), high)
         try:
             check_constants(model.title, model.rules, model.parameters_at(p))
         except ModelError:
@@ -178,17 +186,6 @@ def draw_constants(
             continue
         return np.array(p)
     return np.array([q.value for q in parameters])
-
-
-def _draw_value(value: float, bounds: tuple[float, float], exponent: float) -> float:
-    low, high = bounds
-    if value == 0.0:  # off: a little of it, on the side where it may be
-        span = high - low if math.isfinite(high - low) else 1.0
-        # A hundredth of the range: enough that a slope along the constant shows.
-        drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
-    else:
-        drawn = value * math.exp(exponent)
-    return min(max(drawn, low), high)
 
 
 @dataclass(frozen=True, eq=False)

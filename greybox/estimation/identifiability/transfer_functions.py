@@ -50,7 +50,14 @@ def compute_transfer_function_sensitivity(
 ) -> Sensitivity:
     """Slopes at the parameters ``p`` (np,), along those numbered ``which`` in steps of ``slopes``; ``at_rest``: known x0."""
     nominal, along = _matrices(system, p, which, slopes)
-    s = _draw_frequencies(nominal.a, len(which), generator)
+    # Random points from below the slowest pole to above the fastest. Of the right half-plane: R of a stable model has no pole there, and a
+    # random point misses those of an unstable one.
+    poles = np.abs(np.linalg.eigvals(nominal.a))
+    poles = poles[poles > INTEGRATING_POLE * max(poles.max(initial=0.0), TINY)]
+    low, high = (poles.min(), poles.max()) if len(poles) else (1.0, 1.0)
+    reach, count = np.log(10.0) * POLE_DECADES, 40 + 8 * (len(which) + 2 * len(nominal.a))
+    radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
+    s = radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
     forced = _responses(s, nominal, along, nominal.b, along.b, nominal.d, along.d)
     blocks: dict[str, Rows] = {name: ([], []) for name in system.output_names}
     nx, nu = len(nominal.a), system.u.numel()
@@ -125,18 +132,6 @@ def _add(rows: Rows, value: np.ndarray, constants: np.ndarray, states: np.ndarra
         kept += [relative.real, relative.imag]
 
 
-def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Generator) -> np.ndarray:
-    """Random points of the right half-plane, from below the slowest pole to above the fastest."""
-    size = np.abs(np.linalg.eigvals(a))
-    size = size[size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)]
-    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
-    count = 40 + 8 * (constants + 2 * len(a))
-    reach = np.log(10.0) * POLE_DECADES
-    radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
-    # Right half-plane: R of a stable model has no pole there, and a random point misses those of an unstable one.
-    return radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
-
-
 def _matrices(system: System, p: np.ndarray, which: np.ndarray, slopes: np.ndarray) -> tuple[_Matrices, _Matrices]:
     """Balanced matrices with the constant terms as one more input, and their slopes along the constants."""
     nx, nu, ny = system.x.numel(), system.u.numel(), len(system.output_names)
@@ -201,7 +196,15 @@ def transfer_function_coefficients(system: System) -> list[Polynomial]:
         ca.jacobian(system.outputs, system.u),
     ]
     try:
-        a, b, c, d = (_matrix(part, system.p) for part in parts)
+        matrices: list[list[list[Polynomial]]] = []
+        for part in parts:
+            rows, columns = part.shape
+            if not rows * columns:
+                matrices.append([[] for _ in range(rows)])
+                continue
+            flat = _read(ca.Function("entries", [system.p], [ca.densify(ca.vec(part))]), system.p.numel())
+            matrices.append([[flat[i + rows * j] for j in range(columns)] for i in range(rows)])
+        a, b, c, d = matrices
         characteristic, adjugates = _leverrier(a, system.p.numel())
         result = [*characteristic]
         for m in adjugates:
@@ -320,15 +323,6 @@ def _drop_zeros(poly: Polynomial, max_terms: int = MAX_TERMS) -> Polynomial:
 
 def _constant(poly: Polynomial) -> bool:
     return not any(any(e) for e in poly)
-
-
-def _matrix(part: ca.SX, p: ca.SX) -> list[list[Polynomial]]:
-    """A matrix of expressions in ``p``, each as a polynomial."""
-    rows, columns = part.shape
-    if not rows * columns:
-        return [[] for _ in range(rows)]
-    flat = _read(ca.Function("entries", [p], [ca.densify(ca.vec(part))]), p.numel())
-    return [[flat[i + rows * j] for j in range(columns)] for i in range(rows)]
 
 
 def _read(f: ca.Function, width: int) -> list[Polynomial]:
