@@ -81,6 +81,7 @@ class ScaledDecomposition:
     @property
     def gap(self) -> float:
         """The last value that counts over the first that does not."""
+        # A wide gap says that the rank does not hang on the tolerance.
         last = self.values[self.rank - 1] if self.rank else 1.0
         following = self.values[self.rank] if self.rank < len(self.values) else 0.0
         return float(last / max(following, np.finfo(float).eps))
@@ -125,12 +126,14 @@ class SymmetricDecomposition(ScaledDecomposition):
     @cached_property
     def pseudo_inverse(self) -> np.ndarray:
         """Inverse (n, n) along the directions that count, zero along the others."""
+        # A = D V L V' D: the pseudo-inverse is D^-1 V L^-1 V' D^-1, as a product of one matrix with itself symmetric to the last digit.
         half = self.strong / np.sqrt(self.values[: self.rank]) / self.scale[:, None]
         return np.asarray(half @ half.T)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """``pseudo_inverse @ right`` without squaring the scale."""
         scaled = (right.T / self.scale).T
+        # D^-1 V L^-1 V' D^-1 b, from the right.
         along = self.strong.T @ scaled
         return np.asarray(((self.strong @ (along.T / self.values[: self.rank]).T).T / self.scale).T)
 
@@ -164,6 +167,7 @@ def decompose_symmetric(matrix: np.ndarray, tolerance: RankTolerance = INFORMATI
     diagonal = np.diag(matrix)
     informed = diagonal > TINY
     scale = np.sqrt(np.where(informed, diagonal, 1.0))
+    # A unit diagonal: then the size of an eigenvalue does not depend on the units of the unknowns.
     scaled = np.where(informed[:, None] & informed, matrix / scale / scale[:, None], 0.0)
     values, vectors = np.linalg.eigh(scaled)
     values, vectors = values[::-1], vectors[:, ::-1]
@@ -198,6 +202,7 @@ def eliminate(information: np.ndarray, kept: np.ndarray, others: np.ndarray) -> 
     result = np.zeros((len(kept), len(information)))
     result[np.arange(len(kept)), kept] = 1.0
     if len(others):
+        # -B C^+, with C the block of the others and B that between them.
         result[:, others] = -information[np.ix_(kept, others)] @ pseudo_inverse(information[np.ix_(others, others)])
     return result
 

@@ -123,6 +123,7 @@ def _product(tokens: list[str]) -> tuple[float, Powers]:
         if tokens[-1] in ("*", "/"):
             sign = -1.0 if tokens.pop() == "/" else 1.0
         more, others = _power(tokens)
+        # Left to right: a/b*c is (a/b) c.
         factor *= more**sign
         for symbol, exponent in others.items():
             powers[symbol] = round(powers.get(symbol, 0.0) + sign * exponent, 9)
@@ -425,5 +426,6 @@ def _words(dimensions: Dimensions) -> Powers:
     best = dict(dimensions)
     for symbol, exponent in product(DERIVED, (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)):
         powers = {symbol: exponent} | dict(add_exponents(dimensions, KNOWN[symbol].dimensions, -exponent))
+        # Fewer and plainer powers read better: a derived unit takes several base units with it.
         best = min(best, powers, key=length)
     return best

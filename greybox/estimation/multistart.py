@@ -57,6 +57,7 @@ class StartJournal:
     def add(self, key: str, result: JobResult) -> None:
         """Keep one more, on the disk when this returns. Raises OutputError."""
         values, ratio, status = result.value
+        # JSON has no infinity: null is a start without a run.
         number = ratio if abs(ratio) < float("inf") else None
         add_entry(
             self.path, {"key": key, "values": values, "ratio": number, "status": status, "seconds": result.seconds}
@@ -303,4 +304,5 @@ def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, floa
         return {}, np.inf, status
     values = dict(zip(model.values, solution.variables.fixed, strict=True))
     free = {q.name: float(values[q.name]) for q in model.free_parameters}
+    # Misfit over noise: chi-square over its residuals, and its root.
     return free, float(np.sqrt(evaluation.cost / max(evaluation.count, 1))), status

@@ -61,6 +61,7 @@ def finish_by_simulation_error(solution: Solution, options: FitOptions, report: 
     problem = solution.at_optimum
     if problem.is_plain_squares or not solution.status.success:
         return solution
+    # Whether a free run from the optimum follows the joined one: then it can go on with the cost as asked for.
     cost = problem.with_plain_squares().shooting().evaluate(problem.variables.here).cost
     if cost <= COST_RATIO * solution.evaluation.cost + PERFECT_NOISE_RATIO**2 * solution.evaluation.count:
         finished = solve_single_shooting(problem, replace(options, progressive=False), report).with_work_of(solution)
@@ -127,6 +128,7 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     if problem.noise.common:  # of all of them together
         shared = np.isin(np.arange(len(untold)), problem.noise.sharing)
         counts, squares = (np.where(shared, each[shared].sum(), each) for each in (counts, squares))
+    # Unbiased: the unknowns have taken their share of the residual, N / (N - p) gives it back.
     size = np.sqrt(squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
     if is_settled(ratio):
@@ -144,6 +146,7 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
     loss, before = options.to_loss(), solution.problem.loss
     if loss is None:
         return None
+    # Of the bulk, which outliers do not enlarge: 1.48 times the median size.
     scale = estimate_bulk_scale(solution)
     if before is None and loss.kind != LossKind.HUBER:
         loss = replace(loss, kind=LossKind.HUBER, threshold=options.policy.huber_threshold)

@@ -86,6 +86,7 @@ def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float
     del error  # a long record is in memory a few times only
     measured = [_select_measured(t.measured[output], t.measured[output], skip) for t in seen]
     spread = float(np.linalg.norm(_join([values - values.mean() if len(values) else values for values in measured])))
+    # NRMSE fit: 100 (1 - |y - yhat| / |y - mean(y)|), each record about its mean.
     best_fit = 100 * (1 - size / spread) if spread > 0 else np.nan
     return Misfit(rmse, unit, best_fit, rmse / noise, samples)
 
@@ -215,6 +216,7 @@ class Optimum(ABC):
         if not (np.isfinite(finer.cost) and np.isfinite(self.evaluation.cost)):
             return np.full(variables.size, np.nan)
         bounds = variables.bounds()
+        # The steps to the optimum at half the step and at the whole one: their difference is that of the optima.
         return finer.bounded_step(*bounds) - self.evaluation.bounded_step(*bounds)
 
     @cached_property

@@ -59,15 +59,18 @@ class RobustLoss:
         """For residuals (N, ny): cost ``rho``, half its slope ``psi``, weight ``psi / r`` and half its curvature; NaN stays NaN."""
         t, k = r / self.scale, self.threshold
         if self.kind == LossKind.HUBER:
+            # t^2 up to k, a straight line of the same slope beyond; written so that NaN counts as inside and stays.
             inside = ~(np.abs(t) > k)
             size = np.where(inside, 1.0, np.abs(t))
             rho = np.where(inside, t**2, 2 * k * size - k**2)
             weight = np.where(inside, 1.0, k / size)
             curvature = np.where(inside, 1.0, 0.0)
         else:
+            # rho = (k + 1) ln(1 + t^2 / k), half its slope over t, and half its second derivative.
             rho = (k + 1) * np.log1p(t**2 / k)
             weight = (k + 1) / (k + t**2)
             curvature = (k + 1) * (k - t**2) / (k + t**2) ** 2
+        # cost = s^2 rho(r / s), so that psi = W r and the curvature is free of s.
         return self.scale**2 * rho, weight * r, weight, curvature
 
     def mean_curvature(self, r: np.ndarray) -> np.ndarray:
@@ -79,6 +82,7 @@ class RobustLoss:
     def least(self) -> np.ndarray:
         """Mean of ``psi^2`` over that of the curvature (ny,) for normal noise of variance one: 1 for least squares, less otherwise."""
         t = np.linspace(-NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_POINTS)
+        # E[psi^2] / E[psi']: the integrals over the normal density as sums, whose common step cancels.
         w = np.exp(-(t**2) / 2)
         _, psi, _, curvature = self.terms(np.repeat(t[:, None], len(self.scale), axis=1))
         return (w @ psi**2) / (w @ curvature)

@@ -100,10 +100,12 @@ def find_parameter_shifts(
         for parts in (experiments if len(rows) > 1 else [], halves, _split_by_motion(outputs, colour))
     ]
     comparisons = max(sum(len(inside) * len(g) * (len(g) - 1) // 2 for g in groups), 1)
+    # Bonferroni: the rate of false alarms is shared by all comparisons, on two sides.
     threshold = max(CONSTANCY_LEAST_DEVIATIONS, float(-ndtri(CONSTANCY_FALSE_ALARM_RATE / comparisons / 2)))
     farthest: dict[int, ParameterShift] = {}
     for (one, step_a, variance_a), (other, step_b, variance_b) in (pair for g in groups for pair in combinations(g, 2)):
         with np.errstate(divide="ignore", invalid="ignore"):
+            # The parts are independent: their variances add up.
             deviations = np.abs(step_b - step_a) / np.sqrt(variance_a + variance_b)
         for k in map(int, np.flatnonzero(deviations > threshold)):
             if k not in farthest or deviations[k] > farthest[k].deviations:
@@ -171,6 +173,7 @@ def _split_by_motion(outputs: Sequence[np.ndarray], colour: ResidualColour) -> l
             block = slice(first, first + ROWS_AT_A_TIME)
             squares[block] = np.square((used[block] - mean[moving]) / spread[moving]).mean(axis=1)
         squares = compute_running_mean(squares, max(width, 1))
+        # Root mean square of the motion around each row.
         size[e] = np.sqrt(squares, out=squares)
     ordered = np.concatenate(list(size.values()))
     ordered.sort()
@@ -210,6 +213,7 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel) -> Resid
     squares = np.concatenate([np.square(r) for r, _ in rows])
     counts = np.isfinite(squares).sum(axis=0)
     squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
+    # Misfit over the noise that the rows are weighed with.
     ratio = np.sqrt(squares.sum(axis=0) / np.maximum(counts, 1))
     del squares
     models, variance = list(colour.models), [max(v, CONSTANCY_LEAST_NOISE_RATIO**2) for v in colour.variance]
@@ -257,6 +261,7 @@ def _step_to_optimum(
     sums = sum_scores(layout, list(data.values()), colour, list(data))
     decomposition = decompose_symmetric(sums.information).without_doubtful()
     inverse = decomposition.pseudo_inverse
+    # A^-1 B A^-1, B the covariance of the score under the noise.
     variance = np.diag(inverse @ sums.coloured @ inverse)
     return (-inverse @ sums.score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
 

@@ -241,6 +241,7 @@ def estimate_by_prediction_error(
     ]
     whole = np.concatenate(changes)
     with np.errstate(invalid="ignore", over="ignore"):
+        # Root mean square of dx / sqrt(h).
         moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
     sizes = compute_largest_intensities(model, moved)
     starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]

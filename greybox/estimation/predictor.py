@@ -462,6 +462,7 @@ def smooth(
     pn, x0 = cost.start(0)
     smoothed = smooth_states(cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost))
     record, names = cost.records[0], given.model.system.state_names
+    # Differences of covariances may leave a variance below zero by rounding.
     spread = np.sqrt(np.maximum(np.diagonal(smoothed.covariance, axis1=1, axis2=2), 0.0))
     before = np.sqrt(np.maximum(np.diagonal(smoothed.filtered_covariance, axis1=1, axis2=2), 0.0))
 
@@ -499,6 +500,7 @@ def _make_prior_covariance(cost: PredictionErrorObjective) -> np.ndarray | None:
         return None
     n = len(v.which)
     block = slice(n, n + len(free))
+    # Half the Hessian of -2 log L is the information of the record on its first states.
     information = cost.evaluate(v.here).hessian[block, block] / 2
     scale = np.sqrt(
         np.maximum(np.diag(information), UNSEEN_INFORMATION * max(np.diag(information).max(initial=0.0), TINY))

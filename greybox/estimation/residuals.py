@@ -72,6 +72,7 @@ def input_independence_test(
         measured = np.isfinite(r)
         u = np.where(measured[:, None], u, 0.0)
         c += u.T @ np.where(measured, r, 0.0)
+        # P = sum U'R U with R_ij = s^2 rho(i - j).
         p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
     spread = decompose_symmetric(p, LAGGED_SIGNALS)
     if not spread.rank:
@@ -87,6 +88,7 @@ def normality_test(series: np.ndarray) -> tuple[float, float]:
         return 0.0, 1.0
     z = (usable - usable.mean()) / usable.std()
     skewness, kurtosis = float((z**3).mean()), float((z**4).mean())
+    # N / 6 (S^2 + (K - 3)^2 / 4).
     statistic = len(z) / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4)
     return statistic, float(chdtrc(2, statistic))
 
@@ -108,6 +110,7 @@ def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
 def _analyse_variance(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
     """The F statistic of equal means, and its tail probability. `scipy.stats` has it too and takes half a second to import."""
     values = np.concatenate(list(blocks))
+    # F = between / within, each over its degrees of freedom: k - 1 and N - k.
     between = sum(len(b) * (b.mean() - values.mean()) ** 2 for b in blocks) / (len(blocks) - 1)
     within = sum(((b - b.mean()) ** 2).sum() for b in blocks) / (len(values) - len(blocks))
     if within == 0:
@@ -505,5 +508,6 @@ def _compute_rms(pairs: Sequence[tuple[np.ndarray, np.ndarray]], skip: int) -> f
         square = np.mean(error**2)
     if np.isfinite(square):
         return float(np.sqrt(square))
+    # Squares overflow although the errors do not: they are scaled by the largest.
     largest = float(np.abs(error).max())
     return largest * float(np.sqrt(np.mean((error / largest) ** 2)))

@@ -76,6 +76,7 @@ def _count_samples(record: Record) -> int:
 
 def _cut_to_first_rows(problem: EstimationProblem, rows: Sequence[int]) -> EstimationProblem:
     """The same problem on so many first rows of each record, as many as there are unknown states at least."""
+    # Two rows for each unknown at least.
     least = 2 * len(problem.model.system.state_names)
     records = tuple(
         r.first((min(max(n, least), _count_samples(r)) - 1) * r.rows_per_sample + 1)
@@ -138,6 +139,7 @@ def validate(
         arc_length=0.0,
         hessian=Hessian.GAUSS_NEWTON,
     )
+    # Only the initial states are left to estimate.
     frozen = model.fix(*model.values)
     problem = prepare_problem(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)

@@ -185,6 +185,7 @@ def analyse_problem(
     information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
+    # Standard deviation along each eigenvector of the information, in relative changes of the constants.
     stds = 1 / np.sqrt(np.maximum(values, TINY))
     widest = MAX_RELATIVE_INTERVAL
     # Over the noise of single samples, and after averaging over all of them.
@@ -229,6 +230,7 @@ def _estimate_precision(
         if not np.isfinite(variance[k]):
             constants[name] = ExpectedPrecision(value, unit, None, False)
             continue
+        # From z to the unit of the constant.
         std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
         determined = INTERVAL_STDS * share <= MAX_RELATIVE_INTERVAL
@@ -272,6 +274,7 @@ def _choose_combinations(
     candidates = []
     for candidate in sorted(formulas, key=simplicity_key):
         slope = candidate.slope(p, which)
+        # Delta method: d log f = slope' d log p.
         variance = float(slope @ covariance @ slope)
         if 0 <= variance < np.inf:  # rounding can make it negative where the information is next to singular
             candidates.append((candidate.text, slope, float(np.sqrt(variance))))

@@ -128,6 +128,7 @@ def _add(rows: Rows, value: np.ndarray, constants: np.ndarray, states: np.ndarra
     """Relative slopes, real and imaginary, where there is a response."""
     kept_rows = np.abs(value) > CANCELLED_RESPONSE * size
     for kept, matrix in zip(rows, (states, constants), strict=True):
+        # d log G = dG / G: what shows only at high frequency is as visible as the gain.
         relative = matrix[kept_rows] / value[kept_rows, None]
         kept += [relative.real, relative.imag]
 
@@ -154,6 +155,7 @@ def _matrices(system: System, p: np.ndarray, which: np.ndarray, slopes: np.ndarr
 def make_matrix_function(system: System) -> ca.Function:
     """``p -> A, [B c], C, [D d], delays, start`` flattened, and the slopes of each along ``p``."""
     nx, nu = system.x.numel(), system.u.numel()
+    # Constant terms: what is left of rates and outputs at x = 0, u = 0.
     zero = [
         ca.substitute(e, ca.vertcat(system.x, system.u), ca.SX.zeros(nx + nu)) for e in (system.rhs, system.outputs)
     ]
@@ -227,6 +229,7 @@ def logarithmic_gradient(poly: Polynomial, p: np.ndarray) -> np.ndarray:
     """``d log |poly| / d log p`` (np,) at the parameters ``p``; not finite where a divisor or the whole is zero."""
     powers = np.array(list(poly), float)
     with np.errstate(all="ignore"):
+        # d log sum(t_i) / d log p = sum t_i e_i / sum t_i, e_i the exponents of the term t_i.
         terms = np.array([float(f) for f in poly.values()]) * np.prod(p**powers, axis=1)
         return np.asarray(terms @ powers / terms.sum())
 

@@ -77,6 +77,7 @@ class ParameterDistribution:
     def complete(self, values: np.ndarray) -> np.ndarray:
         """All parameters (np,) with these values (k,), held within their bounds."""
         p = self.p.copy()
+        # Where no draw lay within the bounds the last one is put on them.
         p[self.indices] = np.clip(values, self.low, self.high)
         return p
 
@@ -245,6 +246,7 @@ class ModelFamily(Printable):
         from scipy.optimize import minimize  # slow to import, and a model alone does not need it
 
         distribution, starts = self.distribution, WORST_CASE_STARTS
+        # z'z of n standard normal numbers is chi-square.
         radius = float(np.sqrt(chdtri(distribution.dimensions, 1 - level)))
         generator = np.random.default_rng(self.seed)
 

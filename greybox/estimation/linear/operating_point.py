@@ -125,6 +125,7 @@ class ModelFunctions:
 
     def balance_residuals(self, z: np.ndarray, p: np.ndarray) -> list[BalanceResidual]:
         """What is left of each balance at ``z``; dry friction at standstill takes up to its static level."""
+        # Friction acts against the motion; at standstill it takes up what is left of the balance.
         direction = self.direction(z)
         rates = self.rates(z, p, direction)
         amounts, storages = (v.full().ravel() for v in self._amounts(z, p))
@@ -382,6 +383,7 @@ def _run_newton(
         scale = 1 / np.where(row_sums > 0, row_sums, 1.0)
         # A direction in which nothing changes is left as it is: a piston may rest anywhere.
         linear = decompose_columns(scale[:, None] * jacobian, scale=np.ones(jacobian.shape[1]))
+        # The least-norm step J^+ r in units of the typical sizes.
         step = -linear.solve(scale * residual) * sizes
         before, share = np.linalg.norm(scale * residual), 1.0
         for _ in range(OPERATING_POINT_HALVINGS):

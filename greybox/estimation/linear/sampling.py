@@ -100,6 +100,7 @@ def sample(
         names += [f"{model.input_names[j]}_{i + 1}" for i in range(length)]
         units += [model.input_units[j]] * length
         row += length
+    # Past inputs at the operating point are what the input is there.
     held = np.concatenate([np.repeat(model.u0[j], length) for j, length in enumerate(lengths)] or [np.empty(0)])
     return replace(
         model,
@@ -185,6 +186,7 @@ def _check_sampling_time(model: Linearisation, dt: float, method: str) -> list[F
     oscillating = poles[(np.abs(poles.imag) > 0) & (-poles.real < RINGING_DAMPING * np.abs(poles))]
     if len(oscillating):
         fastest = float(np.abs(oscillating.imag).max())
+        # Samples in one period of the fastest oscillation.
         samples = 2 * np.pi / (fastest * dt)
         if samples < SAMPLES_PER_PERIOD:
             values = {

@@ -50,6 +50,7 @@ class TransferChannel:
         rest = 1.0 if self.dt else 0.0
         steps = self.dt**self.integrators if self.dt else 1.0
         others = self.poles[~is_at_rest(self.poles, self.dt)]
+        # k prod(rest - zeros) / prod(rest - poles) at rest, integrators left out.
         return float(np.real(self.factor * np.prod(rest - self.zeros) / np.prod(rest - others)) / steps)
 
     @property
@@ -206,6 +207,7 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
     size = max(float(np.linalg.norm(s.a, 2)), TINY)
     rows, row, factor = [s.c], s.c, 0.0
     for degree in range(1, n + 1):
+        # c A^(r-1) b: the first that is not zero is the factor, r the relative degree.
         markov = float((row @ s.b)[0, 0])
         if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
             directions = np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows])

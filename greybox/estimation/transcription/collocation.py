@@ -107,6 +107,7 @@ class _CollocationSearch:
                 self.shift = (after.base - before.base) / after.spans
             if not self.is_over:
                 self.at, self.elements = finer, 2 * self.elements
+                # Halving again changes 2^order times less: that is what is left.
                 self.error, self.shift = self.error / 2.0**_ORDER, self.shift / 2.0**_ORDER
         work, self.work = self.work, []
         outcome, problem = self.at.outcome, self.at.problem
@@ -273,6 +274,7 @@ class Collocation:
         if not self.exact:
             slopes = ca.jacobian(r, w)
             by, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+            # 2 J'J of sum r^2: the equations and the residuals count as straight.
             gauss_newton = ca.triu(2 * by / scale * (slopes.T @ slopes))
             curvature = ca.Function("nlp_hess_l", [w, ca.MX(0, 1), by, lam], [gauss_newton])
         nlp = {"x": w, "f": cost / scale, "g": g}
@@ -290,6 +292,7 @@ class Collocation:
         residual = values[0].full().ravel()
         along, equations = (m.sparse()[:, :n].tocsc() for m in values[1:])
         states, constraints = (m.sparse()[:, n:].tocsc() for m in values[1:])
+        # dr/dz = r_z + r_x dx/dz, every state at its best for the constants.
         slopes = along.toarray() + states @ compute_state_slopes(along, states, equations, constraints)
         rows, first = [], 0
         squares, counts = np.zeros(ny), np.zeros(ny, int)
@@ -376,6 +379,7 @@ class Collocation:
         x, v_u, v_p = ca.SX.sym("x", self.nx), ca.SX.sym("u", system.u.numel()), ca.SX.sym("p", system.p.numel())
         outputs = ca.Function("y", [x, v_u, v_p], [system.output_function(x * self.scale, v_u, v_p) * self.weight])
         model = ca.vec(outputs.map(count + 1)(nodes, u, ca.repmat(p, 1, count + 1)))
+        # Residuals (y - yhat) / s of the rows that were measured.
         measured = (record.y * self.weight).ravel()
         is_measured = np.flatnonzero(np.isfinite(measured))
         return measured[is_measured] - model[is_measured.tolist()], constraints
@@ -393,8 +397,10 @@ class Collocation:
         for k in range(m):
             x_points = ca.reshape(points[k * nx * d : (k + 1) * nx * d], nx, d)
             x_element = ca.horzcat(x_start, x_points)
+            # h dx/dt at the points is the derivative of the polynomial through them: sum_r C_rj x_r.
             rates = x_element @ slope
             for j in range(d):
+                # A straight line for a first-order hold, constant otherwise (ua = ub).
                 u = ua + (ub - ua) * ((k + tau[j]) / m)
                 equations.append(rates[:, j] - h / m * rhs(x_points[:, j] * self.scale, u, p) / self.scale)
             x_start = x_points[:, -1] if self.scheme == "radau" else x_element @ end

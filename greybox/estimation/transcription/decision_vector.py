@@ -324,16 +324,19 @@ class DecisionVector:
         """Bounds on ``z``; initial states have their state's physical bounds."""
         span = np.where(self.logarithmic, 1.0, self.scale)
         with np.errstate(divide="ignore", invalid="ignore"):
+            # z = ln(bound / base), or (bound - base) / scale.
             low = np.where(self.logarithmic, np.log(self.low / self.base), (self.low - self.base) / span)
             high = np.where(self.logarithmic, np.log(self.high / self.base), (self.high - self.base) / span)
         states = self.model.all_states
         for e in range(self.experiments):
             edges = np.array([states[j].bounds for j in self.free_states]).reshape(-1, 2)
+            # States are in z as well: (bound - guess) / scale.
             guess, scale = self.initial.guess[e, self.free_states], self.initial.scale[self.free_states]
             low = np.concatenate([low, (edges[:, 0] - guess) / scale])
             high = np.concatenate([high, (edges[:, 1] - guess) / scale])
         if self.noise is None:
             return low, high
+        # A level starts within its bounds, whatever the estimate of it says.
         floor = np.minimum(np.log(self.noise.least / self.noise.level)[self.estimated_noise], 0.0)
         return np.concatenate([low, floor]), np.concatenate([high, np.full(len(floor), self.noise.greatest)])
 
@@ -341,8 +344,10 @@ class DecisionVector:
         """The free constants (nf,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
         step = z[self.slices.parameters]
         with np.errstate(over="ignore", invalid="ignore"):
+            # p = base e^z stays positive; p = base + scale z may change its sign.
             grown = self.base * np.exp(np.where(self.logarithmic, step, 0.0))
             free = np.where(self.logarithmic, grown, self.base + self.scale * step)
+            # exp(ln(bound)) misses the bound by rounding: whoever stands there must see it.
             near = ROUNDED_BOUND * np.abs(free)
             below, above = free - self.low <= near, self.high - free <= near
         return np.where(below, self.low, np.where(above, self.high, free)) if below.any() or above.any() else free
@@ -368,6 +373,7 @@ class DecisionVector:
 
     def slopes(self, p: np.ndarray, experiment: int) -> np.ndarray:
         """d p / d z of the free constants (nf,) at the parameters ``p`` of an experiment; zero for what belongs to another one."""
+        # dp/dz = base e^z = p, or scale.
         return np.where(self.is_foreign(experiment), 0.0, np.where(self.logarithmic, p[self.which], self.scale))
 
     @property
@@ -388,6 +394,7 @@ class DecisionVector:
     def penalty(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """What the priors add to the cost at ``z``, its slope (nf,) and its curvature (nf,): one more squared residual each."""
         free = self.constants(z)
+        # ((p - mean) / std)^2 with its slope along z; of the curvature the Gauss-Newton part.
         deviation = (free - self.prior[:, 0]) / self.prior[:, 1]
         slope = np.where(self.logarithmic, free, self.scale) / self.prior[:, 1]
         return float(deviation @ deviation), 2 * deviation * slope, 2 * slope**2
@@ -413,6 +420,7 @@ class DecisionVector:
         dx0 = np.zeros((len(x0), n + len(free) + len(self.estimated_noise)))
         if slope is not None:
             dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+        # An estimated state is guess + scale z; the declared one and its slope give way.
         scaled_states = self.split(z).initial_states[experiment]
         x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
         dx0[free, :n] = 0.0
@@ -423,6 +431,7 @@ class DecisionVector:
         """Standard deviation of each output's noise (ny,) at ``z``, where it is among the unknowns."""
         assert self.noise is not None  # only a likelihood asks for it
         level = self.noise.level.copy()
+        # sigma = level e^z: a level cannot change its sign.
         level[self.estimated_noise] *= np.exp(self.split(z).noise_levels)
         return level
 
@@ -438,11 +447,13 @@ class DecisionVector:
         ``curvature`` (size,) is the diagonal of the Gauss-Newton matrix at ``z = 0``. Entries without influence keep their scale.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
+            # cost = c z^2 for a step of sqrt(cost / c) in the old z: that is one in the new.
             factor = np.sqrt(cost / curvature)
         factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1.0)
         parts = self.split(factor)
         scale = np.where(self.logarithmic, self.scale, self.scale * parts.parameters)
         states = self.initial.scale.copy()
+        # One scale for a state in all experiments: the geometric mean of theirs.
         states[self.free_states] *= np.exp(np.log(parts.initial_states).mean(axis=0))
         return replace(self, scale=scale, initial=replace(self.initial, scale=states))
 
@@ -479,6 +490,7 @@ class DecisionVector:
     def active(self) -> np.ndarray:
         """Which free constants lie on a bound at ``z = 0`` (nf,)."""
         width = self.high - self.low
+        # A share of the range where there is one; of a logarithmic constant, whose range may be decades, of its value.
         reach = AT_BOUND * np.where(
             np.isfinite(width) & ~self.logarithmic, width, np.maximum(np.abs(self.base), self.scale)
         )
@@ -535,6 +547,7 @@ class ExperimentView:
         """
         p, dp = self.fixed.copy(), self.empty_slopes.copy()
         p[self.which] = free[self.constants]
+        # dp/dz, in the columns of this experiment alone.
         dp[self.constant_places] = np.where(self.logarithmic, p[self.which], self.scale)
         if self.start is None:
             x0, dx0 = self.variables.compute_initial_state(z, p, self.experiment)

@@ -82,6 +82,7 @@ class ProjectedShooting:
             point = shooting.at(np.concatenate([z, self.states.ravel()]), e)
             _, x = shooting.kernel.simulate(shooting.records[e], point.q, point.p, point.x0)
             if np.isfinite(x[-1]).all():
+                # The end of this segment as the start of the next, in its scaled unknowns.
                 carried = (x[-1] - v.initial.guess[e + 1])[v.free_states] / scale
                 first_states = np.where(hidden, carried, self.states[e + 1])
                 self.states[e + 1] = np.clip(first_states, self._low[e + 1], self._high[e + 1])
@@ -91,6 +92,7 @@ class ProjectedShooting:
         ny = len(self.shooting.weight)
         gradient, hessian = np.zeros(self.size), np.zeros((self.size, self.size))
         squares, counts = np.zeros(ny), np.zeros(ny, int)
+        # x0(z + dz) = x0(z) + dx0/dz dz: one or two steps from there are enough.
         predicted = self.states + self._state_slopes @ (z - self._constants)
         predicted = np.clip(np.where(np.isfinite(predicted), predicted, self.states), self._low, self._high)
         last_states, slopes = self.states.copy(), self._state_slopes.copy()
@@ -152,6 +154,7 @@ def project_states(matrix: np.ndarray, n: int, is_held: np.ndarray | bool = Fals
 
     Zero for states that are held, and along directions that the residuals do not show.
     """
+    # Directions that the residuals do not show, and states that are held, stay: the inverse is zero there.
     b, c = matrix[:n, n:], matrix[n:, n:]
     held = np.broadcast_to(is_held, len(c))
     inverse = decompose_symmetric(np.where(held[:, None] | held, 0.0, c)).without_doubtful().pseudo_inverse
@@ -228,6 +231,7 @@ def condense(records: Sequence[Sequence[LinearisedSegment]], n: int) -> Condense
     with np.errstate(over="ignore", invalid="ignore"):
         for k, s in enumerate(flat):
             jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
+            # r + R (o + S dz) + P dz, a least-squares problem in dz alone.
             residual, jacobian = s.residual + js @ offset[k], jz + js @ slope[k]
             cost += float(residual @ residual)
             gradient += 2 * jacobian.T @ residual
@@ -254,6 +258,7 @@ def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tup
             columns.append(b.ravel())
             entries.append(values.ravel())
 
+    # H = R'R, held back a little along directions that no sample shows: K would be singular there.
     curvatures = [s.jacobian[:, n:].T @ s.jacobian[:, n:] for s in segments]
     regularisation = FREE_STATE_CURVATURE * np.mean([np.diag(c) for c in curvatures], axis=0)
     regularisation = np.diag(
@@ -264,11 +269,13 @@ def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tup
     for k, s in enumerate(segments):
         node, next_node, joint = k * nx, (k + 1) * nx, states + k * nx
         put(curvatures[k] + regularisation, node, node)
+        # R'R ds = -R'r - R'P dz: one right-hand side for the step as it is, and one for each constant.
         right[node:next_node, 0] = -s.jacobian[:, n:].T @ s.residual
         right[node:next_node, 1:] = -s.jacobian[:, n:].T @ s.jacobian[:, :n]
         if k + 1 < count:  # it ends where the next one begins
             put(s.ends[:, n:], joint, node, mirrored=True)
             put(-np.eye(nx), joint, next_node, mirrored=True)
+            # A_k ds_k - ds_{k+1} = -d_k - B_k dz.
             right[joint : joint + nx, 0] = -s.defect
             right[joint : joint + nx, 1:] = -s.ends[:, :n]
     row = states + joints
@@ -276,6 +283,7 @@ def _build_system(segments: Sequence[LinearisedSegment], n: int, nx: int) -> tup
         if s.tie:
             which, distance, slope = s.tie
             put(np.eye(nx)[which], row, k * nx, mirrored=True)
+            # ds = distance + slope dz: it begins as declared.
             right[row : row + len(which), 0] = distance
             right[row : row + len(which), 1:] = slope
             row += len(which)
@@ -297,5 +305,6 @@ def compute_state_slopes(
     matrix = bmat(
         [[curvature + regularisation * diags(np.ones(len(diagonal))), constraints.T], [constraints, None]], format="csc"
     )
+    # Stationarity of the Lagrange function, and the equations, along each constant.
     right = -np.vstack([(states.T @ along).toarray(), equations.toarray()])
     return splu(matrix).solve(right)[: len(diagonal)]

@@ -170,6 +170,7 @@ class _SegmentSearch:
         if not problem.step.per_interval and len(shift):
             both = self.segmented, self.segmented.with_step_of(problem.halve_step())
             coarse, fine = (MultipleShooting(s, continuity=self.continuity).gauss_newton_step() for s in both)
+            # Both steps from the same point: what the search has left over does not count.
             shift = fine - coarse
         size = self.result.variables.size if self.continuity else self.segmented.pieces.variables.size
         return SegmentedRun(self.segmented.simulate(), self.result.rows, size, shift)
@@ -388,6 +389,7 @@ class MultipleShooting:
     def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
         """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
         z = linearised.z[: self.n]
+        # A factor of a hundred at most, in the logarithm of a positive constant.
         reach = np.where(self.variables.logarithmic, MAX_LOG_CHANGE, np.inf)
         low, high = (edge[: self.n] - z for edge in self.variables.bounds())
         step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
@@ -400,6 +402,7 @@ class MultipleShooting:
         states = v.initial.guess + scale * v.split(z).initial_states
         segments, squares, counts = [], np.zeros(ny), np.zeros(ny, int)
         for k, (r, j) in enumerate(self.with_ends.residuals(z)):
+            # The last row measures the states as zero: its residual is minus the end of the segment.
             end, ends = -r[-1, ny:], -j[-1, ny:]
             r, j = r[:, :ny], j[:, :ny]
             is_measured = np.isfinite(self.with_ends.records[k].samples(self.with_ends.records[k].y)[:, :ny])
@@ -407,6 +410,7 @@ class MultipleShooting:
                 return None
             squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
             counts += is_measured.sum(axis=0)
+            # d_k = x(end of segment k) - s_{k+1}, in scaled states.
             defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
             segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
         # The first states of records are held to what is declared.
@@ -447,6 +451,7 @@ class _LinearisedPoint:
 
     def improves_on(self, visited: Sequence[tuple[float, float]], margin: float) -> bool:
         """Whether the point is better than each visited one in its gaps or in its cost."""
+        # Fletcher and Leyffer's filter: better in one of the two than every point before it.
         slack = margin * min(self.violation, 1.0)
         return all(
             self.violation < (1 - margin) * gaps or self.cost < cost - slack * abs(cost) for gaps, cost in visited

@@ -59,6 +59,7 @@ class EstimationProblem:
         e = self.shooting(variables).evaluate(variables.here)
         if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
             return math.inf
+        # c + g'z + z'H z / 2 at its least within the bounds.
         return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
     def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
@@ -209,6 +210,7 @@ def guess_initial_states(
                 for e, record in enumerate(records):
                     first = record.y[:5, j]
                     if np.isfinite(first).any():
+                        # The first reading, where one of the first rows has any: one that is late is of another state.
                         guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
     scale = np.where(declared != 0, declared, 1.0)
     return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
@@ -424,6 +426,7 @@ class Solution:
             return True
         free = self.problem.shooting(self.variables).simulate(self.variables.here)
         pairs = zip(free, self.joined.runs, strict=True)
+        # Wherever it differs by more than a share of the noise, a free run would be another statement.
         away = np.concatenate([(a - b) / self.problem.noise.std for (a, _), (b, _) in pairs])
         return bool(np.all(np.abs(away) < FREE_RUN_NOISE_SHARE))
 

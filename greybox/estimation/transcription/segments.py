@@ -90,6 +90,7 @@ def choose_segment_rows(
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
     if growth > 0:
+        # exp(growth t) <= MAX_GROWTH.
         longest = min(longest, int(np.log(MAX_GROWTH) / (growth * period)))
     return max(SEGMENT_LEAST_ROWS, longest)
 
@@ -207,6 +208,7 @@ class SegmentedProblem:
                 guesses.append(guess)
             states = np.concatenate(guesses)
             spread = np.ptp(states, axis=0)
+            # A step of one in z is the range of the state along the records.
             scale = np.where(spread > 0, spread, v.initial.scale)
         else:
             scale = measure_state_ranges(states)
@@ -300,6 +302,7 @@ def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
     the noise over one segment.
     """
     v, start = projected.variables, np.zeros(projected.size)
+    # 1 / std^2 of the logarithm.
     precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
     reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
     low, high = projected.bounds()
@@ -307,6 +310,7 @@ def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
     def evaluate(z: np.ndarray) -> Evaluation:
         e = projected.evaluate(z)
         cost, hessian = e.cost + precision @ z**2, e.hessian + np.diag(2 * precision)
+        # cost + sum z^2 / std^2.
         return replace(e, cost=cost, gradient=e.gradient + 2 * precision * z, hessian=hessian)
 
     low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)

@@ -114,6 +114,7 @@ def propose_transcription(
     if stiff:
         return stiff
     eigenvalues = np.linalg.eigvals(jacobians).ravel()
+    # Modes that forget something over the record: the others integrate.
     decays = -eigenvalues.real[-eigenvalues.real * duration > FORGOTTEN_SHARE]
     slowest = 1 / decays.min() if len(decays) else 0.0
     if not (np.abs(eigenvalues) * duration <= FORGOTTEN_SHARE).any():
@@ -147,6 +148,7 @@ def estimate_error_growth(
     duration = record.duration
     if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
         return float(rates.mean())
+    # A mode that is unstable in some points only may decay over the record as a whole.
     return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
 
 
@@ -171,6 +173,7 @@ def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     """
     errors, logarithm = np.eye(jacobians.shape[1]), 0.0
     for k, transition in enumerate(expm(jacobians * (duration / len(jacobians)))):
+        # e(t + h) = exp(J h) e(t), scaled back before it overflows; its logarithm is added up.
         errors = transition @ errors
         size = float(np.linalg.norm(errors))
         if not 0 < size < math.inf:
@@ -195,6 +198,7 @@ def _propose_for_stiff(
 ) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
+    # So many explicit steps keep |h lambda| where they are stable and accurate.
     substeps = fastest * record.period / EXPLICIT_STEP
     if system.linear or substeps <= MAX_EXPLICIT_SUBSTEPS:
         return None

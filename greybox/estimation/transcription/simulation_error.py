@@ -113,6 +113,7 @@ class SingleShooting:
             sums = self.kernel.sums(record, *self.at(z, e, free), self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
                 return Evaluation.failure(v.size, ny, (e, sums.failed_at or 0))
+            # cost = sum r^2: its gradient is 2 J'r, and 2 J'J the Gauss-Newton matrix.
             gradient[view.columns] += 2 * sums.gradient
             hessian[view.square] += 2 * sums.gauss_newton
             squares += sums.squares
@@ -225,6 +226,7 @@ class WhitenedShooting(SingleShooting):
                     if self.loss is not None:
                         cost, psi, weight, _ = self.loss.terms(residual)
                     rows = jacobian[block][is_measured]
+                    # Of sum rho(r): 2 J'psi and 2 J'W J.
                     gradient[columns] += 2 * rows.T @ psi[is_measured]
                     hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
                     squares += np.where(is_measured, cost, 0.0).sum(axis=0)
@@ -283,5 +285,6 @@ def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Eval
 def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation) -> np.ndarray:
     """The undamped step (size,) in ``z``; undetermined directions and what lies on its bound stay."""
     low, high = variables.bounds()
+    # What lies on its bound is held there, on either side of it.
     reach = np.where((np.abs(low) <= AT_BOUND) | (np.abs(high) <= AT_BOUND), 0.0, np.inf)
     return evaluation.bounded_step(-reach, reach)

@@ -55,6 +55,7 @@ def choose_first_share(problem: EstimationProblem) -> float:
     rows = max(len(r.u) for r in problem.records)
     period = max(float(np.median(r.h[:INSPECTED_ROWS])) for r in problem.records)
     jacobian = problem.model.system.jacobian(v.initial.guess[0], problem.records[0].u[0], v.fixed).full()
+    # 1 / slowest decay is the longest time that the motion takes to forget its start.
     decays = -np.linalg.eigvals(jacobian).real if np.isfinite(jacobian).all() else np.empty(0)
     slowest = 1 / decays[decays > 0].min() if np.any(decays > 0) else 0.0
     first = max(PROGRESSIVE_HORIZON_LEAST_ROWS, ROWS_PER_UNKNOWN * v.size, TIME_CONSTANTS * slowest / period) / rows
@@ -77,6 +78,7 @@ def choose_next_share(
     measure: Callable[[float], Evaluation],
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
+    # A part that is fitted below the noise foretells no more than the noise.
     expected = PROGRESSIVE_HORIZON_SURPRISE * max(_compute_noise_ratio(reached), 1.0)
     for factor in PROGRESSIVE_HORIZON_GROWTH:
         wider = factor * share if factor * share < PROGRESSIVE_HORIZON_ALMOST_WHOLE else 1.0
@@ -92,6 +94,7 @@ def compute_explained_share(problem: EstimationProblem, e: Evaluation, share: fl
     for record in problem.records:
         for j, column in enumerate(record.y[: max(2, round(share * len(record.y)))].T):
             values = column[np.isfinite(column)]
+            # R^2 = 1 - sum r^2 / sum (y - mean)^2, the latter over the noise as well.
             movement[j] += len(values) * np.var(values) if len(values) else 0.0
     total = float(np.sum(movement / problem.noise.std**2))
     return 1.0 - float(e.squares.sum()) / total if total > 0 else 1.0
@@ -127,6 +130,7 @@ def _find_movement_share(y: np.ndarray) -> float:
         if len(finite) == 0:
             continue
         values = column[finite]
+        # Range shown so far, up to each row.
         seen = np.maximum.accumulate(values) - np.minimum.accumulate(values)
         if seen[-1] > 0:
             shares.append(finite[np.argmax(seen >= PROGRESSIVE_HORIZON_MOVEMENT * seen[-1])] / len(column))
@@ -183,6 +187,7 @@ def refine_step(
             return replace(problem, records=parts).shooting().simulate(problem.variables.here)
 
     runs, halved = simulate(problem), problem.halve_step()
+    # The change with half the step stands for the error: of a method of order p it is all but 2^-p of it.
     error = compute_change_over_noise(problem, runs, simulate(halved))
     used = problem.step.substeps
     if options.substeps or used >= policy.max_substeps:
@@ -236,6 +241,7 @@ def is_too_coarse(
     few = steps <= FEW_STEPS
     noise_share = NOISE_SHARE_OF_FEW if few else STEP_REFINEMENT_NOISE_SHARE
     misfit_share = NOISE_SHARE_OF_FEW if few else MISFIT_SHARE
+    # A share of the noise (of the misfit where that is even less), or of a misfit far above it.
     allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
     # Standard deviation of each output as measured, zero where it was not.
     y = np.concatenate([r.y for r in problem.records])
