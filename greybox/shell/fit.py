@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import ResidualTest, ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
-    from greybox.estimation.uncertainty.bootstrap import Bootstrap
-    from greybox.estimation.uncertainty.profile import Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile
 
 
 @takes_study(FIT)
@@ -240,8 +239,7 @@ def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstra
     """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
-    from greybox.estimation.uncertainty.bootstrap import bootstrap
-    from greybox.estimation.uncertainty.profile import profile
+    from greybox.estimation.uncertainty import bootstrap, profile
 
     name, replicates = asked
     draws = np.random.default_rng(BOOTSTRAP_SEED)

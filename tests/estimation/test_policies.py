@@ -18,8 +18,7 @@ from greybox.estimation.optimum import restore_problem
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, TranscriptionPolicy
 from greybox.estimation.predictor import restore_integration_options
 from greybox.estimation.result import load_fit
-from greybox.estimation.uncertainty.bootstrap import BootstrapPolicy, bootstrap
-from greybox.estimation.uncertainty.profile import ProfilePolicy, profile
+from greybox.estimation.uncertainty import BootstrapPolicy, ProfilePolicy, bootstrap, profile
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

@@ -7,8 +7,7 @@ from greybox import FitOptions, Parameter, fit, load_fit
 from greybox.base.errors import ModelError
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find

@@ -17,8 +17,7 @@ from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.transcription.simulation_error import WhitenedShooting
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import codes, find

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Estimate, FitNoise, Misfit, SolverReport
-    from greybox.estimation.uncertainty.profile import Profile
+    from greybox.estimation.uncertainty import Profile
 
 STATUS = {
     "converged": "converged",

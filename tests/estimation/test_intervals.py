@@ -17,8 +17,7 @@ from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
 from greybox.estimation.sandwich import compute_toeplitz_form
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
