@@ -76,7 +76,7 @@ class ScaledDecomposition:
     @property
     def is_certain(self) -> bool:
         """Whether no value lies between rounding and information."""
-        return self._count_above(self.tolerance.certain) == self._count_above(self.tolerance.rounding)
+        return _count_above(self.values, self.tolerance.certain) == _count_above(self.values, self.tolerance.rounding)
 
     @property
     def gap(self) -> float:
@@ -88,7 +88,7 @@ class ScaledDecomposition:
 
     def without_doubtful(self) -> Self:
         """The same where only what is certain counts."""
-        return replace(self, rank=self._count_above(self.tolerance.certain))
+        return replace(self, rank=_count_above(self.values, self.tolerance.certain))
 
     @property
     def strong(self) -> np.ndarray:
@@ -114,9 +114,6 @@ class ScaledDecomposition:
     def row_basis(self) -> np.ndarray:
         """Orthonormal basis (n, rank) of the directions that count: the complement of ``null_basis``."""
         return orthonormalise(self.strong * self.scale[:, None])
-
-    def _count_above(self, share: float) -> int:
-        return _count_above(self.values, share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,9 +186,9 @@ def decompose_columns(
     return ColumnDecomposition(scale, values, right.T, tolerance, rank, left[:rows])
 
 
-def pseudo_inverse(matrix: np.ndarray, tolerance: RankTolerance = INFORMATION_RANK) -> np.ndarray:
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a positive semidefinite matrix (n, n), zero along directions that hold no information."""
-    return decompose_symmetric(matrix, tolerance).pseudo_inverse
+    return decompose_symmetric(matrix).pseudo_inverse
 
 
 def eliminate(information: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -15,7 +15,6 @@ from greybox.base.numerics import REDUNDANT_VARIANCE
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
@@ -319,7 +318,6 @@ def run_residual_tests(
     inputs: Mapping[str, list[np.ndarray]],
     slopes: Sequence[np.ndarray] | None = None,
     raw: Sequence[np.ndarray] | None = None,
-    noise_policy: NoisePolicy = NOISE_POLICY,
 ) -> list[ResidualTest]:
     """The tests of one output.
 
@@ -335,11 +333,9 @@ def run_residual_tests(
         For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
     raw
         The residuals with their outliers, if ``residuals`` are without.
-    noise_policy
-        How the autoregression of the residual is chosen.
     """
     series = join_series(residuals)
-    colour = fit_autoregression(series, policy=noise_policy)
+    colour = fit_autoregression(series)
     rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
     white = [colour.whiten(r / rms) for r in residuals]
     count, is_measured = int(np.isfinite(series).sum()), np.concatenate([np.isfinite(r) for r in residuals])

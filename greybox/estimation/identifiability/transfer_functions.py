@@ -318,8 +318,8 @@ def _scaled(poly: Polynomial, factor: Fraction) -> Polynomial:
 MAX_TERMS = 60
 
 
-def _drop_zeros(poly: Polynomial, max_terms: int = MAX_TERMS) -> Polynomial:
-    if len(poly) > max_terms:
+def _drop_zeros(poly: Polynomial) -> Polynomial:
+    if len(poly) > MAX_TERMS:
         raise _NoFormulaError
     return {e: f for e, f in poly.items() if f}
 
