@@ -29,12 +29,12 @@ from greybox.estimation.fit_issues import (
     find_option_issues,
     find_status_details,
     find_validation_issues,
+    is_at_noise,
 )
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
-from greybox.estimation.parameter_constancy import NOISE_RATIO
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -278,14 +278,6 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
     if not np.isfinite(optimum.evaluation.cost):
         return True
     return not is_at_noise(optimum) and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
-
-
-def is_at_noise(optimum: SimulationOptimum) -> bool:
-    """Whether nothing but noise is left to explain. A level that is the residual's own says no such thing."""
-    return np.isfinite(optimum.evaluation.cost) and all(
-        m.noise_ratio <= NOISE_RATIO and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
-        for name, m in optimum.misfit.items()
-    )
 
 
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:

@@ -196,6 +196,14 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
+def is_at_noise(optimum: Optimum) -> bool:
+    """Whether nothing but noise is left to explain. A level that is the residual's own says no such thing."""
+    return np.isfinite(optimum.evaluation.cost) and all(
+        m.noise_ratio <= NOISE_RATIO and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
+        for name, m in optimum.misfit.items()
+    )
+
+
 def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
     return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
 
@@ -246,11 +254,7 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
     # Nothing to explain: every output is at its noise already with a constant in the place of the model.
-    at_noise = all(
-        m.noise_ratio <= NOISE_RATIO and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
-        for n, m in free_run.items()
-    )
-    if free_run and at_noise and not any(percent > 0 for percent in best_fit.values()):
+    if free_run and is_at_noise(optimum) and not any(percent > 0 for percent in best_fit.values()):
         warn(EstimationCode.NOTHING_TO_EXPLAIN, best_fit=best_fit)
     # Misfit above the noise; what it means depends on how the noise is known.
     louder = {n: ratio for n, ratio in compute_noise_ratios(problem, free_run).items() if ratio > NOISE_RATIO}

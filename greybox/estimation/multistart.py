@@ -304,5 +304,4 @@ def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, floa
         return {}, np.inf, status
     values = dict(zip(model.values, solution.variables.fixed, strict=True))
     free = {q.name: float(values[q.name]) for q in model.free_parameters}
-    # Misfit over noise: chi-square over its residuals, and its root.
-    return free, float(np.sqrt(evaluation.cost / max(evaluation.count, 1))), status
+    return free, evaluation.noise_ratio, status

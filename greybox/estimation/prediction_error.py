@@ -89,17 +89,12 @@ def drop_insignificant(
     """The optimum with every intensity at zero for which that is as likely, and their names."""
     zero: list[str] = []
     for name in names:
-        near = refine_minimum(remove_process_noise(optimum.objective, name), options)
+        near = refine_minimum(hold_parameters(optimum.objective, {name: 0.0}), options)
         if near.evaluation.cost <= optimum.evaluation.cost + NEGLIGIBLE_DECREASE:
             # Each by itself: of two intensities that stand for one another either can be zero, not both.
             zero.append(name)
             optimum = search_minimum(near.objective, options)
     return optimum, tuple(zero)
-
-
-def remove_process_noise(cost: PredictionErrorObjective, name: str) -> PredictionErrorObjective:
-    """``cost`` without process noise of the intensity ``name``."""
-    return hold_parameters(cost, {name: 0.0})
 
 
 # An intensity below this share of the one that explains every movement counts as zero.
@@ -130,7 +125,7 @@ def likelihood_ratio_tests(
             upper = find_upper_limit(optimum, name, PROCESS_NOISE_FLOOR * sizes[name], options)
             tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
-        rest = search_minimum(raise_noise_to_innovations(remove_process_noise(optimum.objective, name)), options)
+        rest = search_minimum(raise_noise_to_innovations(hold_parameters(optimum.objective, {name: 0.0})), options)
         # 2 (log L - log L_0), both at their own optimum
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         # Zero is on the edge: half the mass at zero, half chi-square of one degree (Self and Liang 1987).

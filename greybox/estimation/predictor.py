@@ -126,8 +126,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         cost = estimate_initial_state(make_likelihood(given, experiments), given.options)
         levels = _name_levels(frozen, cost.noise, cost.records)
         return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
-    options = replace(given.options, per_experiment=())
-    problem = prepare_problem(frozen, experiments, given.noise, options)
+    options, problem = replace(given.options, per_experiment=()), _prepare_known(given, experiments)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     # The free run's own error: what an autoregression would have to predict.
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
@@ -159,11 +158,6 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         levels = _name_levels(model, cost.noise, cost.records)
         return PredictionCorrection(model, levels, CorrectionKind.ESTIMATED_KALMAN_FILTER)
     return PredictionCorrection(frozen, levels, CorrectionKind.AUTOREGRESSION, colours)
-
-
-def classify_filter(model: Model) -> CorrectionKind:
-    """The correction by known process noise; none where all intensities are zero."""
-    return CorrectionKind.KALMAN_FILTER if model.noisy_states else CorrectionKind.NONE_ZERO
 
 
 def find_correctable_states(model: Model) -> tuple[str, ...]:
@@ -309,7 +303,11 @@ def predictor(
     if isinstance(model, Fit):
         if model.model.noisy_states and noise is None and not group:
             frozen = model.model.fix(*model.model.values)
-            correction = PredictionCorrection(frozen, model.noise.std, classify_filter(frozen))
+            correction = PredictionCorrection(
+                frozen,
+                model.noise.std,
+                CorrectionKind.KALMAN_FILTER if frozen.noisy_states else CorrectionKind.NONE_ZERO,
+            )
             return Predictor(correction, known.options)
         if not model.model.noisy_states and noise is None:
             # Noise that is not known independently is estimated together with the process noise.

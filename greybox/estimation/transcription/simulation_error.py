@@ -49,6 +49,11 @@ class Evaluation(QuadraticModel):
         """Number of residuals."""
         return int(self.counts.sum())
 
+    @property
+    def noise_ratio(self) -> float:
+        """Misfit over noise: the root of chi-square over its residuals."""
+        return float(np.sqrt(self.cost / max(self.count, 1)))
+
 
 class KernelPoint(NamedTuple):
     """One record at one point, with slopes along the entries of ``z`` that concern it (`ExperimentView.columns`)."""

@@ -79,11 +79,11 @@ def choose_next_share(
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
     # A part that is fitted below the noise foretells no more than the noise.
-    expected = PROGRESSIVE_HORIZON_SURPRISE * max(_compute_noise_ratio(reached), 1.0)
+    expected = PROGRESSIVE_HORIZON_SURPRISE * max(reached.noise_ratio, 1.0)
     for factor in PROGRESSIVE_HORIZON_GROWTH:
         wider = factor * share if factor * share < PROGRESSIVE_HORIZON_ALMOST_WHOLE else 1.0
         ahead = measure(wider)
-        if _compute_noise_ratio(ahead) <= expected or compute_explained_share(problem, ahead, wider) >= FORETOLD_SHARE:
+        if ahead.noise_ratio <= expected or compute_explained_share(problem, ahead, wider) >= FORETOLD_SHARE:
             break
     return wider, ahead
 
@@ -111,11 +111,6 @@ def shorten_share(problem: EstimationProblem, share: float) -> float:
     rows = max(len(r.u) for r in problem.records)
     least = max(PROGRESSIVE_HORIZON_LEAST_ROWS, ROWS_PER_UNKNOWN * problem.variables.size) / rows
     return max(share / PROGRESSIVE_HORIZON_SHRINK, least) if share > LEAST_SHRINK * least else share
-
-
-def _compute_noise_ratio(e: Evaluation) -> float:
-    """Misfit over noise."""
-    return float(np.sqrt(e.cost / max(e.count, 1)))
 
 
 # It holds this share of an output's range as well, so that there is something to fit.
