@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
 from greybox.base.errors import DataError, ModelError, nearest
@@ -294,7 +294,7 @@ def _select_outputs(experiment: Experiment, outputs: Sequence[str]) -> Experimen
             f"experiment {experiment.name!r} has none of the outputs {', '.join(outputs)};"
             f" it has {', '.join(experiment.outputs) or 'none'}"
         )
-    return replace(experiment, outputs=kept)
+    return experiment.with_outputs(kept)
 
 
 def _to_plain(value: Any) -> Any:

@@ -66,12 +66,17 @@ class EstimationProblem:
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
         if self.loss is not None:
             return RobustShooting(*base, colour=self.noise.colour, loss=self.loss)
-        return WhitenedShooting(*base, colour=self.noise.colour) if self.noise.coloured else SingleShooting(*base)
+        return WhitenedShooting(*base, colour=self.noise.colour) if self.is_whitened else SingleShooting(*base)
+
+    @property
+    def is_whitened(self) -> bool:
+        """Whether errors are more than divided by the noise of their output: of noise with a colour, or of another size in each row."""
+        return self.noise.coloured or any(record.spread is not None for record in self.records)
 
     @property
     def is_plain_squares(self) -> bool:
-        """Whether the cost is the sum of squared errors over white noise, and of nothing else."""
-        return self.loss is None and not self.noise.coloured and not self.variables.has_prior.any()
+        """Whether the cost is the sum of squared errors over white noise of one size, and of nothing else."""
+        return self.loss is None and not self.is_whitened and not self.variables.has_prior.any()
 
     def with_white_noise(self) -> EstimationProblem:
         """The same with the noise taken to be white."""
@@ -156,7 +161,7 @@ def prepare_problem(
     )
     constant = _find_constant_outputs(model, group, deviation)
     is_constant_output = [o.name in constant for o in model.outputs]
-    records = tuple(_drop_outputs(to_record(model, e), is_constant_output) for e in group)
+    records = tuple(_drop_outputs(_spread_noise(to_record(model, e), e, deviation), is_constant_output) for e in group)
     beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
@@ -186,6 +191,17 @@ def _find_constant_outputs(model: Model, experiments: Sequence[Experiment], nois
     return tuple(
         n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
+
+
+def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:
+    """``record`` with the noise of each row over that of its output, where the experiment tells it."""
+    if not experiment.noise:
+        return record
+    spread = np.ones((experiment.rows, len(noise.outputs)))
+    for j, name in enumerate(noise.outputs):
+        if name in experiment.noise:
+            spread[:, j] = experiment.noise[name] / noise.std[j]
+    return replace(record, spread=spread)
 
 
 def _drop_outputs(record: Record, outputs: Sequence[bool]) -> Record:

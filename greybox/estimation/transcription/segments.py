@@ -184,7 +184,7 @@ class SegmentedProblem:
         """
         v, records, pieces = whole.variables, whole.shooting().records, []
         for record, places in zip(records, cuts, strict=True):
-            pieces += [slice_rows(record, a, b) for a, b in pairwise(places)]
+            pieces += [record.cut(a, b) for a, b in pairwise(places)]
         owner = np.repeat(np.arange(len(records)), [len(places) - 1 for places in cuts])
         if states is None:
             given = zip(records, cuts, strict=True)
@@ -258,11 +258,6 @@ def find_measured_states(variables: DecisionVector) -> dict[int, int]:
     outputs = [system.outputs[j] for j in range(system.outputs.numel())]
     columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
     return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}
-
-
-def slice_rows(record: Record, a: int, b: int) -> Record:
-    """Rows ``a`` up to but without ``b``."""
-    return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
 
 
 def measure_state_ranges(states: np.ndarray) -> np.ndarray:

@@ -287,9 +287,9 @@ ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
 class WhitenedShooting(SingleShooting):
     """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
 
-    ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
-    the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the whole Jacobian
-    (N, ny, L) of a record in memory, where white noise needs only sums.
+    ``colour`` (ny,) holds the autoregression of each output's noise, and each record how large it is row by row. The filter begins anew
+    after gaps, with the exact weights of the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the
+    whole Jacobian (N, ny, L) of a record in memory, where white noise needs only sums.
     """
 
     def __init__(
@@ -344,6 +344,11 @@ class WhitenedShooting(SingleShooting):
 
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
+        for (r, jacobian), record in zip(errors, self.records, strict=True):
+            if record.spread is not None:
+                # w = e / sd(t): what is left is as large in every row, and the colour is that of w.
+                r /= record.spread[: len(r)]
+                jacobian /= record.spread[: len(r), :, None]
         if not any(colour.order for colour in self.colour):
             return errors
         result = []
