@@ -27,11 +27,16 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
 from greybox.extensions.fmu.description import FmuPlant
-from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, choose_sizes, compute_misfits
-from greybox.extensions.fmu.linear_response import estimate_linear_response
-from greybox.extensions.fmu.local_model import LocalModel, build_local_model, collect_runs, extend_record, name_arriving
+from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, FmuObjective, choose_sizes, compute_misfits
+from greybox.extensions.fmu.local_model import (
+    LocalModel,
+    build_local_model,
+    collect_runs,
+    estimate_linear_response,
+    extend_record,
+    name_arriving,
+)
 from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
-from greybox.extensions.fmu.search import FmuObjective
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.model.effect import Effect
 from greybox.model.model import Model
