@@ -31,8 +31,7 @@ from greybox.estimation.uncertainty.profile import load_profile
 from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
-from greybox.extensions.design.findings import CampaignCode
-from greybox.extensions.design.policy import DesignPolicy, InputSearchPolicy, MarginPolicy
+from greybox.extensions.design.problem import CampaignCode, DesignPolicy, InputSearchPolicy, MarginPolicy
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
 from greybox.model.model import Model

@@ -34,8 +34,14 @@ from greybox.extensions.changes.constants import (
     read_constants,
     read_residual,
 )
-from greybox.extensions.changes.findings import ChangeCode, ChangeRule
-from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, list_appeared_effects
+from greybox.extensions.changes.result import (
+    ChangeCode,
+    ChangeDetection,
+    ChangeRule,
+    ChangeVerdict,
+    ConstantChange,
+    list_appeared_effects,
+)
 from greybox.model.effect import Effect
 
 # Is today's residual like that of the fit: as large, and as white? Where it is not, more than constants have changed.

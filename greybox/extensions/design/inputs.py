@@ -11,8 +11,7 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.data.signals import SignalLimit, chirp, prbs
-from greybox.extensions.design.policy import PlayPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignProblem, PlayPolicy
 
 
 class InputShape(Protocol):

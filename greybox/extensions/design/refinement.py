@@ -18,8 +18,7 @@ from greybox.extensions.design.goals import Goal, GoalMaker
 from greybox.extensions.design.inputs import PLAY_SMOOTHING, InputShape, PiecewiseConstant, envelope, play, smooth
 from greybox.extensions.design.limits import MARGIN_DEVIATIONS, MARGIN_RESERVE, LimitKeeper
 from greybox.extensions.design.plant import PlantScenario, list_plants
-from greybox.extensions.design.policy import InputSearchPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignProblem, InputSearchPolicy
 
 
 @dataclass(frozen=True)

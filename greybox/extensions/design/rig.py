@@ -23,7 +23,7 @@ from greybox.base.files import write_file
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.data.signals import SignalLimit
-from greybox.extensions.design.policy import RigPolicy
+from greybox.extensions.design.problem import RigPolicy
 from greybox.model.model import Model
 
 PLACES = ("{input}", "{record}", "{number}")

@@ -30,7 +30,7 @@ from greybox.extensions.design.campaign import (
     choose_shares,
     run_campaign,
 )
-from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
+from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
 from greybox.show.pages.report import build_page
 from tests.support.result_schema import strict_offences
@@ -206,7 +206,7 @@ def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
     command = f"{sys.executable} -c {shlex.quote(program)} {{input}}"
     script = f"""
 import os, pathlib
-from greybox.extensions.design.policy import CAMPAIGN_POLICY
+from greybox.extensions.design.problem import CAMPAIGN_POLICY
 from greybox.extensions.design.rig import run_rig
 from greybox.base.files import hold_file
 os.chdir({str(tmp_path)!r})

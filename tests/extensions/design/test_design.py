@@ -22,8 +22,7 @@ from greybox.extensions.design.goals import (
     make_precision,
 )
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, GoalName
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem, GoalName
 from greybox.extensions.design.result import design_data
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator

@@ -13,9 +13,8 @@ from greybox.base.errors import DataError
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.inputs import compress_multisine, crest_factor
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem
-from greybox.extensions.design.sampling_times import choose_sampling_times, weigh_optimally
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
+from greybox.extensions.design.search import choose_sampling_times, weigh_optimally
 from tests.support.first_order import box_lucas, first_order, rooney_biegler
 
 REST = gb.FitOptions(at_rest=True)

@@ -13,8 +13,7 @@ from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.inputs import Multisine, play
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
 from greybox.extensions.design.plant import list_plants
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 from greybox.extensions.design.refinement import InputRefinement, refine
 from tests.support.oscillator import oscillator
 
