@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour, sum_scores
 from greybox.extensions.fmu.description import FmuPlant, FmuVariable
-from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 
 # The search for parameters of an FMU: what a run of it costs decides how it goes.
@@ -31,29 +30,6 @@ from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 # It begins with the first part of the records and goes on to longer ones, so that most runs are short ones. Slopes by differences cost a
 # run a parameter: they are taken where a search begins, and follow from step to step by Broyden's secant update (Math. Comp. 19, 1965) as
 # long as steps gain what they promise. A run that fails costs a bounded amount.
-
-
-@dataclass(frozen=True)
-class SearchResult:
-    """Where a search ended.
-
-    Parameters
-    ----------
-    z
-        Unknowns (n,), as parameters over their sizes.
-    status
-        How it ended.
-    rows, slopes
-        Weighted residuals (N, ny) of each record there, and their slopes (N, ny, n) by differences.
-    simulated
-        Record -> output -> run (N,).
-    """
-
-    z: np.ndarray
-    status: TerminationStatus
-    rows: Sequence[np.ndarray]
-    slopes: Sequence[np.ndarray]
-    simulated: Mapping[str, Mapping[str, np.ndarray]]
 
 
 # Step of a parameter for a slope, over its size: above what solvers with a tolerance of 1e-8 scatter, below what bends.
@@ -84,8 +60,6 @@ class FmuObjective:
         What is fitted to.
     std
         Output -> noise.
-    policy
-        How slopes are taken.
     sizes
         What the unknowns are divided by (n,).
     penalty
@@ -101,7 +75,6 @@ class FmuObjective:
     given: Mapping[str, float]
     records: Sequence[Experiment]
     std: Mapping[str, float]
-    policy: FmuFitPolicy
     sizes: np.ndarray
     penalty: float = np.inf
     exact: float = 0.0
@@ -125,7 +98,7 @@ class FmuObjective:
 
     def over(self, records: Sequence[Experiment]) -> FmuObjective:
         """The same over other records."""
-        return FmuObjective(self.simulator, self.unknowns, self.given, records, self.std, self.policy, self.sizes)
+        return FmuObjective(self.simulator, self.unknowns, self.given, records, self.std, self.sizes)
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """Parameters (n,)."""
@@ -231,42 +204,30 @@ class FmuObjective:
         rows_at, last, key = self.run(z), self._secant, z.tobytes()
         slopes = self._slopes.get(key)
         if slopes is None and last is not None:
-            slopes = self._update_slopes(z, rows_at, *last)
+            before, rows_before, slopes_before = last
+            step = z - before
+            # r(z0) + J d: what the slopes before promised.
+            expected = [r + s @ step for r, s in zip(rows_before, slopes_before, strict=True)]
+            cost_before, cost_now, cost_expected = (
+                sum(float(np.nansum(r**2)) for r in group) for group in (rows_before, rows_at, expected)
+            )
+            # A step that fell short shows that the slopes are wrong beyond what one secant can mend.
+            if not cost_before - cost_now < SECANT_SHARE * (cost_before - cost_expected):
+                # Broyden: J+ = J + (r - e) d' / d'd, the least change that explains the step.
+                slopes = [
+                    s + np.where(np.isfinite(r - e), r - e, 0.0)[:, :, None] * step / (step @ step)
+                    for s, r, e in zip(slopes_before, rows_at, expected, strict=True)
+                ]
         if slopes is None:
             slopes = self.slopes(z)
         self._secant = z.copy(), rows_at, slopes
         return slopes
 
-    def forget_secant(self) -> None:
-        """Take the next slopes by differences."""
+    def forget(self, known: bool = False) -> None:
+        """Take the next slopes by differences; where ``known``, too, those of points at which they were taken."""
         self._secant = None
-
-    def forget_slopes(self) -> None:
-        """Take slopes anew where they are known: how they are taken has changed."""
-        self._slopes.clear()
-
-    def _update_slopes(
-        self,
-        z: np.ndarray,
-        rows: list[np.ndarray],
-        before: np.ndarray,
-        rows_before: list[np.ndarray],
-        slopes: list[np.ndarray],
-    ) -> list[np.ndarray] | None:
-        step = z - before
-        # r(z0) + J d: what the slopes before promised.
-        expected = [r + s @ step for r, s in zip(rows_before, slopes, strict=True)]
-        cost_before, cost_now, cost_expected = (
-            sum(float(np.nansum(r**2)) for r in group) for group in (rows_before, rows, expected)
-        )
-        # A step that fell short shows that the slopes are wrong beyond what one secant can mend.
-        if cost_before - cost_now < SECANT_SHARE * (cost_before - cost_expected):
-            return None
-        return [
-            # Broyden: J+ = J + (r - e) d' / d'd, the least change that explains the step.
-            s + np.where(np.isfinite(r - e), r - e, 0.0)[:, :, None] * step / (step @ step)
-            for s, r, e in zip(slopes, rows, expected, strict=True)
-        ]
+        if known:
+            self._slopes.clear()
 
     def cost(self, z: np.ndarray) -> float:
         """Sum of squares; the penalty for a run that fails."""
@@ -275,10 +236,10 @@ class FmuObjective:
         except FmuRunError:
             return self.penalty
 
-    def evaluate(self, z: np.ndarray, slopes: Callable[[np.ndarray], list[np.ndarray]]) -> QuadraticModel:
-        """The cost with its quadratic model by these slopes; flat at the penalty where the run fails."""
+    def evaluate(self, z: np.ndarray) -> QuadraticModel:
+        """The cost with its quadratic model by the slopes that follow; flat at the penalty where the run fails."""
         try:
-            rows, each = self.run(z), slopes(z)
+            rows, each = self.run(z), self.follow_slopes(z)
         except FmuRunError:
             return QuadraticModel(self.penalty, np.zeros(len(z)), np.eye(len(z)))
         residual = np.concatenate([r[np.isfinite(r)] for r in rows])
@@ -294,36 +255,31 @@ class FmuObjective:
         return None
 
 
+# Shares of the records that are fitted before the whole: over a short part a start that is far off is not out of step yet, and a run
+# costs little.
+SHARES = (0.15, 0.4)
+# Rows of a record that the first part has at least.
+FMU_FIT_LEAST_ROWS = 50
 # Share of the rows from which a part is not worth a search of its own.
 FMU_FIT_ALMOST_WHOLE = 0.8
 
 
-def search_parameters(objective: FmuObjective, z: np.ndarray) -> SearchResult:
-    """The parameters that fit the records best, from ``z``. Raises FmuRunError where the FMU does not run from there."""
-    policy = objective.policy
-    for share in policy.shares:
-        beginnings = [_cut(record, share) for record in objective.records]
+def search_parameters(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, TerminationStatus]:
+    """The unknowns (n,) that fit the records best, and how the search ended. Raises FmuRunError where the FMU does not run at ``z``."""
+    for share in SHARES:
+        lengths = [min(max(round(share * r.rows), FMU_FIT_LEAST_ROWS), r.rows) for r in objective.records]
         # Nearly the whole costs as much as the whole.
-        if sum(r.rows for r in beginnings) >= FMU_FIT_ALMOST_WHOLE * sum(r.rows for r in objective.records):
+        if sum(lengths) >= FMU_FIT_ALMOST_WHOLE * sum(r.rows for r in objective.records):
             continue
-        part = objective.over(beginnings)
+        part = objective.over([r.window(0, n) for r, n in zip(objective.records, lengths, strict=True)])
         part.begin(z)
         z = _descend(part, z)[0]
     objective.begin(z)
-    z, status = _descend(objective, z)
-    rows, slopes = objective.run(z), objective.slopes(z)
-    return SearchResult(z, status, rows, slopes, dict(objective.simulated))
+    return _descend(objective, z)
 
 
-# Rows of a record that the first part has at least.
-FMU_FIT_LEAST_ROWS = 50
-
-
-def _cut(record: Experiment, share: float) -> Experiment:
-    rows = max(round(share * record.rows), FMU_FIT_LEAST_ROWS)
-    return record.window(0, rows) if rows < record.rows else record
-
-
+# Most times that the search goes on from slopes by differences.
+ROUNDS = 12
 # Most steps that gain, from one set of slopes by differences.
 FMU_FIT_ITERATIONS = 30
 # Damping of the first step, as a share of the curvature: an undamped one may leave a start that is far off for another oscillation.
@@ -334,16 +290,15 @@ FMU_FIT_REJECTIONS = 5
 
 def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, TerminationStatus]:
     """Rounds of steps, each from slopes by differences, until these promise nothing."""
-    policy, (low, high) = objective.policy, objective.bounds
-    status = TerminationStatus.ITERATION_LIMIT
+    status, (low, high) = TerminationStatus.ITERATION_LIMIT, objective.bounds
     damped = GaussNewtonPolicy(initial_damping=INITIAL_DAMPING, max_rejections=FMU_FIT_REJECTIONS)
-    for _ in range(policy.rounds):
-        objective.forget_secant()
-        begun = objective.evaluate(z, objective.follow_slopes)
+    for _ in range(ROUNDS):
+        objective.forget()
+        begun = objective.evaluate(z)
         if objective.test_termination(z, begun) is not None:
             return z, TerminationStatus.CONVERGED
         outcome = minimise(
-            lambda at: objective.evaluate(at, objective.follow_slopes),
+            objective.evaluate,
             z,
             low,
             high,
@@ -357,14 +312,13 @@ def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, Termin
             policy=replace(DEFAULT_POLICY, damped=damped),
         )
         status = outcome.status
-        if np.array_equal(
-            outcome.z, z
-        ):  # slopes by differences, and no step gains: their own error may be what is left
+        # Slopes by differences, and no step gains: their own error may be what is left.
+        if np.array_equal(outcome.z, z):
             if objective.central:
                 return z, status
-            # Twice the runs, but without the error of first order in the width.
+            # Twice the runs, but without the error of first order in the width; slopes that are known were taken otherwise.
             objective.central = True
-            objective.forget_slopes()
+            objective.forget(known=True)
         z = outcome.z
         if status is TerminationStatus.INTERRUPTED:
             break
@@ -468,7 +422,7 @@ def fit_fmu(
     fixed: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
     validation: Experiment | Sequence[Experiment] = (),
-    policy: FmuFitPolicy = DEFAULT_FMU_FIT,
+    search: bool = True,
 ) -> FmuFit:
     """Fit parameters of an FMU to records.
 
@@ -490,8 +444,8 @@ def fit_fmu(
         Output -> standard deviation of its sensor; None estimates it from the records.
     validation
         Records that are not fitted.
-    policy
-        How it is run and sought.
+    search
+        Whether parameters are sought; else the FMU is run at its start values.
 
     Returns
     -------
@@ -519,17 +473,27 @@ def fit_fmu(
     begin = {v.name: v.start for v in unknowns} | {plant.find(n).name: float(x) for n, x in (start or {}).items()}
     given |= {name: value for name, value in begin.items() if name not in {v.name for v in unknowns}}
     std = {o.label: _find_noise(o, records, noise) for o in plant.outputs}
-    with FmuSimulator(plant, policy) as simulator:
+    with FmuSimulator(plant) as simulator:
         values = np.array([begin[v.name] for v in unknowns])
         sizes = choose_sizes(unknowns, values)
-        objective = FmuObjective(simulator, unknowns, given, records, std, policy, sizes)
-        outcome = search_parameters(objective, values / sizes)
-        values = objective.values(outcome.z)
-        rows, failures = simulator.rows, simulator.failures
-        runs = simulator.runs
+        objective = FmuObjective(simulator, unknowns, given, records, std, sizes)
+        z, status = values / sizes, TerminationStatus.ITERATION_LIMIT
+        if search:
+            z, status = search_parameters(objective, z)
+        else:
+            objective.begin(z)
+        values = objective.values(z)
+        # Weighted residuals and their slopes by differences, or the FMU's own.
+        residuals = list(zip(objective.run(z), objective.slopes(z), strict=True))
+        simulated = dict(objective.simulated)
+        rows, failures, runs = simulator.rows, simulator.failures, simulator.runs
         # After the search is counted: validation is no cost of the fit.
-        checked = {record.name: simulator.run(record, objective.settings(outcome.z)) for record in others}
-    covariance = _estimate_covariance(outcome.rows, outcome.slopes, sizes, noise is not None)
+        checked = {record.name: simulator.run(record, objective.settings(z)) for record in others}
+    colour = estimate_residual_colour(residuals, len(sizes), noise is not None)
+    sums = sum_scores(_AllColumns(len(sizes)), residuals, colour)
+    # (J'J)^-1 J'RJ (J'J)^-1, which allows for a coloured residual, in the units of the unknowns; there are no initial states beside them.
+    bread = pseudo_inverse(sums.information)
+    covariance = sizes[:, None] * (bread @ np.asarray(sums.coloured) @ bread) * sizes
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     reach = float(ndtri(0.975))
     parameters = {
@@ -542,10 +506,10 @@ def fit_fmu(
         plant,
         parameters,
         covariance,
-        compute_misfits(plant, records, outcome.simulated, std),
+        compute_misfits(plant, records, simulated, std),
         compute_misfits(plant, others, checked, std),
-        outcome.simulated,
-        outcome.status,
+        simulated,
+        status,
         runs,
         failures,
         rows / sum(record.rows for record in records),
@@ -569,18 +533,6 @@ def choose_sizes(unknowns: Sequence[FmuVariable], values: np.ndarray) -> np.ndar
     """What the unknowns are divided by: their start values; the width of their bounds where that is zero."""
     widths = np.array([high - low if np.isfinite(high - low) else 1.0 for low, high in (v.bounds for v in unknowns)])
     return np.where(values != 0, np.abs(values), widths)
-
-
-def _estimate_covariance(
-    rows: Sequence[np.ndarray], slopes: Sequence[np.ndarray], sizes: np.ndarray, noise_given: bool
-) -> np.ndarray:
-    """The covariance of the parameters, which allows for a coloured residual."""
-    pairs = list(zip(rows, slopes, strict=True))
-    colour = estimate_residual_colour(pairs, len(sizes), noise_given)
-    sums = sum_scores(_AllColumns(len(sizes)), pairs, colour)
-    # (J'J)^-1 J'RJ (J'J)^-1, in the units of the unknowns; there are no initial states beside them.
-    bread = pseudo_inverse(sums.information)
-    return sizes[:, None] * (bread @ np.asarray(sums.coloured) @ bread) * sizes
 
 
 # Smallest noise of an output, over its movement, by which errors are weighted: simulated records have none.

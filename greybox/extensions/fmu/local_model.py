@@ -90,7 +90,12 @@ def estimate_linear_response(
     change = _draw_change(record, [i.label for i in plant.inputs])
     names = [o.label for o in plant.outputs]
     try:
-        plus, minus = (simulator.run(_moved(record, change, sign), settings) for sign in (1.0, -1.0))
+        plus, minus = (
+            simulator.run(
+                replace(record, inputs={n: record.inputs[n] + sign * change[n] for n in change}, hold="zero"), settings
+            )
+            for sign in (1.0, -1.0)
+        )
     except FmuRunError:
         return None
     # (y(u + d) - y(u - d)) / 2: even terms of the plant's nonlinearity cancel.
@@ -140,11 +145,6 @@ def _draw_change(record: Experiment, inputs: list[str]) -> dict[str, np.ndarray]
         signs = rng.choice([-1.0, 1.0], record.rows)
         change[name] = size * np.repeat(signs, lengths)[: record.rows]
     return change
-
-
-def _moved(record: Experiment, change: Mapping[str, np.ndarray], sign: float) -> Experiment:
-    moved = {name: record.inputs[name] + sign * values for name, values in change.items()}
-    return replace(record, inputs=moved, hold="zero")
 
 
 # Distance of a pole from the unit circle outside of which an answer counts as unstable.
