@@ -32,6 +32,9 @@ from greybox.simulation.kernel.c_compiler import GreyboxWarning
 FORMAT_VERSION = 1
 
 
+SIGNALS = ("state", "input", "output")
+
+
 class LinearExportOptions(TypedDict, total=False):
     """How the linear model that is written is made: arguments of `linearise` and `sample_family`."""
 
@@ -233,11 +236,22 @@ def linear_model_data(
     model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> dict[str, Any]:
     """What `write_json` writes."""
+    channels = {}
+    for output in model.output_names:
+        for name in model.input_names:
+            channel = extract_channel(model, output, name)
+            numbers = ("factor", "gain", "integrators", "bandwidth", "unit")
+            channels[f"{name} -> {output}"] = {
+                "zeros": _complex(channel.zeros),
+                "poles": _complex(channel.poles),
+                **{key: getattr(channel, key) for key in numbers},
+            }
     data = {
         "format": FORMAT_VERSION,
         **_contents(model),
         "findings": model.findings,
-        **_channels(model),
+        "poles": _complex(model.poles),
+        "channels": channels,
         **_origin(plant),
         **_members(family),
     }
@@ -274,16 +288,9 @@ def write_mat(
         "Ts": model.dt,
         # Apart from the matrices, as `ss` takes it: exact in MATLAB, not approximated.
         "InputDelay": model.delay.reshape(-1, 1),
-        "StateName": _cell(to_identifiers(model.state_names)),
-        "InputName": _cell(to_identifiers(model.input_names)),
-        "OutputName": _cell(to_identifiers(model.output_names)),
-        "StateUnit": _cell(model.state_units),
-        "InputUnit": _cell(model.input_units),
-        "OutputUnit": _cell(model.output_units),
-        "x0": model.x0.reshape(-1, 1),
-        "u0": model.u0.reshape(-1, 1),
-        "y0": model.y0.reshape(-1, 1),
-        "rates": model.rates.reshape(-1, 1),
+        **{f"{kind.capitalize()}Name": _cell(to_identifiers(getattr(model, f"{kind}_names"))) for kind in SIGNALS},
+        **{f"{kind.capitalize()}Unit": _cell(getattr(model, f"{kind}_units")) for kind in SIGNALS},
+        **{key: getattr(model, key).reshape(-1, 1) for key in ("x0", "u0", "y0", "rates")},
         "Name": to_line(model.name),
         "Method": model.method,
         "Notes": _cell([str(finding) for finding in model.findings]),
@@ -329,9 +336,8 @@ def write_control(
         shape = f".reshape({getattr(model, name).shape})" if 0 in getattr(model, name).shape else ""
         lines += [f"{name} = np.array(", "    [", *rows, "    ]", f"){shape}"]
     units = {
-        "state": dict(zip(to_identifiers(model.state_names), model.state_units, strict=True)),
-        "input": dict(zip(to_identifiers(model.input_names), model.input_units, strict=True)),
-        "output": dict(zip(to_identifiers(model.output_names), model.output_units, strict=True)),
+        kind: dict(zip(to_identifiers(getattr(model, f"{kind}_names")), getattr(model, f"{kind}_units"), strict=True))
+        for kind in SIGNALS
     }
     for kind, table in units.items():
         lines.append(f"{kind}_units = {{{', '.join(f'{literal(n)}: {literal(u)}' for n, u in table.items())}}}")
@@ -349,46 +355,18 @@ JSON = ExportTarget("JSON", ".json", write_json, linear=True, options=frozenset(
 NUMPY = ExportTarget("NumPy arrays", ".npz", write_npz, linear=True, options=frozenset(["samples"]))
 
 
+# What every file holds of a linear model, under these keys.
+CONTENTS = (
+    *("name", "A", "B", "C", "D", "dt", "method"),
+    *(f"{kind}_names" for kind in SIGNALS),
+    *(f"{kind}_units" for kind in SIGNALS),
+    *("x0", "u0", "y0", "rates", "delay"),
+)
+
+
 def _contents(model: Linearisation) -> dict[str, Any]:
-    return {
-        "name": model.name,
-        "A": model.A,
-        "B": model.B,
-        "C": model.C,
-        "D": model.D,
-        "dt": model.dt,
-        "method": model.method,
-        "state_names": model.state_names,
-        "input_names": model.input_names,
-        "output_names": model.output_names,
-        "state_units": model.state_units,
-        "input_units": model.input_units,
-        "output_units": model.output_units,
-        "x0": model.x0,
-        "u0": model.u0,
-        "y0": model.y0,
-        "rates": model.rates,
-        "delay": model.delay,
-        "parameters": dict(model.parameters),
-        "notes": [str(finding) for finding in model.findings],
-    }
-
-
-def _channels(model: Linearisation) -> dict[str, Any]:
-    channels = {}
-    for output in model.output_names:
-        for name in model.input_names:
-            channel = extract_channel(model, output, name)
-            channels[f"{name} -> {output}"] = {
-                "zeros": _complex(channel.zeros),
-                "poles": _complex(channel.poles),
-                "factor": channel.factor,
-                "gain": channel.gain,
-                "integrators": channel.integrators,
-                "bandwidth": channel.bandwidth,
-                "unit": channel.unit,
-            }
-    return {"poles": _complex(model.poles), "channels": channels}
+    notes = [str(finding) for finding in model.findings]
+    return {key: getattr(model, key) for key in CONTENTS} | {"parameters": dict(model.parameters), "notes": notes}
 
 
 def _origin(plant: Plant | None) -> dict[str, Any]:
@@ -399,11 +377,9 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
         "provenance": {n: plant.provenance(n) for n in plant.model.values},
     }
     if plant.fit is not None:
+        free, covariance = plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float)
         origin["covariance"] = {
-            name: dict(zip(plant.fit.uncertainty.free, map(float, row), strict=True))
-            for name, row in zip(
-                plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float), strict=True
-            )
+            name: dict(zip(free, map(float, row), strict=True)) for name, row in zip(free, covariance, strict=True)
         }
     return origin
 
