@@ -95,13 +95,20 @@ def modelica_text(plant: Plant) -> str:
             late = printer.write(sum(seconds[1:], seconds[0]))
             equations.append(f"  {name} = delay({names.inputs[k]}, {late});")
     head = to_identifier(model.title)
+    sticking = [names.states[k] for k in sorted({d.state for d in s.dry})]
     parts = [f"  {part} = {text};" for part, text in printer.shared]
     lines = [
         *(f"// {to_comment(line)}".rstrip() for line in (*plant.origin(), *map(str, plant.findings))),
         f'model {head} "{_string(model.description or model.title)}"',
         *_declarations(plant, names, printer),
         *(f"  Real {part};" for part, _ in printer.shared),
-        *_start_of_friction(model, names),
+        *(["initial equation"] if sticking else []),
+        # A body that starts at rest slides at once where the push exceeds what friction holds.
+        *(
+            f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else"
+            f" (if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0);"
+            for v in sticking
+        ),
         "equation",
         *parts,
         *equations,
@@ -142,19 +149,6 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
         f"    reinit({state}, 0);",
         "  end when;",
     ]
-
-
-def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
-    bodies = sorted({d.state for d in model.system.dry})
-    if not bodies:
-        return []
-    lines = ["initial equation"]
-    for k in bodies:
-        v = names.states[k]
-        # A body that starts at rest slides at once where the push exceeds what friction holds.
-        pushed = f"if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0"
-        lines.append(f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else ({pushed});")
-    return lines
 
 
 def _guarded(b: Balance, model: Model) -> Balance:
