@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from multiprocessing.connection import Connection
@@ -94,7 +94,21 @@ class Job:
         self._stops = 0
         context = multiprocessing.get_context("spawn")
         self._connection, far_end = context.Pipe()
-        payload = pack(_arguments(kind, session, journal, workers))
+        # What `greybox.fit` is called with, or `greybox.discover` as the command of that name calls it.
+        arguments: dict[str, Any] = {
+            "model": session.model_to_fit if kind is JobKind.FIT else session.model,
+            "records": session.estimation,
+            "validation": session.validation,
+            "noise": dict(session.noise),
+            "quiet": session.quiet,
+            "skip": session.skip,
+            "beginning": session.beginning,
+            "options": session.options,
+        }
+        if kind is JobKind.DISCOVER:
+            options = FitOptions(at_rest=session.options.at_rest)
+            arguments |= {"options": options, "journal": journal, "workers": workers, "beside": find_own_effects()}
+        payload = pack(arguments)
         self._process = context.Process(target=_run, args=(far_end, kind, payload))
         with quiet_children():
             self._process.start()
@@ -143,32 +157,6 @@ class Job:
         self._listener(last)
 
 
-def _arguments(kind: JobKind, session: Session, journal: Path, workers: int) -> dict[str, Any]:
-    """What `greybox.fit` or `greybox.discover` is called with."""
-    both: dict[str, Any] = {
-        "model": session.model_to_fit,
-        "records": session.estimation,
-        "validation": session.validation,
-        "noise": dict(session.noise),
-        "quiet": session.quiet,
-        "skip": session.skip,
-        "beginning": session.beginning,
-        "options": session.options,
-    }
-    if kind is JobKind.FIT:
-        return both
-    # As greybox discover calls it.
-    options = FitOptions(at_rest=session.options.at_rest)
-    return {
-        **both,
-        "model": session.model,
-        "options": options,
-        "journal": journal,
-        "workers": workers,
-        "beside": find_own_effects(),
-    }
-
-
 def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
     """The process: compute, tell, end."""
     stop = threading.Event()
@@ -211,22 +199,19 @@ def _fit(connection: Connection, stop: threading.Event, model: Any, records: Any
 
     def report(progress: FitProgress) -> None:
         nonlocal passed_on
-        connection.send((str(JobNews.PROGRESS), _figures(progress)))
+        ratio = progress.noise_ratio
+        figures = {
+            "stage": progress.stage,
+            "stages": progress.stages,
+            "iteration": max(progress.iteration, 0),
+            "noise_ratio": ratio if math.isfinite(ratio) else None,
+        }
+        connection.send((str(JobNews.PROGRESS), figures))
         if stop.is_set() and not passed_on:
             passed_on = True
             signal.raise_signal(signal.SIGINT)  # heard by the search itself, which ends with its best point
 
     return fit(model, records, report=report, **options)
-
-
-def _figures(progress: Any) -> Mapping[str, float | None]:
-    ratio = progress.noise_ratio
-    return {
-        "stage": progress.stage,
-        "stages": progress.stages,
-        "iteration": max(progress.iteration, 0),
-        "noise_ratio": ratio if math.isfinite(ratio) else None,
-    }
 
 
 def _discover(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:

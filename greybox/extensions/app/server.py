@@ -298,18 +298,12 @@ class ActionHandler(GuardedHandler):
         await self.answer_with(act)
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{value!r} is not a number")
-    return float(value)
-
-
 def _values(given: Mapping[str, Any]) -> dict[str, float]:
-    return {str(name): _number(value) for name, value in given["values"].items()}
-
-
-def _put_effect(bench: Workbench, given: Mapping[str, Any]) -> Callable[[], Any]:
-    return partial(bench.add_effect if given["on"] else bench.remove_effect, str(given["name"]))
+    values = given["values"]
+    for value in values.values():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{value!r} is not a number")
+    return {str(name): float(value) for name, value in values.items()}
 
 
 def _export(bench: Workbench) -> dict[str, Any]:
@@ -322,7 +316,9 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
     "locate": lambda bench, given: partial(bench.show_location, int(given["record"])),
     "values": lambda bench, given: partial(bench.set_values, _values(given)),
     "fixed": lambda bench, given: partial(bench.set_fixed, str(given["name"]), bool(given["fixed"])),
-    "effect": _put_effect,
+    "effect": lambda bench, given: partial(
+        bench.add_effect if given["on"] else bench.remove_effect, str(given["name"])
+    ),
     "forget": lambda bench, given: partial(bench.forget, int(given["record"])),
     "role": lambda bench, given: partial(bench.set_role, int(given["record"]), bool(given["validates"])),
     "undo": lambda bench, given: bench.undo,

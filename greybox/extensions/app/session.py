@@ -153,22 +153,19 @@ class Session:
         if effect.name in {e.name for e in self.model.effects}:
             raise ModelError(f"effect {effect.name}: the model contains it already; take it out first")
         model = self.model + effect
-        if self.estimation:
-            model = model.start(**self._visible_values(model, effect))
-        return replace(self, model=model)
-
-    def _visible_values(self, model: Model, effect: Effect) -> dict[str, float]:
-        """Values of the constants of a new effect where it is visible and small; none where the present model cannot tell."""
-        candidate = self._to_candidate(self.estimation[0])
-        if not _runs_through(candidate):  # a run that overflows has no size: the effect starts as the catalogue has it
-            return {}
-        points = generate_starting_points(
-            model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
-        )
-        point = next(points)
-        return {
-            name: _round(model.parameter(name), value) for name, value in point.items() if name not in self.model.values
-        }
+        candidate = self._to_candidate(self.estimation[0]) if self.estimation else None
+        # A run that overflows has no size: the effect starts as the catalogue has it.
+        if candidate is None or not _runs_through(candidate):
+            return replace(self, model=model)
+        scales = estimate_scales(candidate)
+        point = next(generate_starting_points(model, effect, candidate, self.model, scales, amplitudes=(1.0,)))
+        values = {}
+        for name, value in point.items():
+            if name not in self.model.values:
+                # In three digits, as a person would write it, where the bounds allow it.
+                (low, high), rounded = model.parameter(name).bounds, float(f"{value:.3g}")
+                values[name] = rounded if low <= rounded <= high else value
+        return replace(self, model=model.start(**values))
 
     def without_effect(self, name: str) -> Session:
         """Without one of its effects. Raises ModelError where it has none of this name."""
@@ -227,13 +224,6 @@ class Session:
         return CandidateFit(
             self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
         )
-
-
-def _round(parameter: Parameter, value: float) -> float:
-    """A start value in three digits, as a person would write it, where the bounds allow it."""
-    low, high = parameter.bounds
-    rounded = float(f"{value:.3g}")
-    return rounded if low <= rounded <= high else value
 
 
 def _runs_through(candidate: CandidateFit) -> bool:

@@ -22,9 +22,8 @@ from greybox.base.units import format_unit
 from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.localisation import ResidualLocalisation
-from greybox.estimation.result_parts import Misfit
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
-from greybox.extensions.app.session import LoadedRecord, Session, StudyBook, ValueRange
+from greybox.extensions.app.session import LoadedRecord, Session, StudyBook
 from greybox.extensions.export.python_model import to_python
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects
@@ -49,13 +48,32 @@ EffectPlace = tuple[Effect, str]
 
 def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[str, Any]:
     """Model, constants, effects, records and answers; ``places`` are the effects that can be put in."""
-    model = session.model
+    model, constants = session.model, []
+    for q in model.all_parameters:
+        reach = session.ranges[q.name]
+        # Interval and remark are those of the fit, as long as the constants are still its own.
+        estimate = session.fit.parameters.get(q.name) if session.fit is not None and session.is_fitted else None
+        cells = None if estimate is None or estimate.fixed else to_constant_cells(q.name, estimate)
+        constants.append(
+            {
+                "name": q.name,
+                "unit": format_unit(q.unit),
+                "description": q.description,
+                "value": q.value,
+                "fixed": q.fixed,
+                "interval": "" if cells is None else cells[2],
+                "remark": "" if cells is None else cells[4],
+                "low": reach.low,
+                "high": reach.high,
+                "logarithmic": reach.logarithmic,
+            }
+        )
     return {
         "model": model.name,
         "title": model.title,
         "description": model.description,
         "equations": equations_text(model),
-        "constants": [_show_constant(session, q.name) for q in model.all_parameters],
+        "constants": constants,
         "effects": [
             {"name": b.effect.name, "site": b.site, "equation": b.effect.equation} for b in model.bound_effects
         ],
@@ -94,26 +112,6 @@ def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict
     }
 
 
-def _show_constant(session: Session, name: str) -> dict[str, Any]:
-    q, reach = session.model.parameter(name), session.ranges[name]
-    estimate = session.fit.parameters.get(name) if session.fit is not None and session.is_fitted else None
-    cells = None if estimate is None or estimate.fixed else to_constant_cells(name, estimate)
-    return {
-        "name": name,
-        "unit": format_unit(q.unit),
-        "description": q.description,
-        "value": q.value,
-        "fixed": q.fixed,
-        "interval": "" if cells is None else cells[2],
-        "remark": "" if cells is None else cells[4],
-        **_show_range(reach),
-    }
-
-
-def _show_range(reach: ValueRange) -> dict[str, Any]:
-    return {"low": reach.low, "high": reach.high, "logarithmic": reach.logarithmic}
-
-
 def list_effects(model: Model, beside: tuple[Effect, ...] = ()) -> tuple[EffectPlace, ...]:
     """Every effect that has a place in ``model``, and the place."""
     places = find_placements(model, (*beside, *all_effects()))
@@ -123,31 +121,25 @@ def list_effects(model: Model, beside: tuple[Effect, ...] = ()) -> tuple[EffectP
 def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str, Any]:
     """One record beside the simulation: the run, the residual, the misfit; with what drove it."""
     result = session.simulate(index)
-    trace, units = result.traces[0], _list_units(session.model)
+    trace, model = result.traces[0], session.model
+    units = {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
     noise: Mapping[str, float] = session.noise or (session.fit.noise.std if session.fit is not None else {})
     figures = {
         "run": plot_run(trace, units, "run"),
         "residual": plot_residual(trace, units, noise, "residual"),
         "inputs": plot_inputs(trace, units, "inputs") if inputs else None,
     }
+    # A row an output; empty cells where the run overflows.
+    rows = [
+        [output, *(to_misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        for output, m in result.misfit.items()
+    ]
     return {
         "record": index,
         "figures": {name: show_figure(figure) for name, figure in figures.items() if figure is not None},
-        "misfit": {"heads": ["", *MISFIT_HEADS], "rows": _show_misfits(result.misfit)},
+        "misfit": {"heads": ["", *MISFIT_HEADS], "rows": rows},
         "overflows": not all(math.isfinite(m.rmse) for m in result.misfit.values()),
     }
-
-
-def _list_units(model: Model) -> dict[str, str]:
-    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
-
-
-def _show_misfits(misfit: Mapping[str, Misfit]) -> list[list[str]]:
-    """A row an output; empty cells where the run overflows."""
-    return [
-        [output, *(to_misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
-        for output, m in misfit.items()
-    ]
 
 
 def show_location(location: ResidualLocalisation, index: int) -> dict[str, Any]:

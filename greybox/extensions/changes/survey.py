@@ -1,10 +1,10 @@
-"""`survey_population`: machines of one kind, what they have in common, and which of them fall out.
+"""Surveys: machines of one kind, and which of them fall out; one machine over many records, and when it has changed.
 
-Each machine's constants are estimated from its own records; the estimates scatter by what the records leave open, and by what differs
-from one machine to the next. The spread of the latter is that of a random-effects model (Paule and Mandel, J. Res. NBS 87, 1982). A
-machine is judged by its distance from the others, with their mean and spread found without it; several that fall out are looked for as
-Rosner's generalised extreme deviate does (Technometrics 25, 1983): removed one by one, the farthest first, and the last clear step
-decides, so that two cannot hide each other.
+`survey_population`: each machine's constants are estimated from its own records; the estimates scatter by what the records leave open,
+and by what differs from one machine to the next. The spread of the latter is that of a random-effects model (Paule and Mandel, J. Res.
+NBS 87, 1982). A machine is judged by its distance from the others, with their mean and spread found without it; several that fall out are
+looked for as Rosner's generalised extreme deviate does (Technometrics 25, 1983): removed one by one, the farthest first, and the last
+clear step decides, so that two cannot hide each other. `chart_changes` stands below.
 """
 
 from __future__ import annotations
@@ -42,6 +42,25 @@ from greybox.extensions.changes.result import (
     PopulationConstant,
 )
 
+
+def _is_known(constants: FittedConstants, name: str) -> bool:
+    return name in constants.names and math.isfinite(constants.variances[constants.names.index(name)])
+
+
+def _to_one_scale(known: Sequence[FittedConstants], name: str) -> tuple[np.ndarray, np.ndarray, bool, str]:
+    """Estimates and variances (n,) of one constant, of its logarithm where all are positive; whether they are, and the unit."""
+    places = [c.names.index(name) for c in known]
+    positive = all(c.positive[k] for c, k in zip(known, places, strict=True))
+    values = np.array([c.values[k] for c, k in zip(known, places, strict=True)])
+    std = np.sqrt([c.variances[k] for c, k in zip(known, places, strict=True)])
+    unit = known[0].units[places[0]]
+    if positive:
+        return np.log(values), std**2, True, unit
+    # d value = value d ln(value): those that were compared by their logarithm go back.
+    back = np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known, places, values, strict=True)])
+    return values, (std * back) ** 2, False, unit
+
+
 # Fewer say nothing of a spread.
 LEAST_MACHINES = 4
 
@@ -72,11 +91,10 @@ def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment
     """
     began = time.perf_counter()
     check_reference(reference)
-    least = LEAST_MACHINES
     noun = "machine" if len(machines) == 1 else "machines"
-    if len(machines) < least:
+    if len(machines) < LEAST_MACHINES:
         raise DataError(
-            f"{len(machines)} {noun}: a population needs {least} at least; give more, or leave out --population"
+            f"{len(machines)} {noun}: a population needs {LEAST_MACHINES} at least; give more, or leave out --population"
         )
     fits = {name: refit(reference, records) for name, records in machines.items()}
     estimates = {
@@ -160,24 +178,11 @@ LARGEST_OUTLYING_SHARE = 0.34
 
 
 def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], comparisons: int) -> _ConstantSurvey | None:
-    known = {
-        machine: c
-        for machine, c in estimates.items()
-        if name in c.names and math.isfinite(c.variances[c.names.index(name)])
-    }
+    known = {machine: c for machine, c in estimates.items() if _is_known(c, name)}
     if len(known) < LEAST_MACHINES:
         return None
     machines = list(known)
-    places = [c.names.index(name) for c in known.values()]
-    positive = all(c.positive[k] for c, k in zip(known.values(), places, strict=True))
-    raw = np.array([c.values[k] for c, k in zip(known.values(), places, strict=True)])
-    stds = np.sqrt([c.variances[k] for c, k in zip(known.values(), places, strict=True)])
-    stds = (
-        stds
-        if positive
-        else stds * np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known.values(), places, raw, strict=True)])
-    )
-    values, variances = (np.log(raw) if positive else raw), stds**2
+    values, variances, positive, unit = _to_one_scale(list(known.values()), name)
     level = CHANGE_TEST_FALSE_ALARM_RATE / comparisons
     outside = find_outliers(values, variances, level, LARGEST_OUTLYING_SHARE)
     inside = np.setdiff1d(np.arange(len(values)), outside)
@@ -189,7 +194,6 @@ def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], compar
         p[machine] = min(1.0, looks * deleted_p_value(values[k], variances[k], values[others], variances[others]))
     reach = float(stdtrit(max(len(inside) - 1, 1), 0.975)) * math.sqrt(common.variance)
     back = math.exp if positive else float
-    unit = next(iter(known.values())).units[places[0]]
     constant = PopulationConstant(
         back(common.mean),
         (back(common.mean - reach), back(common.mean + reach)),
@@ -340,7 +344,12 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
         for label, f in zip(labels, fits, strict=True)
         if not f.success
     ]
-    charted = [ChartedRecord(label, _estimates(f, names), f.status) for label, f in zip(labels, fits, strict=True)]
+    charted = [
+        ChartedRecord(
+            label, {n: (e.value, e.interval) for n in names if (e := f.parameters.get(n)) is not None}, f.status
+        )
+        for label, f in zip(labels, fits, strict=True)
+    ]
     return ChangeDetection(
         verdict,
         reference,
@@ -419,29 +428,12 @@ def _find_jumps(
     comparisons: int,
 ) -> list[ChangePoint]:
     known = [c for t in places if (c := points[t]) is not None]
-    positions = [c.names.index(name) for c in known]
-    positive = all(c.positive[k] for c, k in zip(known, positions, strict=True))
-    raw = np.array([c.values[k] for c, k in zip(known, positions, strict=True)])
-    std = np.sqrt([c.variances[k] for c, k in zip(known, positions, strict=True)])
-    if not positive:
-        std = std * np.array([v if c.positive[k] else 1.0 for c, k, v in zip(known, positions, raw, strict=True)])
-    values, variances = (np.log(raw) if positive else raw), std**2
+    values, variances, positive, unit = _to_one_scale(known, name)
     jumps = find_change_points(values, variances, CHANGE_TEST_FALSE_ALARM_RATE / comparisons)
     edges = [0, *(place for place, _ in jumps), len(values)]
     back = math.exp if positive else float
     means = [back(float(np.average(values[a:b], weights=1 / variances[a:b]))) for a, b in pairwise(edges)]
-    unit = known[0].units[positions[0]]
     return [
         ChangePoint(name, unit, labels[places[at]], places[at], means[k], means[k + 1], min(1.0, p * comparisons))
         for k, (at, p) in enumerate(jumps)
     ]
-
-
-def _is_known(constants: FittedConstants, name: str) -> bool:
-    return name in constants.names and math.isfinite(constants.variances[constants.names.index(name)])
-
-
-def _estimates(fit: Fit, names: Sequence[str]) -> dict[str, tuple[float, tuple[float, float] | None]]:
-    return {
-        name: (fit.parameters[name].value, fit.parameters[name].interval) for name in names if name in fit.parameters
-    }

@@ -305,7 +305,7 @@ def _carry_on(
                 return _save(plan, place, CampaignStatus.MEASURING, steps, finding)
             _save(plan, place, CampaignStatus.MEASURING, steps, None)
             say(f"experiment {number}: the rig plays {step_folder / 'input.csv'}")
-            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig, held)
+            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig_timeout, held)
             fresh = True
         else:
             fresh = False

@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.data.signals import SignalLimit, chirp, prbs
-from greybox.extensions.design.problem import DesignProblem, PlayPolicy
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 
 
 class InputShape(Protocol):
@@ -275,12 +275,12 @@ def play(
         if question.hold != "zero":
             deviation = smooth(deviation, PLAY_SMOOTHING)
         # About the rest, not the middle of the range: an amplitude of zero is no input.
-        u = rest + amplitude * envelope(len(t), question.policy.play) * deviation
+        u = rest + amplitude * envelope(len(t), question.policy) * deviation
         inputs[i.name] = limit_rate(u, rest, limit, float(t[1] - t[0]))
     return inputs
 
 
-def envelope(rows: int, policy: PlayPolicy) -> np.ndarray:
+def envelope(rows: int, policy: DesignPolicy) -> np.ndarray:
     """What an input is multiplied with (N,): it rises softly from zero, and is back at zero before the end."""
     ramp, rest = round(policy.soft_start * rows), round(policy.rest_share * rows)
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(ramp) / max(ramp, 1))

@@ -12,10 +12,10 @@ from greybox.base.errors import DataError, FitError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, Hold
+from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import SignalLimit
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.proposals import PROPOSAL_NEW_SENSOR_NOISE
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
@@ -23,6 +23,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.extensions.design.goals import (
+    LEAST_PRIOR,
     Detection,
     Discrimination,
     Goal,
@@ -317,7 +318,7 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     hidden: list[HiddenEffect] = []
     if question.goal is GoalName.DETECTION:
         _, bands = find_bands(question)
-        shape = {name: flat_multisine(bands[-1], question.policy.search) for name in question.driven}
+        shape = {name: flat_multisine(bands[-1], question.policy) for name in question.driven}
         # Effects are made ready by the size of things in a run that the limits allow.
         _, inputs, _ = fit_into_limits(keeper, shape)
         hidden = list_hidden_effects(question, plants[0], inputs)
@@ -336,9 +337,13 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
             f"{question.model.title}: under every input that keeps the limits the model overflows or brings nothing for"
             f" {question.goal}; give other limits or another goal"
         )
-    final = make_goal(question.policy.margin.samples, None)
+    final = make_goal(question.policy.scenarios, None)
     predicted = predict_constants(question, plants[0], best)
-    separation = _separations(question, final, best) if isinstance(final, Discrimination) else {}
+    separation: dict[str, float] = {}
+    if isinstance(final, Discrimination):
+        pairs = closest_pairs(final, final.separations([plant.run(best.inputs) for plant in final.plants]))
+        titles = [m.title for m in question.models]
+        separation = {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
     detection = _detections(hidden, final, best) if isinstance(final, Detection) else {}
     findings = [*extra, *_findings(question, best, predicted, separation)]
     experiment = Experiment("designed", question.time, best.inputs, {}, question.hold)
@@ -366,7 +371,7 @@ UNDETERMINED_SHARE = 0.3
 def predict_constants(question: DesignProblem, plant: PlantScenario, best: TriedInput) -> dict[str, PredictedConstant]:
     """Standard deviation of every free constant before and after the record, at the best constants."""
     spread, n = GOAL_PRIOR_SPREAD, plant.count
-    goal = Precision([plant], np.arange(n), question.criterion, spread)
+    goal = Precision([plant], np.arange(n), question.criterion)
     # (M + I / s^2)^-1 with the order of magnitude s that is known anyway
     before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
     after = goal.covariance(0, plant.run(best.inputs))
@@ -385,25 +390,19 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
     return constants
 
 
-def _separations(question: DesignProblem, goal: Discrimination, best: TriedInput) -> dict[str, float]:
-    runs = [plant.run(best.inputs) for plant in goal.plants]
-    pairs = closest_pairs(goal, goal.separations(runs))
-    titles = [m.title for m in question.models]
-    return {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
-
-
 def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInput) -> dict[str, PredictedDetection]:
-    ratio, result = goal.ratio, {}
+    """For each effect the smallest amount that would be seen, before and after the record."""
+    result = {}
     first = {plant.number: k for k, plant in reversed(list(enumerate(goal.plants)))}
     for number, each in enumerate(hidden):
         k = first[number]
         plant = goal.plants[k]
-        size = ratio * abs(float(plant.variables.spans[goal.positions[k]]))
+        size = DETECTION_RATIO * abs(float(plant.variables.spans[goal.positions[k]]))
         known = plant.earlier.any()
         before = goal.amplitude_std(k, None) if known else np.inf
         after = goal.amplitude_std(k, plant.run(best.inputs))
         # A tenth of what the amplitude's own prior allows: as large an amount is that prior's, not the record's.
-        largest = 0.1 * goal.prior_spread / np.sqrt(goal.least_prior)
+        largest = 0.1 * GOAL_PRIOR_SPREAD / np.sqrt(LEAST_PRIOR)
         amounts = [float(size * s) if s < largest else None for s in (before, after)]
         result[each.name] = PredictedDetection(each.amplitude, amounts[0], amounts[1], each.unit)
     return result
@@ -420,15 +419,21 @@ def _findings(
     separation: Mapping[str, float],
 ) -> Iterator[Finding]:
     if not question.earlier:
-        spread = ASSUMED_SPREAD
-        yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": spread})
+        yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": ASSUMED_SPREAD})
     usage, ruling = largest_usage(best.limits)
     inputs = {i.name for i in question.model.inputs}
     if ruling not in inputs and usage > 1 - 5 * MARGIN_RESERVE:
         yield Finding(DesignCode.LIMIT_RULES, subject=ruling)
     open_constants = [n for n, c in predicted.items() if c.std_after is None]
     if open_constants:
-        remedies = _remedies(question)
+        # What would part constants that stay in combinations: a sensor, or something that is known.
+        try:
+            structure = analyse_structural_identifiability(
+                question.model, list(question.noise), at_rest=question.options.at_rest
+            )
+            remedies = [str(finding) for finding in structure.recommendations]
+        except DataError:  # a model that overflows wherever it is looked at
+            remedies = []
         yield Finding(
             DesignCode.CONSTANT_NOT_DETERMINED,
             Severity.WARNING,
@@ -437,19 +442,8 @@ def _findings(
         )
     for pair, cost in separation.items():
         if cost < DECIDING_COST:
-            limit = DECIDING_COST
-            yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, {"cost": cost, "limit": limit})
-
-
-def _remedies(question: DesignProblem) -> list[str]:
-    """What would part constants that stay in combinations: a sensor, or something that is known."""
-    try:
-        structure = analyse_structural_identifiability(
-            question.model, list(question.noise), at_rest=question.options.at_rest
-        )
-    except DataError:  # a model that overflows wherever it is looked at
-        return []
-    return [str(finding) for finding in structure.recommendations]
+            values = {"cost": cost, "limit": DECIDING_COST}
+            yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, values)
 
 
 def list_alternatives(
@@ -460,53 +454,32 @@ def list_alternatives(
     tried: Sequence[TriedInput],
 ) -> tuple[Alternative, ...]:
     """What else could be done; ``tried`` inputs, of which the first is the design. Those that cannot be run are left out."""
-    everything = [
-        # The best of each other kind, against the design.
-        *(
-            Alternative(AlternativeKind.INPUT, each.kind, float(np.exp(each.value - tried[0].value)))
-            for each in kinds_of(tried)
-            if each.kind != tried[0].kind
-        ),
-        *_more_time(question, make_goal, goal, tried),
-        *_more_sensors(question, goal, tried[0]),
-    ]
-    return tuple(a for a in everything if np.isfinite(a.gain))
-
-
-def _more_time(
-    question: DesignProblem, make_goal: GoalMaker, goal: Goal, tried: Sequence[TriedInput]
-) -> Iterator[Alternative]:
-    best = tried[0]
-    twice = evaluate(goal, best.inputs, 2.0)
-    yield Alternative(AlternativeKind.REPEAT, "2", float(np.exp(twice - best.value)))
-    if 2 * question.rows > DESIGN_MOST_ROWS:
-        return
-    # A shape that fills any duration: a refined input has its levels for this one only.
-    general = next((t for t in tried if t.kind != "piecewise constant"), best)
-    longer = replace(question, duration=2 * question.duration)
-    value = evaluate(goal, play(longer, general.shapes, general.amplitude))
-    yield Alternative(AlternativeKind.LONGER, f"{longer.duration:g}", float(np.exp(value - general.value)))
-    step = question.sampling_time / 2
-    finer = replace(question, sampling_time=step)
-    fine_goal = make_goal(question.policy.search.refined_scenarios, step)
-    coarse_goal = make_goal(question.policy.search.refined_scenarios, None)
-    repeated = {name: np.repeat(u, 2)[: finer.rows] for name, u in best.inputs.items()}
-    gain = evaluate(fine_goal, repeated) - evaluate(coarse_goal, best.inputs)
-    yield Alternative(AlternativeKind.SAMPLE_FASTER, f"{step:g}", float(np.exp(gain)))
-
-
-# Noise of a sensor that is not installed and not described, as a share of the largest value that it would show.
-GOAL_NEW_SENSOR_NOISE: float = PROPOSAL_NEW_SENSOR_NOISE
-
-
-def _more_sensors(question: DesignProblem, goal: Goal, best: TriedInput) -> Iterator[Alternative]:
+    best, policy = tried[0], question.policy
+    # What each brings over the design, as a difference of the goal's logarithms: the best of each other kind of input first.
+    gains = [(AlternativeKind.INPUT, t.kind, t.value - best.value) for t in kinds_of(tried) if t.kind != best.kind]
+    # The same record again.
+    gains.append((AlternativeKind.REPEAT, "2", evaluate(goal, best.inputs, 2.0) - best.value))
+    if 2 * question.rows <= DESIGN_MOST_ROWS:
+        # A shape that fills any duration: a refined input has its levels for this one only.
+        general = next((t for t in tried if t.kind != "piecewise constant"), best)
+        longer = replace(question, duration=2 * question.duration)
+        value = evaluate(goal, play(longer, general.shapes, general.amplitude))
+        gains.append((AlternativeKind.LONGER, f"{longer.duration:g}", value - general.value))
+        # The same input with twice the samples, both with as many draws.
+        finer = replace(question, sampling_time=question.sampling_time / 2)
+        repeated = {name: np.repeat(u, 2)[: finer.rows] for name, u in best.inputs.items()}
+        fine, coarse = (make_goal(policy.refined_scenarios, step) for step in (finer.sampling_time, None))
+        gain = evaluate(fine, repeated) - evaluate(coarse, best.inputs)
+        gains.append((AlternativeKind.SAMPLE_FASTER, f"{finer.sampling_time:g}", gain))
+    # A further sensor: those that were named, and one of the usual noise at each output that has none.
     sensors: dict[str, float] = dict(question.sensors)
     outputs, _ = goal.plants[0].simulate(best.inputs)
     for j, output in enumerate(question.model.outputs):
         if output.name not in question.noise and output.name not in sensors:
-            largest = float(np.abs(outputs[:, j]).max())
-            sensors[output.name] = GOAL_NEW_SENSOR_NOISE * max(largest, TINY)
+            sensors[output.name] = NEW_SENSOR_NOISE * max(float(np.abs(outputs[:, j]).max()), TINY)
     for name, std in sensors.items():
         plants = [plant.with_sensors({name: std}) for plant in goal.plants]
         with_sensor = replace(goal, plants=plants)  # type: ignore[type-var]
-        yield Alternative(AlternativeKind.SENSOR, name, float(np.exp(evaluate(with_sensor, best.inputs) - best.value)))
+        gains.append((AlternativeKind.SENSOR, name, evaluate(with_sensor, best.inputs) - best.value))
+    alternatives = [Alternative(kind, text, float(np.exp(gain))) for kind, text, gain in gains]
+    return tuple(a for a in alternatives if np.isfinite(a.gain))

@@ -26,7 +26,7 @@ from greybox.extensions.design.inputs import (
 )
 from greybox.extensions.design.limits import LimitKeeper, LimitPrediction, fit_into_limits
 from greybox.extensions.design.plant import INPUT_SEARCH_SEED, PlantScenario, make_plant
-from greybox.extensions.design.problem import DesignProblem, InputSearchPolicy
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 from greybox.extensions.design.refinement import refine
 
 # Optimal weights of given pieces of information: which sampling times, which lines of a spectrum, which of many small experiments.
@@ -163,8 +163,8 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
     DataError
         Where no input keeps the limits.
     """
-    policy = question.policy.search
-    goal = make_goal(question.policy.margin.samples, None)
+    policy = question.policy
+    goal = make_goal(question.policy.scenarios, None)
     tried = try_shapes(question, keeper, goal, list_shapes(question, goal))
     best_of_kind: dict[str, TriedInput] = {}
     for each in tried:
@@ -239,7 +239,7 @@ STEP_COUNT = 12
 
 def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShape]]:
     """Chirps, steps, a staircase, PRBS and multisines over several bands; a multisine whose spectrum suits the model."""
-    policy = question.policy.search
+    policy = question.policy
     lowest, bands = find_bands(question)
     generator = np.random.default_rng(INPUT_SEARCH_SEED)
     shapes: list[InputShape] = [staircase(STAIRCASE_LEVELS, question.duration)]
@@ -273,15 +273,19 @@ def find_bands(question: DesignProblem) -> tuple[float, list[float]]:
     high = min(top, fastest / 2) if fastest else top
     low = min(max(4 * lowest, slowest / 20), high)
     high = max(high, min(4 * lowest, top))
-    return lowest, list(np.geomspace(low, high, policy.search.bands) if high > low else [high])
+    return lowest, list(np.geomspace(low, high, policy.bands) if high > low else [high])
 
 
-def flat_multisine(high: float, policy: InputSearchPolicy) -> Multisine:
+# Lines of a multisine over two decades.
+FLAT_HARMONICS = tuple(sorted({round(k) for k in np.geomspace(1, 100, 40)}))
+
+
+def flat_multisine(high: float, policy: DesignPolicy) -> Multisine:
     """A multisine up to ``high`` Hz with lines on a logarithmic scale and a low crest factor."""
-    harmonics = _spread_harmonics()
-    phases = _compressed_phases(harmonics, tuple([1.0] * len(harmonics)), policy.crest_iterations)
-    base = high / harmonics[-1]
-    return Multisine(tuple(base * k for k in harmonics), tuple([1.0] * len(harmonics)), phases)
+    amplitudes = (1.0,) * len(FLAT_HARMONICS)
+    phases = _compressed_phases(FLAT_HARMONICS, amplitudes, policy.crest_iterations)
+    base = high / FLAT_HARMONICS[-1]
+    return Multisine(tuple(base * k for k in FLAT_HARMONICS), amplitudes, phases)
 
 
 # Lines of the spectrum whose power is optimised.
@@ -290,7 +294,7 @@ SPECTRUM_LINES = 12
 
 def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -> Multisine | None:
     """A multisine whose power is D-optimal for a plant of small motion; None where single lines do not determine the constants."""
-    policy = question.policy.search
+    policy = question.policy
     harmonics = sorted({round(k) for k in np.geomspace(1, 100, SPECTRUM_LINES)})
     base = high / harmonics[-1]
     information = []
@@ -313,11 +317,6 @@ def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -
     phases = _compressed_phases(lines, tuple(np.round(amplitudes, 6).tolist()), policy.crest_iterations)
     frequencies = tuple(base * k for k in lines)
     return Multisine(frequencies, tuple(amplitudes.tolist()), phases, "multisine with optimal spectrum")
-
-
-@lru_cache(maxsize=1)
-def _spread_harmonics() -> tuple[int, ...]:
-    return tuple(sorted({round(k) for k in np.geomspace(1, 100, 40)}))
 
 
 @lru_cache(maxsize=16)

@@ -39,8 +39,13 @@ PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
 POLICY = DesignPolicy()
 QUICK = replace(
     POLICY,
-    search=replace(POLICY.search, bands=2, iterations=5, rounds=1, starts=1, refined_scenarios=1, crest_iterations=40),
-    margin=replace(POLICY.margin, samples=2),
+    bands=2,
+    iterations=5,
+    rounds=1,
+    starts=1,
+    refined_scenarios=1,
+    crest_iterations=40,
+    scenarios=2,
 )
 MASS = gb.Model(
     "mass",
@@ -156,7 +161,7 @@ RIGS = [
 
 
 def test_what_is_wrong_with_a_rig_is_said_in_one_sentence(tmp_path) -> None:
-    impatient = replace(CAMPAIGN_POLICY, rig=replace(CAMPAIGN_POLICY.rig, timeout=-19.5))
+    impatient = replace(CAMPAIGN_POLICY, rig_timeout=-19.5)
     run_campaign(PLAN, tmp_path)
     for command, message in RIGS:
         hangs = "hang" in command
@@ -211,7 +216,7 @@ from greybox.extensions.design.rig import run_rig
 from greybox.base.files import hold_file
 os.chdir({str(tmp_path)!r})
 with hold_file("campaign.lock") as held:
-    run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
+    run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig_timeout, held)
 """
     campaign = subprocess.Popen([sys.executable, "-c", script])
     note, deadline = tmp_path / "pid", time.monotonic() + 60

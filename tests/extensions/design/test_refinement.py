@@ -23,7 +23,7 @@ LIMITS = {"u": SignalLimit(-2, 2, rate=20.0), "x": SignalLimit(-0.1, 0.15), "v":
 
 
 def question(hold: str = "zero", **shares: float) -> DesignProblem:
-    policy = replace(POLICY, search=replace(POLICY.search, iterations=40, refined_scenarios=2))
+    policy = replace(POLICY, iterations=40, refined_scenarios=2)
     rest = gb.FitOptions(at_rest=True)
     return DesignProblem(
         (PLANT,), LIMITS, 8.0, 0.05, {"x": 1e-3}, options=rest, policy=policy, shares=shares, hold=hold
