@@ -219,7 +219,7 @@ CASES = {
     "damper": of(damper, shaken, "0V_ensaio1.1", "0V_ensaio4.1", "0V_ensaio8.1"),
     "damper on": of(damper, shaken, "3.21V_ensaio.A.1", "3.21V_ensaio.A.4", "3.21V_ensaio.A.8"),
     "two cylinders": halves("two_cylinders", "train.csv", "test.csv", 700),
-    "tacho": halves("dc_motor_tacho", "prbs10_train.csv", "prbs10_test.csv", 300),
+    "tacho": halves("dc_motor_tacho", "prbs500_train.csv", "prbs500_test.csv", 600),
     "hydraulic motor": halves("hydraulic_motor", "train.csv", "test.csv", 1500),
     "hanging load": halves("hanging_load", "train.csv", "test.csv", 1500),
 }

@@ -330,6 +330,9 @@ def _initial(line: LinearisedRun) -> np.ndarray:
     return _simulate_linear(line, np.eye(nx), np.zeros((1, nx)), np.zeros((line.rows, nx)))
 
 
+@np.errstate(
+    over="ignore", invalid="ignore"
+)  # an unstable stretch grows beyond all numbers: what is not finite explains nothing
 def _simulate_linear(line: LinearisedRun, x: np.ndarray, gamma: np.ndarray, w: np.ndarray) -> np.ndarray:
     """Outputs (R, ny, L) from the initial state ``x`` (nx, L) and the signals ``w`` (R, L) through ``gamma`` (R-1, nx)."""
     states = np.empty((line.rows, *x.shape))

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
-from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, TINY
+from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, RANK_CUTOFF, TINY
 from greybox.estimation.objective import ResidualRows
 from greybox.estimation.objective_search import LikelihoodMaximum
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
@@ -132,6 +132,9 @@ def estimate_covariance(
     # Schur complement: A_cc - A_ci A_ii^-1 A_ic, the initial states estimated as well instead of counted as known.
     projector = eliminate(data + known, inside, np.arange(n, variables.size))
     information = _symmetrise(projector @ data[:, inside])
+    # An offset that a free initial state can take the place of has no information left but rounding, of either sign.
+    lost = np.diag(information) <= RANK_CUTOFF * np.diag(data)[inside]
+    information[lost], information[:, lost] = 0.0, 0.0
     decomposition = decompose_symmetric(information + held)
     inverse = decomposition.pseudo_inverse
     degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))

@@ -141,3 +141,22 @@ def test_one_free_run_has_one_error():
     table = score(found, records[1], steps=(1,)).outputs["y"]
     assert table.free_run == found.validation.misfit["y"].rmse
     assert table.prediction[1] < table.free_run
+
+
+def test_an_offset_that_an_initial_state_can_stand_for_is_not_determined() -> None:
+    # F = K x + F0 with x free at the start: K x(0) + F0 is all that the record shows. Rounding made it a variance of -3e15.
+    model = Model(
+        "spring",
+        states=[State("x", "mm")],
+        inputs=[Input("v", "mm/s")],
+        outputs=[Output("F", "N", lambda x, u, p: p.K * x.x + p.F0)],
+        parameters=[Parameter("K", "N/mm", 2.0, (-10.0, 100.0)), Parameter("F0", "N", 5.0, (-1e3, 1e3))],
+        balances=lambda x, u, p: [Balance("motion", "mm/s", 1, "x", v=u.v)],
+    )
+    time = 0.01 * np.arange(600)
+    generator = np.random.default_rng(1)
+    v = 40 * np.sin(5 * time) + 20 * np.sin(17 * time)
+    force = 3.0 * np.cumsum(np.r_[0.0, v[:-1]]) * 0.01 + 200.0 + 10 * np.abs(v) ** 0.5 + generator.standard_normal(600)
+    result = fit(model, Experiment("run", time, {"v": v}, {"F": force}))
+    assert result.parameters["F0"].std is None and result.parameters["K"].std is not None
+    assert (np.diag(result.uncertainty.covariance) > 0).all()

@@ -4,7 +4,7 @@
     python -m tests.oracles.same_results compare OLD NEW [NAMES...] [--relative 1e-9]
     python -m tests.oracles.same_results list
 
-`store` runs about twenty problems through the command line of a checkout (this one, or another commit's) and keeps
+`store` runs about thirty-five problems through the command line of a checkout (this one, or another commit's) and keeps
 `fit.json`, `discovery.json`, `compare.json`, simulated records and exports. `compare` walks through two stores. A change
 of shape or wording leaves every number as it was; a change of an algorithm passes under a tolerance. Both stores come
 from the same machine: another compiler or BLAS library moves last digits.
@@ -13,8 +13,8 @@ Only the command line and, for what it merely prints, the public verbs are used.
 that the script works on every commit however the library is cut. Left out are times, versions, paths and sentences:
 every string except names of effects, sites and parameters, verdicts and grades of a discovery, and fingerprints of
 records. Keys that only one store has are told apart: added ones are told, removed ones fail. Exported code is compared
-line by line without its comments; a model file in Python by its numbers, in their order. Functional mock-up units are
-left out: their code is that of the C export.
+line by line without its comments; a model file in Python by its numbers, in their order. The code of a functional mock-up
+unit is that of the C export; fitted to a record it is compared as a fit.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -100,6 +101,14 @@ def numbers(value):
         return value.ravel().tolist()
     return [value] if isinstance(value, float) else []
 
+def respond():
+    """A fit to a frequency response, and the best linear approximation of two periods of a multisine."""
+    frequency = np.geomspace(5.0, 200.0, 40)
+    s = 2j * np.pi * frequency
+    values = 1.1 * 1.9e5 / (s**2 + 45.0 * s + 2e5)
+    points = gb.frequency.FrequencyResponse(frequency, values[:, None, None], ("u",), ("y",))
+    return gb.frequency.fit_frequency_response(silverbox, points)
+
 records = sys.argv[1]
 chirp = gb.read_csv(f"{records}/silverbox_chirp.csv", silverbox, hold="first")
 fitted = gb.fit(silverbox, chirp)
@@ -111,6 +120,7 @@ found = {
     "predict": gb.predict(fitted, chirp, steps=3),
     "smooth": gb.smooth(filtered, driven),
     "predict_filtered": gb.predict(filtered, driven, steps=2),
+    "frequency": respond(),
 }
 print(json.dumps({name: {"numbers": numbers(value)} for name, value in found.items()}))
 '''
@@ -146,6 +156,7 @@ SIMULATED = {
     "cylinder": CYLINDER.format(5) + " --seed 1",
     "cylinder_other": CYLINDER.format(4) + " --seed 2 --set P_S=7e5",
     "silverbox_chirp": "silverbox --chirp 0.05 --band 10:150 --duration 0.4 --sampling-time 1e-3 --noise y=1e-4 --hold first",
+    "actuator_worn": ACTUATOR.format(0.3) + " --seed 8 --set B=0.4",
     "actuator_irregular": "micro_actuator irregular_input.csv --noise x=2e-7 --noise i=5e-3 --seed 7",
     "cylinder_nonlinear": "pneumatic_full --multisine 1 --band 0.2:3 --duration 2 --sampling-time 0.01"
     " --noise s=1e-4 --noise p_a=500 --noise p_b=500",
@@ -254,6 +265,50 @@ PROBLEMS = (
         ),
     ),
     Problem("verbs", ("verbs",)),
+    Problem(
+        "design",
+        (
+            "design silverbox --limit u=-1:1 --duration 0.2 --sampling-time 1e-3 --noise y=1e-4 --output precision",
+            "design silverbox --limit u=-1:1 --duration 0.1 --sampling-time 1e-3 --noise y=1e-4 --goal detection"
+            " --effect cubic_stiffness --output detection",
+        ),
+    ),
+    Problem(
+        "changed",
+        (
+            f"fit micro_actuator {{records}}/actuator.csv {WEIGHED} --noise x=2e-7 --noise i=5e-3 --output fit",
+            "changed fit/fit.json {records}/actuator_other.csv --output healthy",
+            "changed fit/fit.json {records}/actuator_worn.csv --output worn",
+            "changed fit/fit.json {records}/actuator_friction.csv --no-effects --output incomplete",
+        ),
+    ),
+    Problem(
+        "campaign",
+        (
+            "campaign silverbox --limit u=-2:2 --duration 0.2 --sampling-time 1e-3 --noise y=1e-4 --experiments 1"
+            " --effect cubic_stiffness --at-rest --output campaign --rig"
+            " '{python} -m greybox simulate silverbox {{input}} --noise y=1e-4 --seed 3 --set d=50 --output {{record}} --no-report'",
+        ),
+    ),
+    Problem(
+        "laws",
+        (
+            "simulate silverbox --multisine 2 --band 5:200 --duration 0.5 --sampling-time 1e-3 --noise y=1e-4 --seed 1"
+            " --effect cubic_stiffness --set K3=2e4 --output train.csv",
+            "simulate silverbox --multisine 2 --band 5:200 --duration 0.5 --sampling-time 1e-3 --noise y=1e-4 --seed 2"
+            " --effect cubic_stiffness --set K3=2e4 --output test.csv",
+            "discover silverbox train.csv --validate test.csv --noise y=1e-4 --at-rest --effects constant_load --laws"
+            " --output laws",
+        ),
+    ),
+    Problem(
+        "fmu",
+        (
+            f"fit micro_actuator {{records}}/actuator.csv {WEIGHED} --output fit",
+            "export fit/fit.json --to fmu --output plant.fmu",
+            "fit plant.fmu {records}/actuator.csv --free K --free B --start K=6000 --output fmu",
+        ),
+    ),
     discover(1, "--effects coulomb_friction,cubic_stiffness,transport_delay"),
     discover(6, "--effects coulomb_friction,valve_dead_zone,valve_lag"),
     discover(16, "--effects coulomb_friction,stribeck_friction,quadratic_damping"),
@@ -293,7 +348,7 @@ def run(problem: Problem, folder: Path, records: Path, checkout: Path, shared: P
     prepare(problem.name, place, records)
     began = time.monotonic()
     for command in problem.commands:
-        words = command.format(records=records, shared=shared).split()
+        words = shlex.split(command.format(records=records, shared=shared, python=sys.executable))
         if words[0] == "cut":
             cut(shared / words[1], place / words[2], int(words[3]))
             continue

@@ -77,12 +77,15 @@ def condense(records: Sequence[Sequence[LinearisedSegment]], n: int) -> Condense
     states, flat = np.concatenate(solutions), [s for segments in records for s in segments]
     offset, slope = states[:, :, 0], states[:, :, 1:]
     cost, gradient, hessian = 0.0, np.zeros(n), np.zeros((n, n))
-    for k, s in enumerate(flat):
-        jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
-        residual, jacobian = s.residual + js @ offset[k], jz + js @ slope[k]
-        cost += float(residual @ residual)
-        gradient += 2 * jacobian.T @ residual
-        hessian += 2 * jacobian.T @ jacobian
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k, s in enumerate(flat):
+            jz, js = s.jacobian[:, :n], s.jacobian[:, n:]
+            residual, jacobian = s.residual + js @ offset[k], jz + js @ slope[k]
+            cost += float(residual @ residual)
+            gradient += 2 * jacobian.T @ residual
+            hessian += 2 * jacobian.T @ jacobian
+    if not (np.isfinite(cost) and np.isfinite(hessian).all()):
+        return None
     return CondensedProblem(cost, gradient, hessian, offset, slope, flat)
 
 

@@ -276,7 +276,9 @@ def measure_scatter(
     records = [[trace.experiment for trace in f.traces] for f in fits]
     if sum(len(of) - 1 for of in records) >= LEAST_RECORD_DEGREES:
         sides = [_estimate_each(f, of, constants) for f, of in zip(fits, records, strict=True)]
-        spread = _measure(sides, LEAST_RECORD_DEGREES, 1.0)
+        # What a model lacks acts alike in records that repeat each other: their spread may be smaller than any interval. Of other
+        # motion it says something else, and the intervals are the least that is allowed.
+        spread = _measure(sides, LEAST_RECORD_DEGREES, 0.0 if pairs else 1.0)
         if spread is not None and not (adequate and spread.p > WANDER_P):
             return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.RECORDS)
     if adequate:
@@ -362,10 +364,7 @@ class _Spread(NamedTuple):
 def _measure(
     groups: Sequence[Sequence[ConstantsEstimate | None]], least_degrees: int, least_factor: float
 ) -> _Spread | None:
-    """The spread of estimates about the mean of each group; None with fewer degrees of freedom.
-
-    Of each constant by itself, and of all together: a combination that is determined well may scatter further than any constant.
-    """
+    """The spread of the estimates of each constant about the mean of each group; None with fewer degrees of freedom."""
     known = [group for group in map(_known, groups) if group]
     degrees = sum(len(group) - 1 for group in known)
     if degrees < least_degrees or len(known) < len(groups):
@@ -382,10 +381,8 @@ def _measure(
     enough = counts - len(known) >= least_degrees
     factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
     all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
-    # With fewer pieces than constants every combination is an exact one, and says nothing.
-    together = np.sqrt(all_squares / all_degrees) if degrees >= enough.sum() else 0.0
     p = float(chdtrc(all_degrees, all_squares))
-    return _Spread(np.maximum(np.maximum(factors, together), least_factor), degrees, p)
+    return _Spread(np.maximum(factors, least_factor), degrees, p)
 
 
 # Pieces of each side's records at least: their variance is known to half of itself.
@@ -406,6 +403,20 @@ def cut_records(records: Sequence[Experiment]) -> list[Experiment]:
         else:
             pieces.append(record)
     return pieces
+
+
+def reach_of_missing_part(fit: Fit, constants: FittedConstants) -> np.ndarray:
+    """How far (k,) what a model lacks can take each constant, on the scale of the comparison; infinite where nobody knows.
+
+    As large a signal as the fit leaves, acting as this constant does wherever the others do not: with the residual's variance ``s^2``
+    and N samples that is ``s sqrt(N) / |J|``, where ``J`` is the part of the constant's slopes that no other constant explains, and
+    ``s / |J|`` its standard deviation for a white residual.
+    """
+    inflation = np.array([fit.uncertainty.inflation.get(name, np.inf) for name in constants.names])
+    samples = sum(misfit.samples for misfit in fit.misfit.values())
+    with np.errstate(invalid="ignore", divide="ignore"):
+        reach = np.sqrt(constants.variances * samples) / np.maximum(inflation, 1.0)
+    return np.where(np.isfinite(reach), reach, np.inf)
 
 
 # Have constants moved between two fits? A joint test, and a look at each that allows for the number of looks.
@@ -467,15 +478,20 @@ def compare_constants(
     names: Sequence[str],
     level: float,
     power: float,
+    scatter_degrees: float = np.inf,
 ) -> DifferenceTest:
-    """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms."""
+    """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms.
+
+    ``scatter_degrees``: degrees of freedom of a scatter that was measured over both sides together. It says how far each constant
+    wanders, and not how far a combination does: then only each by itself is tested.
+    """
     i, j = before.index(names), after.index(names)
     common = before.positive[i] & after.positive[j]
     one, other = _rescale(before, i, common), _rescale(after, j, common)
     difference = other[0] - one[0]
     covariance = one[1] + other[1]
     std = np.sqrt(np.diag(covariance))
-    degrees = combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees)
+    degrees = min(combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees), scatter_degrees)
     correlation = covariance / np.outer(std, std)
     z = difference / std
     null = _NullDistribution.draw(correlation, degrees)
@@ -488,7 +504,7 @@ def compare_constants(
         difference,
         std,
         p,
-        null.joint_p_value(z),
+        null.joint_p_value(z) if np.isinf(scatter_degrees) else float(p.min(initial=1.0)),
         wide * std,
         (critical + stdtrit(degrees, power)) * std,
         direction / largest if largest else direction,

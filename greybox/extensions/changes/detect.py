@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.special import fdtrc
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
+from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
 from greybox.discovery.pipeline import discover
@@ -31,6 +32,7 @@ from greybox.extensions.changes.constants import (
     compare_constants,
     list_comparable,
     measure_scatter,
+    reach_of_missing_part,
     read_constants,
     read_residual,
 )
@@ -91,20 +93,42 @@ Signals = Mapping[str, np.ndarray]
 # Two records of the same motion: what the model lacks acts alike in both.
 
 
-def match_repeats(
-    reference: Sequence[Experiment], records: Sequence[Experiment]
-) -> tuple[tuple[Experiment, Experiment], ...]:
-    """Each record with the record of the fit that it repeats, both as long as the shorter one; none where one repeats none."""
-    pairs: list[tuple[Experiment, Experiment]] = []
-    left = list(reference)
-    for record in records:
-        alike = next((one for one in (*left, *reference) if is_alike(one, record)), None)
-        if alike is None:
-            return ()
-        left = [one for one in left if one is not alike]
-        rows = min(alike.rows, record.rows)
-        pairs.append((alike.window(0, rows), record.window(0, rows)))
-    return tuple(pairs)
+@dataclass(frozen=True)
+class Repeats:
+    """Records of the same motions before and today, all of one motion over the rows that they have in common.
+
+    ``pairs``: each of today's with the one of before that stands for it. Empty where one of today's repeats none.
+    """
+
+    before: tuple[Experiment, ...] = ()
+    after: tuple[Experiment, ...] = ()
+    pairs: tuple[tuple[Experiment, Experiment], ...] = ()
+
+
+def match_repeats(reference: Sequence[Experiment], records: Sequence[Experiment]) -> Repeats:
+    """The records of each motion that today's repeat; nothing where one of today's repeats none of the fit."""
+
+    # A motion goes by the first record of the fit that shows it.
+    known: list[int] = []
+    for k, one in enumerate(reference):
+        known.append(next((known[j] for j in range(k) if is_alike(reference[j], one)), k))
+    motions = [next((known[j] for j, one in enumerate(reference) if is_alike(one, r)), -1) for r in records]
+    if -1 in motions:
+        return Repeats()
+    before = {m: [one for one, of in zip(reference, known, strict=True) if of == m] for m in dict.fromkeys(motions)}
+    rows = {
+        motion: min(r.rows for r in (*ones, *(r for r, m in zip(records, motions, strict=True) if m == motion)))
+        for motion, ones in before.items()
+    }
+    cut = {motion: [one.window(0, rows[motion]) for one in ones] for motion, ones in before.items()}
+    after = tuple(record.window(0, rows[motion]) for record, motion in zip(records, motions, strict=True))
+    # The second record of a motion stands beside the second one of before, as long as there are any.
+    places = [motions[:k].count(motion) for k, motion in enumerate(motions)]
+    pairs = tuple(
+        (cut[motion][place if place < len(cut[motion]) else 0], record)
+        for motion, place, record in zip(motions, places, after, strict=True)
+    )
+    return Repeats(tuple(one for ones in cut.values() for one in ones), after, pairs)
 
 
 # Rms difference of two signals over their size up to which one repeats the other: what the model lacks then acts alike in both.
@@ -267,32 +291,43 @@ def detect_changes(
         read_constants(today, read_residual(today, ADEQUATE_RATIO)),
     )
     scatter: MeasuredScatter | None = None
+    shares: dict[str, float] = {}
     if after.names == before.names:
         adequate, compared = residuals[0].adequate, (reference, today)
-        pairs: tuple[tuple[Experiment, Experiment], ...] = ()
+        repeats = Repeats()
         if not adequate:
-            pairs = match_repeats([trace.experiment for trace in reference.traces], listed)
-            compared = _fit_pairs(reference, today, pairs)
+            repeats = match_repeats([trace.experiment for trace in reference.traces], listed)
+            compared = _fit_repeats(reference, today, repeats)
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
         if after.names == before.names:
-            scatter = measure_scatter(*compared, before, pairs, adequate=adequate)
+            shares = _share_beyond_missing_part(compared, before, after)
+            scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
         if scatter is not None:
             before, after = scatter.before, scatter.after
             largest = int(np.argmax(scatter.factors))
             allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees, "over": scatter.yardstick}
             findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
     comparable = residuals[0].adequate or (scatter is not None and scatter.yardstick.is_trusted)
-    constants, test = compare_fits(before, after, level_of_constants)
+    constants, test = compare_fits(before, after, level_of_constants, scatter.degrees if scatter else math.inf)
     checks = of_residual
     if test:
         checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
     verdict = decide_change(constants, checks)
     conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
     if verdict is ChangeVerdict.CHANGED and not comparable:
-        moved = {"constants": [name for name, c in constants.items() if c.moved], "p": test.p_value if test else None}
-        conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=moved),)
-        constants = {name: replace(c, moved=False) for name, c in constants.items()}
-        verdict = ChangeVerdict.CANNOT_TELL
+        # Pieces of a record say nothing of another motion: a change counts that is more than what the model lacks could ever do.
+        wanted = [name for name, c in constants.items() if c.moved]
+        moved = [name for name in wanted if shares.get(name, 0.0) > 1]
+        constants = {name: replace(c, moved=name in moved) for name, c in constants.items()}
+        if moved:
+            conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
+            least = min(moved, key=lambda name: shares[name])
+            reason = Finding(ChangeCode.BEYOND_MISSING_PART, Severity.NOTE, least, {"ratio": shares[least]})
+            findings = (*findings, reason)
+        else:
+            differing = {"constants": wanted, "p": test.p_value if test else None}
+            conclusion = (Finding(ChangeCode.DIFFERENT_INPUT, Severity.WARNING, values=differing),)
+            verdict = ChangeVerdict.CANNOT_TELL
     return ChangeDetection(
         verdict,
         reference,
@@ -307,16 +342,45 @@ def detect_changes(
     )
 
 
-def _fit_pairs(reference: Fit, today: Fit, pairs: Sequence[tuple[Experiment, Experiment]]) -> tuple[Fit, Fit]:
-    """Both fits of the rows that both records of each pair have: of a model that lacks something the rest tells something else.
+# What a model lacks may hide more of itself in a constant than it leaves: so many times the residual at records of one level, ...
+HIDDEN_PART = 1.25
 
-    As they are where every record is as long as the one that it repeats, or repeats none.
+
+def _share_beyond_missing_part(
+    fits: tuple[Fit, Fit], before: FittedConstants, after: FittedConstants
+) -> dict[str, float]:
+    """The change of each constant over the most that what the model lacks could do to it from the one motion to the other."""
+    level = _compare_levels(*([trace.experiment for trace in f.traces] for f in fits))
+    # ... and between two levels as a cubic spring under a sine does, whose fundamental 3/4 K A^3 acts as a spring and whose third harmonic
+    # 1/4 K A^3 stays: 3 |A^2 - B^2| / (A^2 + B^2) of both residuals together.
+    hidden = max(HIDDEN_PART, 3 * (level**2 - 1) / (level**2 + 1))
+    reach = hidden * (reach_of_missing_part(fits[0], before) + reach_of_missing_part(fits[1], after))
+    change = np.where(before.positive == after.positive, np.abs(after.scaled - before.scaled), 0.0)
+    return dict(zip(before.names, (change / np.maximum(reach, TINY)).tolist(), strict=True))
+
+
+def _compare_levels(before: Sequence[Experiment], after: Sequence[Experiment]) -> float:
+    """How many times larger an input (an output, where there is none) is in the records of one side than in those of the other."""
+
+    def measure(records: Sequence[Experiment]) -> dict[str, float]:
+        signals = [r.inputs or r.outputs for r in records]
+        return {n: float(np.nanstd(np.concatenate([s[n] for s in signals if n in s]))) for n in signals[0]}
+
+    one, other = measure(before), measure(after)
+    ratios = [max(one[n], other[n], TINY) / max(min(one[n], other[n]), TINY) for n in one if n in other]
+    # An input that is held at one value moves nothing: the offsets of the records are what it has.
+    return max((r for r in ratios if r < 1 / TINY), default=1.0)
+
+
+def _fit_repeats(reference: Fit, today: Fit, repeats: Repeats) -> tuple[Fit, Fit]:
+    """Both fits of the rows that the records of a motion have in common: of a model that lacks something the rest tells something else.
+
+    As they are where they are of these rows already, or where today's records repeat none.
     """
-    if not pairs:
+    if not repeats.pairs:
         return reference, today
-    sides = tuple(tuple(side) for side in zip(*pairs, strict=True))
     fits = []
-    for whole, side in zip((reference, today), sides, strict=True):
+    for whole, side in ((reference, repeats.before), (today, repeats.after)):
         known = [trace.experiment.rows for trace in whole.traces]
         again = refit(whole, side) if [record.rows for record in side] != known else whole
         fits.append(again if again.success else whole)
@@ -343,11 +407,14 @@ SENSITIVITY_POWER = 0.95
 
 
 def compare_fits(
-    before: FittedConstants, after: FittedConstants, level: float
+    before: FittedConstants, after: FittedConstants, level: float, scatter_degrees: float = math.inf
 ) -> tuple[dict[str, ConstantChange], DifferenceTest | None]:
-    """The change of every constant of ``before``, and the test behind it; None where no constant can be compared."""
+    """The change of every constant of ``before``, and the test behind it; None where no constant can be compared.
+
+    ``scatter_degrees``: as `compare_constants` takes them.
+    """
     names = list_comparable(before, after)
-    test = compare_constants(before, after, names, level, SENSITIVITY_POWER) if names else None
+    test = compare_constants(before, after, names, level, SENSITIVITY_POWER, scatter_degrees) if names else None
     changes = {}
     for name in before.names:
         i = before.names.index(name)

@@ -38,6 +38,7 @@ class ChangeCode(StrEnum):
     CONSTANT_AT_BOUND = "change_constant_at_bound"
     MODEL_LACKS_SOMETHING = "change_model_lacks_something"
     SCATTER_ALLOWED = "change_scatter_allowed"
+    BEYOND_MISSING_PART = "change_beyond_missing_part"
     SPLIT_FOR_VALIDATION = "change_split_for_validation"
     SAME_RECORD = "change_same_record"
     # Several machines.

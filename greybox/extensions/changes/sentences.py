@@ -227,6 +227,10 @@ register(
             f"the constants scatter {SCATTERED_OVER[f.values.get('over', Yardstick.PIECES)]} by {f.values['factor']:.2g} times what their"
             f" intervals say ({f.subject}, {f.values['degrees']} degrees of freedom); the comparison allows for that"
         ),
+        ChangeCode.BEYOND_MISSING_PART: (
+            "{subject} has changed by {ratio:.2g} times the most that what the model lacks could do to it, by what the fits leave and how"
+            " the two motions differ in size; a smaller change could not be told from that under another motion"
+        ),
         ChangeCode.SPLIT_FOR_VALIDATION: (
             "{subject} is the only record of today: an effect was looked for in its first half and judged on its second; a further record,"
             " with --validate, is the better judge"

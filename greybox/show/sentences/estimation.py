@@ -98,7 +98,7 @@ def write_direction(direction: dict[str, float]) -> str:
     """An undetermined direction: ``Kf, La, Ra can change together ...``."""
     names = list(direction)
     if len(names) == 1:
-        return f"{names[0]} has no influence on the measured outputs"
+        return f"{names[0]} has no influence on the measured outputs, or none that free initial states could not have"
     return f"{', '.join(names)} can change together without changing the outputs: fix one of them, or measure another output"
 
 

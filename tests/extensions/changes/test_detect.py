@@ -133,14 +133,19 @@ def test_under_the_same_input_what_the_model_lacks_cancels() -> None:
     assert 0 < low < 45.0 - silverbox.values["d"] < high < 4.0
 
 
-def test_under_another_input_such_a_model_cannot_tell_a_change() -> None:
+def test_under_another_input_such_a_model_cannot_tell_a_change_but_a_large_one() -> None:
     reference = gb.fit(silverbox, stiffening(1, 9), noise=NOISE)
     for seed in range(10, 13):
         change = gb.detect_changes(reference, stiffening(seed, seed))
         assert change.verdict is not ChangeVerdict.CHANGED and change.moved == ()
-    change = gb.detect_changes(reference, stiffening(10, 10, d=60.0))
+    change = gb.detect_changes(reference, stiffening(10, 10, d=45.0))
     assert change.verdict is ChangeVerdict.CANNOT_TELL
     assert codes(change) == [ChangeCode.DIFFERENT_INPUT] and change.moved == ()
+    # Whatever acts in the model's place, it is about as large as what is left: 40 % more damping is none of it.
+    change = gb.detect_changes(reference, stiffening(10, 10, d=60.0))
+    assert change.verdict is ChangeVerdict.CHANGED and change.moved == ("d",)
+    (beyond,) = [f for f in change.findings if f.code == ChangeCode.BEYOND_MISSING_PART]
+    assert beyond.subject == "d" and beyond.values["ratio"] > 1
 
 
 # --- several machines, and time

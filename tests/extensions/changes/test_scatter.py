@@ -42,8 +42,16 @@ def coast(seed: int, share: float = 1.0, seconds: float = 0.0) -> gb.Experiment:
 def test_runs_that_end_by_themselves_are_repeats_over_what_both_cover() -> None:
     one, other = coast(1), coast(4)
     assert one.rows != other.rows and is_alike(one, other)
-    ((before, after),) = match_repeats([one], [other])
+    ((before, after),) = match_repeats([one], [other]).pairs
     assert before.rows == after.rows == min(one.rows, other.rows)
+
+
+def test_all_records_of_the_motion_that_is_repeated_are_compared_over_the_same_rows() -> None:
+    ones, other = [coast(k) for k in (1, 4, 5)], coast(6)
+    repeats = match_repeats(ones, [other])
+    assert len(repeats.before) == 3 and len(repeats.after) == len(repeats.pairs) == 1
+    assert {r.rows for r in (*repeats.before, *repeats.after)} == {min(r.rows for r in (*ones, other))}
+    assert not match_repeats(ones, [other, day(1, 2.0)]).pairs
 
 
 def test_a_run_that_covers_less_than_half_of_the_other_is_no_repeat() -> None:
@@ -59,6 +67,19 @@ def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> N
     assert change.verdict is ChangeVerdict.CHANGED and change.moved == ("b",)
     low, high = change.constants["b"].interval
     assert 0 < low < high
+
+
+def test_what_it_writes_is_read_back_and_refitted_to_the_same_constants(tmp_path) -> None:
+    reference = gb.fit(coasting(), coast(1), options=QUICK)
+    changes = gb.detect_changes(reference, coast(3, share=1.2), search_effects=False)
+    written = gb.change_detection.load_changes(changes.save(tmp_path / "changed.json"))
+    # Over the rows that both runs have, as they were compared.
+    ((before, after),) = match_repeats([coast(1)], [coast(3, share=1.2)]).pairs
+    estimates = [gb.fit(coasting(), record, options=QUICK).parameters["b"].value for record in (before, after)]
+    low, high = written["constants"]["b"]["interval"]
+    assert low < estimates[1] - estimates[0] < high
+    again = gb.fit(coasting(), coast(3, share=1.2), options=QUICK)
+    assert again.misfit["w"].rmse == pytest.approx(changes.today.misfit["w"].rmse, rel=0.01)
 
 
 def day(seed: int, gain: float) -> gb.Experiment:

@@ -21,6 +21,7 @@ from greybox.base.errors import DataError
 from greybox.base.files import hold_file
 from greybox.base.json_file import ResultKind, read_json
 from greybox.data.signals import SignalLimit
+from greybox.estimation.result import load_fit
 from greybox.extensions.design.campaign import (
     MODEL_ERROR,
     UNPROVEN_SHARE,
@@ -99,6 +100,17 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
     (value,) = [row[-1] for row in widths.rows if row[0] == "K3"]
     discovered = read_json(finished.folder / f"{len(finished.steps):02d}" / "discovery.json", ResultKind.DISCOVERY)
     assert float(value.split()[0]) == pytest.approx(discovered["parameters"]["K3"]["value"], rel=1e-4)
+
+
+def test_what_it_writes_is_read_back_and_refitted_to_the_same_errors(finished) -> None:
+    folder = finished.folder / f"{len(finished.steps):02d}"
+    records = [gb.read_csv(file, MASS) for file in sorted(finished.folder.glob("*/record.csv"))]
+    written = load_fit(folder / "fit.json", MASS + gb.effect("cubic_stiffness"))
+    # The model with the effect that it names, added by hand and begun anew, on the records that lie in the folder.
+    again = gb.fit(MASS + gb.effect("cubic_stiffness"), records, noise=PLAN.noise, options=PLAN.options)
+    assert again.misfit["x"].rmse == pytest.approx(written.misfit["x"].rmse, rel=0.01)
+    for name, estimate in written.parameters.items():
+        assert again.parameters[name].value == pytest.approx(estimate.value, rel=0.01), name
 
 
 def test_it_goes_on_where_it_was_stopped(tmp_path) -> None:

@@ -101,7 +101,7 @@ GOLDEN = [
         "direction_undetermined",
         "",
         {"direction": {"Kf": 1.0}},
-        "not determined by these data: Kf has no influence on the measured outputs",
+        "not determined by these data: Kf has no influence on the measured outputs, or none that free initial states could not have",
     ),
     (
         "direction_undetermined",
