@@ -149,11 +149,13 @@ class RandomEffects:
         """By Paule and Mandel: the spread at which the weighted squares about the mean are as many as their degrees of freedom."""
 
         def weigh(spread: float) -> tuple[float, float, float]:
+            # w_i = 1 / (v_i + s^2), mean = sum w x / sum w
             weights = 1 / (variances + spread)
             mean = float(weights @ values / weights.sum())
             return mean, float(weights @ (values - mean) ** 2), float(1 / weights.sum())
 
         low, high = 0.0, max(float(np.var(values, ddof=1)) * len(values), TINY) if len(values) > 1 else 0.0
+        # sum w (x - mean)^2 falls with the spread and is n - 1 at the right one: bisection; no spread where it is less without any.
         if len(values) > 1 and weigh(0.0)[1] > len(values) - 1:
             for _ in range(BISECTIONS):
                 middle = (low + high) / 2
@@ -184,14 +186,17 @@ def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], compar
     machines = list(known)
     values, variances, positive, unit = _to_one_scale(list(known.values()), name)
     level = CHANGE_TEST_FALSE_ALARM_RATE / comparisons
+    # Those that fall out are no part of what the kind has in common.
     outside = find_outliers(values, variances, level, LARGEST_OUTLYING_SHARE)
     inside = np.setdiff1d(np.arange(len(values)), outside)
     common = RandomEffects.of(values[inside], variances[inside])
     p = {}
     for k, machine in enumerate(machines):
         others = inside[inside != k]
+        # Bonferroni: every machine is looked at in every constant.
         looks = len(values) * comparisons
         p[machine] = min(1.0, looks * deleted_p_value(values[k], variances[k], values[others], variances[others]))
+    # 95 % of the mean, by as many machines as told it.
     reach = float(stdtrit(max(len(inside) - 1, 1), 0.975)) * math.sqrt(common.variance)
     back = math.exp if positive else float
     constant = PopulationConstant(
@@ -207,6 +212,7 @@ def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], compar
 def deleted_p_value(value: float, variance: float, others: np.ndarray, of_others: np.ndarray) -> float:
     """How often a machine of the kind of the ``others`` lies as far from their mean as ``value``, which is not among them."""
     common = RandomEffects.of(others, of_others)
+    # The machine itself, the spread of its kind, and what is not known of their mean.
     total = variance + common.spread + common.variance
     distance = abs(value - common.mean) / math.sqrt(total)
     # Student's where the spread rules, which so many machines have told; normal where it is the records' own uncertainty.
@@ -224,6 +230,7 @@ def find_outliers(values: np.ndarray, variances: np.ndarray, level: float, large
             others = [i for i in left if i != k]
             p.append(deleted_p_value(values[k], variances[k], values[others], variances[others]))
         farthest = int(np.argmin(p))
+        # Of all that are left the farthest was chosen.
         significant = p[farthest] * len(left) < level
         removed.append(left.pop(farthest))
         clear = len(removed) if significant else clear
@@ -241,6 +248,7 @@ def _report(
             continue
         k = fitted.names.index(name)
         value = float(fitted.values[k])
+        # d p = p d ln p, back into the unit.
         std = math.sqrt(fitted.variances[k]) * (value if fitted.positive[k] else 1.0)
         constants[name] = {"value": value, "std": std, "unit": survey.common.unit, "p": survey.p[machine]}
     return MachineReport(machine, constants, tuple(n for n, s in surveys.items() if machine in s.outlying))
@@ -363,7 +371,9 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
 
 def estimate_wandering(values: np.ndarray, variances: np.ndarray) -> np.ndarray:
     """Variance (...) from record to record beyond the ``variances`` (n,), of one or several courses (..., n)."""
+    # |x_k - x_(k-1)| over its deviation, of which the median is known: a jump touches one of them.
     ranges = np.median(np.abs(np.diff(values, axis=-1)) / np.sqrt((variances[1:] + variances[:-1]) / 2), axis=-1)
+    # What the scatter has beyond the variances of the records, as a variance.
     excess = np.square(ranges / MEDIAN_OF_RANGE) - 1
     return np.maximum(excess, 0.0) * float(np.median(variances))
 
@@ -373,12 +383,14 @@ def compute_jump_ratios(values: np.ndarray, variances: np.ndarray, least: int) -
 
     ``values`` and ``variances`` are (..., n); the first place lies behind the first ``least`` values.
     """
+    # Means of both sides from running sums, at every place at once.
     weights = 1 / variances
     sums, totals = np.cumsum(weights * values, axis=-1), np.cumsum(weights, axis=-1)
     last = values.shape[-1] - least
     before, after = sums[..., least - 1 : last], sums[..., -1:] - sums[..., least - 1 : last]
     weight_before = totals[..., least - 1 : last]
     weight_after = totals[..., -1:] - weight_before
+    # (mean_after - mean_before)^2 over the sum of both variances: twice the logarithm of the likelihood ratio.
     return np.square(after / weight_after - before / weight_before) / (1 / weight_before + 1 / weight_after)
 
 
@@ -399,6 +411,7 @@ def find_change_points(values: np.ndarray, variances: np.ndarray, level: float) 
         ratios = compute_jump_ratios(part, known + wandering, LEAST_STRETCH)
         place = int(np.argmax(ratios)) + LEAST_STRETCH
         p = _chance_of_jump(float(ratios.max()), known, wandering, len(values))
+        # Each side of a jump is searched again (binary segmentation).
         if p < level:
             jumps.append((first + place, p))
             pending += [(first, first + place), (first + place, end)]
@@ -414,9 +427,12 @@ CHART_SEED = 0
 def _chance_of_jump(largest: float, variances: np.ndarray, wandering: float, length: int) -> float:
     """How often a course without a jump shows a ratio as large somewhere, its wandering estimated as in the course at hand."""
     generator = np.random.default_rng(CHART_SEED)
+    # Courses with the variances at hand and no jump.
     drawn = generator.standard_normal((CHART_DRAWS, len(variances))) * np.sqrt(variances + wandering)
+    # In a part of the course the wandering stays that of the whole, here as there.
     again = estimate_wandering(drawn, variances) if len(variances) == length else np.full(CHART_DRAWS, wandering)
     ratios = compute_jump_ratios(drawn, variances + again[:, None], LEAST_STRETCH).max(axis=-1)
+    # The course at hand counts as one of them, so that no p-value is zero.
     return (1 + int((ratios >= largest).sum())) / (1 + CHART_DRAWS)
 
 
@@ -429,9 +445,11 @@ def _find_jumps(
 ) -> list[ChangePoint]:
     known = [c for t in places if (c := points[t]) is not None]
     values, variances, positive, unit = _to_one_scale(known, name)
+    # The rate of false alarms is shared by the constants.
     jumps = find_change_points(values, variances, CHANGE_TEST_FALSE_ALARM_RATE / comparisons)
     edges = [0, *(place for place, _ in jumps), len(values)]
     back = math.exp if positive else float
+    # Between two jumps the mean of the records, each weighed by its information.
     means = [back(float(np.average(values[a:b], weights=1 / variances[a:b]))) for a, b in pairwise(edges)]
     return [
         ChangePoint(name, unit, labels[places[at]], places[at], means[k], means[k + 1], min(1.0, p * comparisons))
