@@ -92,6 +92,7 @@ class Job:
         self.kind, self.session = kind, session
         self._listener = listener
         self._stops = 0
+        # A process that begins empty: a fork would take the threads' locks of the server with it.
         context = multiprocessing.get_context("spawn")
         self._connection, far_end = context.Pipe()
         # What `greybox.fit` is called with, or `greybox.discover` as the command of that name calls it.
@@ -112,6 +113,7 @@ class Job:
         self._process = context.Process(target=_run, args=(far_end, kind, payload))
         with quiet_children():
             self._process.start()
+        # Its other end belongs to the process alone: so it reads an end of file where that is gone.
         far_end.close()
         self._reader = threading.Thread(target=self._listen, daemon=True)
         self._reader.start()
@@ -130,6 +132,7 @@ class Job:
     def end(self) -> None:
         """End the process now."""
         if self._process.is_alive():
+            # First as somebody who asks; a process inside a compiled solver may not hear it.
             self._process.terminate()
             self._process.join(APP_GRACE_SECONDS)
         if self._process.is_alive():
@@ -141,13 +144,16 @@ class Job:
         self._reader.join(seconds)
 
     def _listen(self) -> None:
+        # The last news is told when the process is gone, so that the next one may begin.
         last: JobEvent | None = None
         while last is None:
             try:
                 news, content = self._connection.recv()
             except (EOFError, OSError, ValueError, UnpicklingError):  # gone, or cut short while it was telling
                 self.end()
+                # Silence after a request to stop is its answer; without one the process has crashed.
                 news, content = (JobNews.STOPPED, None) if self._stops else (JobNews.FAILED, "")
+            # A result comes packed: only one of this program's own processes can have sent it.
             event = JobEvent(JobNews(news), unpack(content) if news == JobNews.DONE else content)
             if event.news in LAST_NEWS:
                 last = event
@@ -160,6 +166,7 @@ class Job:
 def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
     """The process: compute, tell, end."""
     stop = threading.Event()
+    # Requests are heard beside the computation, which does not return until it is done.
     threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
     news: JobNews
     content: bytes | str | None
@@ -182,7 +189,9 @@ def _hear(connection: Connection, stop: threading.Event, interrupts: bool) -> No
         connection.recv()
     except (EOFError, OSError):
         os._exit(1)
+    # Whoever asked is there: the first message is a request to stop.
     stop.set()
+    # A fit looks at the request after each iteration; a discovery is interrupted wherever it is.
     if interrupts:
         _thread.interrupt_main()
     try:

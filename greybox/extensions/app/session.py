@@ -50,10 +50,13 @@ class ValueRange:
     def around(cls, parameter: Parameter) -> ValueRange:
         """A range about the present value of a parameter, within its bounds."""
         value, (low, high) = parameter.value, parameter.bounds
+        # A constant that can only be positive moves by factors.
         if parameter.positive:
             return cls(max(low, value / SLIDER_RATIO), min(high, value * SLIDER_RATIO), True)
+        # Around zero the bounds are the only scale.
         if value == 0 and math.isfinite(low) and math.isfinite(high):
             return cls(low, high, False)
+        # Zero has no size of its own: one unit to both sides.
         reach = SLIDER_REACH * abs(value) or 1.0
         return cls(max(low, value - reach), min(high, value + reach), False)
 
@@ -107,6 +110,7 @@ class Session:
     searched: Model | None = None
 
     def __post_init__(self) -> None:
+        # A range stays while its value does not leave it: a slider must not jump under the hand.
         kept = {
             q.name: r
             for q in self.model.all_parameters
@@ -134,6 +138,7 @@ class Session:
     @property
     def model_to_fit(self) -> Model:
         """The model, its delays bounded as the records can show them."""
+        # As the slowest of the records shows them.
         periods = [float(np.median(record.intervals)) for record in self.estimation]
         return bound_delays(self.model, max(periods)) if periods else self.model
 
@@ -157,6 +162,7 @@ class Session:
         # A run that overflows has no size: the effect starts as the catalogue has it.
         if candidate is None or not _runs_through(candidate):
             return replace(self, model=model)
+        # At the amplitude where a discovery begins: large enough to be seen, small beside the motion.
         scales = estimate_scales(candidate)
         point = next(generate_starting_points(model, effect, candidate, self.model, scales, amplitudes=(1.0,)))
         values = {}
@@ -182,6 +188,7 @@ class Session:
 
     def with_role(self, index: int, validates: bool) -> Session:
         """With one of the records fitted, or judging. Raises DataError where there is none."""
+        # A record that judges was not fitted: one that moves over is judged, or fitted, from the next fit on.
         changed = replace(self.record(index), validates=validates)
         return replace(self, records=(*self.records[:index], changed, *self.records[index + 1 :]))
 
@@ -218,8 +225,10 @@ class Session:
         run = self._run(record).traces[0]
         problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
         states = self.model.system.state_names
+        # The initial state of the free run: what the person sees is what is looked at.
         guess = np.array([[run.initial_state[name] for name in states]])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
+        # Nothing is fitted: the residual and its slopes at the present constants.
         evaluation = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(
             self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation

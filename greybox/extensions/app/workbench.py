@@ -123,6 +123,7 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
     result = session.simulate(index)
     trace, model = result.traces[0], session.model
     units = {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
+    # The noise that was given, else that of the last fit: a band around the residual.
     noise: Mapping[str, float] = session.noise or (session.fit.noise.std if session.fit is not None else {})
     figures = {
         "run": plot_run(trace, units, "run"),
@@ -160,6 +161,7 @@ APP_STRETCHES = 700
 
 def show_figure(figure: Figure) -> dict[str, Any]:
     """A figure as the page's script draws it, and in words."""
+    # The page draws the same figure as a report.
     content = figure_content(FigureBlock(figure, stretches=APP_STRETCHES))
     words = say(figure.description) or say(figure.caption)
     return {**content, "height": height_on_page(figure), "words": words, "caption": say(figure.caption)}
@@ -220,6 +222,7 @@ class Workbench:
         self.listener = listener or (lambda _: None)
         self.undone: list[Session] = []
         self.job: Job | None = None
+        # Requests come one by one, but a job tells its news in a thread of its own.
         self._lock = threading.RLock()
         self._exported_session = session
         self._shown = 0
@@ -228,7 +231,9 @@ class Workbench:
     def show(self) -> dict[str, Any]:
         """The state of everything, as the page shows it; of two, the one with the higher ``number`` is the later."""
         with self._lock:
+            # Answers may overtake one another: the page shows the latest.
             self._shown += 1
+            # Without a record there is no study to repeat.
             texts = {"study": "", "script": ""}
             if self.session.records:
                 session = self._with_exported_records(self.session)
@@ -265,6 +270,7 @@ class Workbench:
     @np.errstate(over="ignore", invalid="ignore")
     def add_effect(self, name: str) -> None:
         """Put an effect in. Raises ModelError for a name that has no place in the model."""
+        # Looked up by name, so that a page can only ask for what has a place.
         places = {effect.name: effect for effect, _ in self._list_effects()}
         if name in {e.name for e in self.session.model.effects}:
             raise ModelError(f"effect {name}: the model contains it already; take it out first")
@@ -283,11 +289,13 @@ class Workbench:
         """
         session = self.session
         if columns:
+            # One choice of columns holds for all records: those that are there are read anew.
             merged = {**session.columns, **columns}
             session = replace(session, columns=merged, records=self._read_again(merged))
         try:
             records = self.study.read([file], session.columns)
         except DataError as error:
+            # A record that lacks columns asks the person; anything else that is wrong with it is said.
             proposal = self.study.propose_columns(file, session.columns)
             if proposal is None:
                 raise
@@ -352,7 +360,9 @@ class Workbench:
         session = self.session
         if not session.records:
             raise DataError("export: no record yet, so there is no study to write; load one first")
+        # Taken before anything is written: what changes meanwhile is not in the files.
         self._exported_session = self.session
+        # The study names files that are there on another day.
         copies = self._copy_records()
         session = self._with_exported_records(session)
         study, script = self.folder / STUDY_FILE, self.folder / SCRIPT_FILE
@@ -362,6 +372,7 @@ class Workbench:
             write_file(script, self.study.write_script(session, script)),
             *copies,
         ]
+        # A fit whose constants were moved since is no result of this session.
         if session.fit is not None and session.is_fitted:
             files.append(session.fit.save(self.folder / "fit.json"))
             files.append(report(session.fit, self.folder / "report.html"))
@@ -391,6 +402,7 @@ class Workbench:
         return replace(session, records=moved)
 
     def _exported(self, file: Path) -> Path:
+        # Files of the person stay where they are.
         is_uploaded = self.uploads is not None and self.uploads in file.parents
         return self.folder / RECORDS_FOLDER / file.name if is_uploaded else file
 
@@ -407,12 +419,14 @@ class Workbench:
     def _list_effects(self) -> tuple[EffectPlace, ...]:
         """The effects that can be put in; looked for anew where the equations have changed."""
         statement = self.session.model.statement
+        # Sliders change values, not equations: the search for places is made once for these.
         if self._places is None or self._places[0] != statement:
             self._places = statement, list_effects(self.session.model, self.beside)
         return self._places[1]
 
     def _take(self, session: Session) -> None:
         with self._lock:
+            # Sessions are frozen: a step back is the value that was there.
             self.undone = [*self.undone, self.session][-MOST_UNDONE:]
             self.session = session
 
@@ -420,9 +434,11 @@ class Workbench:
         """What the job tells: its answer becomes the session's."""
         if event.news is JobNews.DONE:
             with self._lock:
+                # The answer may come after the app has given the job up.
                 job, self.job = self.job, None
                 if job is None:
                     return
+                # A discovery began with the model of its own session, which the person may have left meanwhile.
                 if job.kind is JobKind.DISCOVER:
                     self._take(self.session.with_discovery(event.content, job.session.model))
                 else:

@@ -34,6 +34,7 @@ def write_step(interval: DiscreteStep) -> str:
     Raises UnsupportedOperationError for an operation that C does not have.
     """
     step = interval.step
+    # A row of the step: the inputs, then the past of a delayed one with its share of the interval.
     columns = len(interval.signals.inputs) + count_history_columns(step.past)
     sizes = {
         "NX": len(interval.x0),
@@ -50,6 +51,7 @@ def write_step(interval: DiscreteStep) -> str:
         # Without tangents, which need vector types, and without fused products: the text is plain C99.
         CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
         CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
+        # The state at rest may follow from constants that somebody changes in the source.
         CRoutine("start", read_tape(interval.start), ("p",), (), 0),
     ]
     return "\n".join(
@@ -74,6 +76,7 @@ def write_constants(plant: Plant, interval: DiscreteStep) -> list[str]:
     """The array of the constants, one a line, each with its unit and where it comes from."""
     lines = []
     for q, value in zip(interval.signals.all_parameters, interval.p, strict=True):
+        # Unit and origin stand beside each number: the file is read without the model.
         remark = to_comment(f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}")
         lines.append(f"    {c_literal(float(value))}, /* {remark} */")
     return ["static const double constants[] = {", *(lines or ["    0"]), "};"]
@@ -145,6 +148,7 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
         (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
         for q in plant.model.all_parameters
     ]
+    # Columns under one another, the last one as long as it is.
     widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
     constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
     about = [
@@ -190,6 +194,7 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
 
 def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
     model, name = interval.signals, to_identifier(interval.signals.name)
+    # An exact hold computes nothing from the constants: its matrices are numbers of their own.
     exact = interval.step.per_interval
     tables = ["/* The constants. */", *write_constants(plant, interval), ""]
     if exact:
@@ -205,6 +210,7 @@ def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
     states = _members(model.all_states, _past_members(interval))
     inputs, outputs = _members(model.inputs), _members(model.outputs)
     nx = len(model.all_states)
+    # C has no empty array: a model without inputs has one element that nothing reads.
     load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
     past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
     body = [
@@ -253,6 +259,7 @@ def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequenc
     remarks = [f"[{format_unit(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [
         remark for _, remark in extra
     ]
+    # C has no empty structure either.
     members = _members(signals, extra) or ["none"]
     remarks = remarks or ["nothing"]
     width = max(map(len, members)) + 1
@@ -281,6 +288,7 @@ def _blocks(interval: DiscreteStep) -> list[str]:
         "Phi: x+ = Phi x + ..., column by column": nx * nx,
         "Gamma of the held inputs and of the constant 1": nx * (nu + 1),
     }
+    # The first-order hold's second matrix is there, too: the step has one layout for both.
     sizes |= {"of inputs that are linear in between (not used here)": nx * nu}
     q, lines = interval.coefficients(), []
     for title, size in [

@@ -110,6 +110,7 @@ def to_do_mpc(plant: Fit | Model, dt: float | None = None, *, free: Sequence[str
     model_type = _import_optional("do_mpc.model", "do-mpc", "do-mpc").Model
     model = model_type("continuous" if dt is None else "discrete", "SX")
     groups = (("_x", e.states), ("_u", e.inputs), ("_p", e.parameters))
+    # do-mpc makes its own symbols, which take the place of ours.
     symbols = [ca.vertcat(*[model.set_variable(kind, name) for name in names], ca.SX(0, 1)) for kind, names in groups]
     motion, y = ca.substitute([e.motion, e.y], [e.x, e.u, e.p], symbols)
     for k, name in enumerate(e.states):
@@ -186,6 +187,7 @@ def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], subste
         if name not in names:
             raise ModelError(f"{model.title} has no parameter {name!r}; {nearest(name, names)}")
     p = ca.SX.sym("p", len(free))
+    # Free constants stay symbols, the others are numbers from here on.
     values = ca.vertcat(
         *[p[free.index(n)] if n in free else v for n, v in zip(names, plant.p, strict=True)], ca.SX(0, 1)
     )
@@ -195,6 +197,7 @@ def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], subste
         refuse_discontinuous(model)
         motion, y = s.rhs_function(x, u, values), s.output_function(x, u, values)
     else:
+        # How many earlier inputs are states would hang on a symbol.
         late = [name for name in free if name in find_delay_parameters(model)]
         if late:
             raise ModelError(f"{', '.join(late)}: a delay decides how many states there are; it cannot be free")

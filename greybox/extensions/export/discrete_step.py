@@ -73,6 +73,7 @@ class DiscreteStep:
         shares = np.arange(n + 1) / n
         # The flag of a delayed input runs from 0 to 1 over the interval, as the rows of a record do.
         rows = np.array([self.row(u, past, share) for share in shares]).T
+        # The same coefficients for each substep.
         q = np.tile(self.coefficients(p)[:, None], n)
         return self._substeps(x, rows[:, :-1], rows[:, 1:], q, np.full((1, n), self.dt / n)).full()[:, -1]
 
@@ -108,6 +109,7 @@ def make_discrete_step(
     """
     from greybox.simulation.simulate import declared_initial_state
 
+    # Of the fitted records where none is given: the model was judged at that one.
     period = plant.sampling_time if dt is None else dt
     if period is None:
         raise ModelError(f"{plant.model.title}: no sampling time is known; give dt in seconds")

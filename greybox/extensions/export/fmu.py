@@ -94,10 +94,12 @@ def to_fmu(
     else:
         source = to_plant(plant)
         step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
+    # Parameters of an FMU may change on the way, matrices that were computed from them would not.
     if step.step.per_interval:
         raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
     name = to_identifier(step.signals.name)
     text, guid = _source(source, step)
+    # A platform without a place in the standard gets the sources alone.
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
     target = Path(path).with_suffix(".fmu")
     contents: dict[str, bytes] = {
@@ -180,9 +182,11 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         unit = ET.SubElement(definitions, "Unit", name=unit_text)
         if len(powers) == len(value.dimensions):  # the standard has no fractional powers
             ET.SubElement(unit, "BaseUnit", {**powers, "factor": repr(value.factor)})
+    # A thousand steps, so that whoever opens it sees something.
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(1000 * step.dt), stepSize=repr(step.dt))
     _variables(root, plant, step, signals)
     structure = ET.SubElement(root, "ModelStructure")
+    # Indices count from one, in the order of the variables: inputs, then outputs.
     first = len(model.inputs) + 1
     for kind in ("Outputs", "InitialUnknowns"):
         group = ET.SubElement(structure, kind)
@@ -194,6 +198,7 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
 
 def list_fmu_names(model: SteppedSignals) -> list[str]:
     """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
+    # One name each: an output may be called as a state is, and a constant as an input.
     plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
     states = [f"state.{name}" for name in to_identifiers(s.name for s in model.all_states)]
     return [*plain, *states, *to_identifiers((q.name for q in model.all_parameters), plain)]
@@ -222,8 +227,10 @@ def _variables(
             real["start"] = repr(float(next(starts)))
         else:
             settable = {"causality": "parameter", "variability": "tunable", "initial": "exact"}
+            # A delay decides how many states there are: it cannot move.
             kind = {"causality": "local", "variability": "constant"} if signal.name in fixed else settable
             real["start"] = repr(float(signal.value))
+            # Bounds that are none are left out: a reader would take them for numbers.
             real |= {
                 key: repr(float(v)) for key, v in zip(("min", "max"), signal.bounds, strict=True) if abs(v) < 1e300
             }
@@ -250,6 +257,7 @@ def _compile_binary(text: str, name: str, target: Path) -> bytes:
         with tempfile.TemporaryDirectory() as folder:
             library = Path(folder) / name
             source = write_file(library.with_suffix(".c"), text)
+            # Windows has no position-independent code to ask for.
             flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
             run = run_compiler([*compiler.command, *flags, "-o", str(library), str(source), "-lm"], compiler.timeout)
             if run.returncode != 0:

@@ -100,6 +100,7 @@ def write_linear(
     --------
     >>> gb.export.write_linear(fit, "plant.mat", "mat", {"u": 0.5}, samples=50)  # doctest: +SKIP
     """
+    # Also those that other packages bring.
     formats = {name: target for name, target in load_extensions(ExtensionKind.EXPORTS).items() if target.linear}
     if format not in formats:
         raise ModelError(f"unknown format {format!r}; {nearest(format, formats)}")
@@ -111,8 +112,10 @@ def write_linear(
                 "samples need a fit, whose parameters have a covariance; give what gb.fit returns, or samples=0"
             )
         family = sample_family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay, minimal=minimal)
+    # A file has no place where somebody would look for them: they are said when it is written.
     for finding in (*model.findings, *(family.findings if family else ())):
         warnings.warn(str(finding), GreyboxWarning, stacklevel=2)
+    # After the findings: what is cut away may be what they speak of.
     reduced = minimal_realisation(model) if minimal else model
     return formats[format].write(reduced, path, plant=to_plant(plant), family=family)
 
@@ -263,6 +266,7 @@ def write_npz(
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
     contents = _contents(model) | _origin(plant)
+    # Tables have no arrays: they become names and values beside each other.
     arrays = {key: np.asarray(value) for key, value in contents.items() if not isinstance(value, Mapping)}
     arrays |= _tables(contents)
     arrays |= {f"family_{key}": np.asarray(value) for key, value in _members(family).get("family", {}).items()}
@@ -295,6 +299,7 @@ def write_mat(
         "Method": model.method,
         "Notes": _cell([str(finding) for finding in model.findings]),
     }
+    # As arrays with names: a name of a parameter need not be one that MATLAB allows.
     tables = _tables(_contents(model) | _origin(plant))
     for key in ("parameters", "covariance"):
         if f"{key}_names" in tables:
@@ -332,7 +337,9 @@ def write_control(
     )
     lines += ["", "import control", "import numpy as np", ""]
     for name in ("A", "B", "C", "D"):
+        # Every digit, so that the file holds the same numbers.
         rows = [f"        [{', '.join(repr(float(v)) for v in row)}]," for row in getattr(model, name)]
+        # An empty matrix in brackets has lost one of its sizes.
         shape = f".reshape({getattr(model, name).shape})" if 0 in getattr(model, name).shape else ""
         lines += [f"{name} = np.array(", "    [", *rows, "    ]", f"){shape}"]
     units = {
@@ -377,6 +384,7 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
         "provenance": {n: plant.provenance(n) for n in plant.model.values},
     }
     if plant.fit is not None:
+        # By name on both sides: nobody need know the order.
         free, covariance = plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float)
         origin["covariance"] = {
             name: dict(zip(free, map(float, row), strict=True)) for name, row in zip(free, covariance, strict=True)
@@ -387,6 +395,7 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
 def _members(family: ModelFamily | None) -> dict[str, Any]:
     if family is None:
         return {}
+    # Members first: family_A[k] is the matrix of one draw.
     stacked = {key: np.array([getattr(member, key) for member in family.members]) for key in ("A", "B", "C", "D")}
     return {"family": stacked | {"constants": family.parameters, "names": family.parameter_names, "seed": family.seed}}
 
@@ -408,6 +417,7 @@ def _complex(values: np.ndarray) -> list[list[float]]:
 
 def _cell(texts: Any) -> np.ndarray:
     """A column of texts, which MATLAB reads as a cell array."""
+    # Of objects: an array of texts would become one matrix of characters.
     cell = np.empty((len(texts), 1), object)
     for k, text in enumerate(texts):
         cell[k, 0] = to_line(str(text))

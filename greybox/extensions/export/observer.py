@@ -127,6 +127,7 @@ class Observer:
         """
         z, corrected, predicted = self.start, [], []
         for u, y in zip(inputs, measured, strict=True):
+            # z is the prediction for this sample: corrected by its measurements for the estimate, moved on for the next one.
             predicted.append(z)
             corrected.append(self.correct(z, u, y))
             z = self.advance(z, u, y)
@@ -193,6 +194,7 @@ def design_observer(
         )
     nx, ny, nu = len(model.all_states), len(outputs), len(model.inputs)
     system, step = interval.model.system, interval.step
+    # The filter's constants: those of the model, then the deviations of its sensors.
     pn = np.append(interval.p, [noise[name] for name in outputs])
     filter_step = make_filter_step(system, step)
     # Constants and noise are numbers from here on: what runs beside a controller has nothing to compute them from.
@@ -212,10 +214,12 @@ def design_observer(
         following = filter_step.advance(following, row(k / n), row((k + 1) / n), q, interval.dt / n)
     correction = _make_correction(step, nx, nu, ny, len(interval.p))
     after = correction(z, u, y, present, ca.DM(interval.p), ca.DM(pn[len(interval.p) :]))
+    # z = [x; P], of the symmetric P the lower triangle column by column.
     start = np.append(interval.x0, to_lower_triangle_array(_first_covariance(interval, initial_std)))
     signals = _name_signals(model)
 
     def make_interval(state: ca.SX) -> DiscreteStep:
+        # std_i = sqrt(P_ii)
         spread = ca.sqrt(ca.vertcat(*[to_symmetric(state[nx:], nx)[i, i] for i in range(nx)]))
         advance = ca.Function(
             "advance",
@@ -255,10 +259,12 @@ def _find_noise(
     if process_noise is not None:
         _check_names(model, process_noise, [s.name for s in model.all_states], "state")
         return Plant(model.with_process_noise(**process_noise), fit, plant.findings), known
+    # What the model states goes before what records show.
     if any(model.noise_intensities.values()):
         return plant, known
     if fit is not None and fit.traces:
         options: FitOptions = restore_integration_options(fit)
+        # The most likely intensities for the residual of the fit, as a prediction takes them.
         correction = identify_correction(FixedParameterModel(model, known, options), [t.experiment for t in fit.traces])
         if correction.kind is CorrectionKind.ESTIMATED_KALMAN_FILTER:
             return Plant(correction.model, fit, plant.findings), dict(correction.noise) if noise is None else known
@@ -287,11 +293,14 @@ def _first_covariance(interval: DiscreteStep, initial_std: Mapping[str, float] |
     nx = len(names)
     if initial_std is not None:
         _check_names(interval.model, initial_std, names, "state")
+        # Independent of each other; a state that is not named is known exactly.
         return np.diag([initial_std.get(name, 0.0) ** 2 for name in names])
     if step.per_interval:
+        # Q of one interval, exactly: integral of Phi W Phi' over it.
         lower = discretise_process_noise(system)(interval.p, np.array([dt]), NONE)[0][0]
         return to_symmetric_arrays(lower, nx)
     u, q, h = ca.SX.sym("u", step.advance.size1_in(1)), ca.SX.sym("q", step.advance.size1_in(3)), ca.SX.sym("h")
+    # Of a Runge-Kutta step: through the same substeps as the state.
     noise = ca.Function("noise", [system.x, u, q, system.p, h], [compute_interval_noise(step, system, u, q, h)])
     return np.asarray(noise(interval.x0, 0, interval.coefficients(), interval.p, dt))
 
@@ -400,6 +409,7 @@ def _write_function(name: str, tape: Tape) -> list[str]:
         node = tape.nodes[k]
         if kind != "node":
             continue
+        # A negative number in brackets: it may stand behind a minus or a power.
         if node.op == ca.OP_CONST:
             texts[k] = f"({node.number!r})" if (node.number or 0.0) < 0 else repr(node.number)
         elif node.op == ca.OP_INPUT:

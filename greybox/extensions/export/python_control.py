@@ -77,6 +77,7 @@ def to_control(
     """
     if form not in FORMS:
         raise ModelError(f"unknown form {form!r}; {nearest(form, FORMS)}")
+    # Options that would change nothing are refused, not ignored.
     given = (("at", at), ("delay", delay), ("minimal", minimal), ("method", method != "zoh"), ("dt", dt is not None))
     if isinstance(plant, Linearisation):
         unused = [name for name, value in given if value and name != "minimal"]
@@ -175,6 +176,7 @@ def to_transfer_function(model: Linearisation, pade: int = 4) -> Any:
     import control
 
     finite = approximate_delays(model, pade) if model.delay.any() else model
+    # Channel by channel: a pole that one channel does not see is cancelled there and stays elsewhere.
     rows = [[extract_channel(finite, o, i) for i in finite.input_names] for o in finite.output_names]
 
     def each(of: str) -> list[list[np.ndarray]]:
@@ -218,6 +220,7 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
         corner = np.zeros((len(a), len(A)))
         # u_late = c x_d + d u enters where u did: B_j c beside A, B_j d in its own column.
         A = np.block([[A, np.outer(B[:, j], c)], [corner, a]])
+        # y = C x + D_j (c x_d + d u)
         C = np.hstack([C, np.outer(D[:, j], c)])
         D[:, j] *= d
         B = np.vstack([B, np.zeros((len(a), B.shape[1]))])
@@ -296,6 +299,7 @@ def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps
         if step is None:
             return s.rhs_function(x[:nx], u, p).full().ravel()
         after = step.advance(x[:nx], x[nx:], u, p)
+        # The earlier inputs move back by one sample.
         return np.concatenate([after, u[[step.late_input]], x[nx:-1]]) if step.past else after
 
     def read(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:

@@ -73,6 +73,7 @@ def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
         For an equation that cannot be written.
     """
     target = Path(path).with_suffix(".py")
+    # An observer needs no greybox where it runs.
     text = write_observer_class(plant) if isinstance(plant, Observer) else python_text(to_plant(plant))
     return write_file(target, text)
 
@@ -89,6 +90,7 @@ def python_text(plant: Plant) -> str:
     shared = [f"{INDENT}{part} = {value}" for part, value in printer.shared]
     equations = ["def balances(x, u, p):", *shared, f"{INDENT}return {rows}", "", ""]
     text = "\n".join([*equations, f"{name} = {_model(plant)}", *_additions(model, name)])
+    # Only what the text calls is imported.
     imports = [word for word in PUBLIC if f"{word}(" in text]
     title = f"{model.title}: {model.description}" if model.description else model.title
     source = [f"Source: {model.source}"] if model.source else []
@@ -129,6 +131,7 @@ def _model(plant: Plant) -> str:
     def write(value: Any) -> str:
         return Printer(PYTHON, _plant_names(model)).write(value)
 
+    # Functions are called with symbols: what they return is their equation, whatever way they were written.
     states = [signal(s, 2, written=_functions_of(s, lambda f: write(f(p)))) for s in model.states]
     outputs = [
         signal(o, 2, written={"equation": f"lambda x, u, p: {write(o.equation(x, u, p))}"} if o.equation else None)
@@ -170,6 +173,7 @@ def _rule(rule: Rule, model: Model) -> str:
         margin = Printer(NUMPY, _plant_names(model) | {OUTPUT_VALUE: "value"}).write(
             rule.margin(value, p) if rule.output else rule.margin(p)
         )
+    # A rule may look at numbers (a table, a comparison) that symbols do not have.
     except (GreyboxError, NotImplementedError, RuntimeError, TypeError):
         return ""
     head = "lambda value, p: " if rule.output else "lambda p: "
@@ -179,20 +183,19 @@ def _rule(rule: Rule, model: Model) -> str:
 
 def _additions(model: Model, name: str) -> list[str]:
     """Statements that bring the plant called ``name`` to the model: effects, the values and bounds of their parameters, ties."""
-    catalogued = {
-        b.effect.name: entry for b in model.bound_effects if (entry := _catalogue_entry(b.effect)) is not None
-    }
     lines = []
     wider: dict[str, str] = {}
     bounds: dict[str, str] = {}
     values: dict[str, str] = {}
     fixed: list[str] = []
     for b in model.bound_effects:
-        entry = catalogued.get(b.effect.name)
+        entry = _catalogue_entry(b.effect)
+        # An effect of its own comes with its constants as they stand.
         if entry is None:
             lines.append(f"{name} = {name} + {_effect(b, model)}")
             continue
         lines.append(f"{name} = {name} + {call('effect', [literal(b.effect.name)])}")
+        # Of one of the catalogue only what differs from it is said.
         stated = {q.name: q for q in entry.parameters}
         for inner, outer in zip(b.effect.parameters, b.parameters, strict=True):
             (low, high), value = stated[inner.name].bounds, float(inner.value)
@@ -220,6 +223,7 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
     """The entry of the catalogue that ``effect`` is, values and bounds aside; None if it is another."""
 
     def parts(e: Effect) -> tuple[Any, ...]:
+        # What makes it the same effect: its parts and its functions, not the values of its constants.
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
@@ -279,6 +283,7 @@ def _effect(bound: BoundEffect, model: Model) -> str:
 
 def _returned(hook: str, value: Any, printer: Printer) -> str:
     """What a function of an effect returns, as text."""
+    # Dry friction has two levels: while it slides, and at standstill.
     if hook == "dry":
         return f"DryFriction({printer.write(value.sliding)}, {printer.write(value.static)})"
     if hook == "balances":
