@@ -317,10 +317,6 @@ def _values(given: Mapping[str, Any]) -> dict[str, float]:
     return {str(name): float(value) for name, value in values.items()}
 
 
-def _export(bench: Workbench) -> dict[str, Any]:
-    return {"files": [str(path) for path in bench.export()], "folder": str(bench.folder)}
-
-
 ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]]] = {
     "preview": lambda bench, given: partial(bench.show_run, int(given["record"]), _values(given)),
     "run": lambda bench, given: partial(bench.show_run, int(given["record"]), inputs=True),
@@ -336,7 +332,7 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
     "fit": lambda bench, given: partial(bench.start, JobKind.FIT),
     "discover": lambda bench, given: partial(bench.start, JobKind.DISCOVER),
     "stop": lambda bench, given: bench.stop,
-    "export": lambda bench, given: partial(_export, bench),
+    "export": lambda bench, given: lambda: {"files": list(map(str, bench.export())), "folder": str(bench.folder)},
 }
 """What a page can ask for, by its name, as a call to make; one that gives nothing is answered with the new state."""
 
@@ -374,7 +370,13 @@ class UploadHandler(GuardedHandler):
 
         def load() -> Any:
             bench = self.server.workbench
-            columns = self._columns()
+            # Which column is which signal, as a person said it in the page.
+            try:
+                columns = json.loads(self.get_query_argument("columns", "{}"))
+            except ValueError:
+                columns = None
+            if not isinstance(columns, dict) or not all(isinstance(column, str) for column in columns.values()):
+                raise DataError("columns: not understood; load the page again")
             file = self._store(bench.uploads, name)
             try:
                 bench.load(file, validates=validates, columns=columns)
@@ -385,16 +387,6 @@ class UploadHandler(GuardedHandler):
             return bench.show()
 
         await self.answer_with(load)
-
-    def _columns(self) -> dict[str, str]:
-        """Which column is which signal, as a person said it in the page. Raises DataError."""
-        try:
-            given = json.loads(self.get_query_argument("columns", "{}"))
-        except ValueError:
-            given = None
-        if not isinstance(given, dict) or not all(isinstance(column, str) for column in given.values()):
-            raise DataError("columns: not understood; load the page again")
-        return given
 
     def _store(self, folder: Path | None, name: str) -> Path:
         """The bytes as a file in the folder for uploads, under a name that is safe and new there."""

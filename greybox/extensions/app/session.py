@@ -9,12 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from greybox.base.errors import DataError, ModelError
-from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
@@ -238,28 +236,3 @@ class Session:
 def _runs_through(candidate: CandidateFit) -> bool:
     """Whether the run and its derivatives are finite to the end."""
     return bool(math.isfinite(candidate.cost) and candidate.evaluation.is_finite)
-
-
-# What the app asks of whoever knows how studies are written: the command line.
-
-
-class StudyBook(Protocol):
-    """Reads records as a study says, and writes a session as the study and the program that repeat it."""
-
-    def read(self, files: Sequence[Path], columns: Mapping[str, str]) -> tuple[Experiment, ...]:
-        """The records in ``files``, where ``columns`` are as in `Session`. Raises GreyboxError."""
-        ...
-
-    def propose_columns(
-        self, file: Path, columns: Mapping[str, str]
-    ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
-        """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
-        ...
-
-    def write_study(self, session: Session, path: Path) -> str:
-        """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
-        ...
-
-    def write_script(self, session: Session, path: Path) -> str:
-        """The text of the Python program ``path`` that computes the same."""
-        ...

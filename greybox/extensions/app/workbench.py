@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
-from greybox.extensions.app.session import LoadedRecord, Session, StudyBook
+from greybox.extensions.app.session import LoadedRecord, Session
 from greybox.extensions.export.python_model import to_python
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects
@@ -39,6 +39,9 @@ from greybox.show.pages.html import figure_content, say
 from greybox.show.pages.page import FigureBlock
 from greybox.show.pages.report import report
 from greybox.show.sentences.estimation import MISFIT_HEADS, to_constant_cells, to_misfit_cells
+
+if TYPE_CHECKING:
+    from greybox.extensions.app.command import StudyOnFile
 
 # What the page shows of a session, as plain values for JSON. Figures and sentences are those of the reports.
 
@@ -209,7 +212,7 @@ class Workbench:
     def __init__(
         self,
         session: Session,
-        study: StudyBook,
+        study: StudyOnFile,
         folder: Path,
         *,
         beside: Sequence[Effect] = (),

@@ -531,7 +531,14 @@ def _conclude(
         conclusion.append(Finding(ChangeCode.COMBINATION_MOVED, Severity.WARNING, values=values))
     # An effect that has appeared explains the residual; without one the residual is described as it is.
     if failed - {ChangeRule.CONSTANTS_AS_BEFORE} and not appeared:
-        conclusion += _describe_residual(checks, residuals)
+        for name in dict.fromkeys(c.subject for c in checks if not c and c.subject):
+            rules = {c.rule for c in checks if not c and c.subject == name}
+            before, after = (r.colour.variance[r.outputs.index(name)] for r in residuals)
+            # In the unit of the output: of standard deviations, not variances.
+            ratio = math.sqrt(after / before) if before > 0 else math.inf
+            # As white as before: the sensor's noise has grown.
+            code = ChangeCode.UNEXPLAINED if ChangeRule.RESIDUAL_AS_WHITE in rules else ChangeCode.NOISE_GREW
+            conclusion.append(Finding(code, Severity.WARNING, name, {"ratio": ratio}))
     if conclusion:
         return tuple(conclusion)
     hidden = [name for name, change in constants.items() if not is_seen(change)]
@@ -543,16 +550,3 @@ def _conclude(
     change = constants[widest]
     values |= {"smallest": change.smallest, "before": change.before, "unit": change.unit}
     return (Finding(ChangeCode.NOTHING_CHANGED, values=values),)
-
-
-def _describe_residual(checks: Sequence[Check], residuals: tuple[FittedResidual, FittedResidual]) -> list[Finding]:
-    """What the residual of each output became, where no effect explains it: as white as before, the sensor's noise has grown."""
-    findings = []
-    for name in dict.fromkeys(c.subject for c in checks if not c and c.subject):
-        rules = {c.rule for c in checks if not c and c.subject == name}
-        before, after = (r.colour.variance[r.outputs.index(name)] for r in residuals)
-        # In the unit of the output: of standard deviations, not variances.
-        ratio = math.sqrt(after / before) if before > 0 else math.inf
-        code = ChangeCode.UNEXPLAINED if ChangeRule.RESIDUAL_AS_WHITE in rules else ChangeCode.NOISE_GREW
-        findings.append(Finding(code, Severity.WARNING, name, {"ratio": ratio}))
-    return findings

@@ -247,9 +247,7 @@ def compress_multisine(
 PLAY_SMOOTHING = 5
 
 
-def play(
-    question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float, time: np.ndarray | None = None
-) -> dict[str, np.ndarray]:
+def play(question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float) -> dict[str, np.ndarray]:
     """All inputs (N,) of the model: those that may move follow their shape, the others rest.
 
     Parameters
@@ -260,10 +258,8 @@ def play(
         By input.
     amplitude
         Share of the way from rest to the ends of the range, 0 to 1.
-    time
-        Other times than the question's.
     """
-    t = question.time if time is None else time
+    t = question.time
     inputs = {}
     for i in question.model.inputs:
         limit, rest = question.limits[i.name], question.rest(i.name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -253,9 +253,7 @@ def draw_plants(plant: PlantScenario, question: DesignProblem, count: int) -> li
     return [plant.at(np.clip(z, -LARGEST_DEVIATION, LARGEST_DEVIATION)) for z in draws]
 
 
-def list_plants(
-    question: DesignProblem, models: Sequence[Model] | None = None
-) -> tuple[list[PlantScenario], list[list[PlantScenario]]]:
+def list_plants(question: DesignProblem) -> tuple[list[PlantScenario], list[list[PlantScenario]]]:
     """Each explanation at its best constants, and at constants drawn for it."""
-    plants = [make_plant(question, model, k) for k, model in enumerate(models or question.models)]
+    plants = [make_plant(question, model, k) for k, model in enumerate(question.models)]
     return plants, [draw_plants(plant, question, question.policy.scenarios) for plant in plants]

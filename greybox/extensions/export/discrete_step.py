@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -98,14 +97,13 @@ def make_discrete_step(
     *,
     substeps: int = 0,
     method: str = "automatic",
-    at: Mapping[str, float] | None = None,
 ) -> DiscreteStep:
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 
     ``substeps`` 0: as many as it takes that halving them changes nothing visible over the fitted record (for a model without a fit:
-    ten for the time of its fastest mode). ``at``: states to begin with, by name; the others are as declared.
+    ten for the time of its fastest mode).
 
-    Raises ModelError for a sampling time that is not above zero or not known, and for an unknown state.
+    Raises ModelError for a sampling time that is not above zero or not known.
     """
     from greybox.simulation.simulate import declared_initial_state
 
@@ -117,7 +115,7 @@ def make_discrete_step(
         raise ModelError(f"sampling time {period} s: give a time above 0 s")
     # With every constant known a delay is as long as it is, not as long as its bounds allow.
     known = plant.model.fix(*plant.model.values)
-    system, p, x0 = known.system, plant.p, declared_initial_state(known, at)
+    system, p, x0 = known.system, plant.p, declared_initial_state(known)
     chosen: dict[str, Any] = {"substeps": substeps}
     if not substeps and plant.fit is not None and plant.fit.traces and plant.model.inputs:
         # Inputs of the first fitted record, held at every ``dt``. The one at each time is taken a little later, so that a time equal to

@@ -98,7 +98,23 @@ def to_fmu(
     if step.step.per_interval:
         raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
     name = to_identifier(step.signals.name)
-    text, guid = _source(source, step)
+    fixed = find_delay_parameters(source.model)
+    flags = ", ".join(str(int(q.name in fixed)) for q in step.signals.all_parameters)
+    body = [
+        write_step(step),
+        f"#define DT {c_literal(step.dt)}",
+        f'#define DT_TEXT "{step.dt:g}"',
+        "",
+        *write_constants(source, step),
+        f"static const int FIXED[] = {{{flags or '0'}}};",
+        "",
+        read_template("fmu.c"),
+    ]
+    # The identifier follows from the text: the same model gives the same FMU, a changed one another.
+    digest = hashlib.sha256("\n".join(body).encode()).digest()
+    guid = f"{{{uuid.UUID(bytes=digest[:16])}}}"
+    head = f"/* {to_identifier(step.signals.title)}: one model as an FMU. */"
+    text = "\n".join([head, f'#define GUID "{guid}"', *body])
     # A platform without a place in the standard gets the sources alone.
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
     target = Path(path).with_suffix(".fmu")
@@ -117,26 +133,6 @@ def to_fmu(
                 archive.writestr(zipfile.ZipInfo(entry, ENTRY_DATE), data, zipfile.ZIP_DEFLATED)
 
     return write_file(target, write_archive)
-
-
-def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
-    """The C text of the FMU and its identifier, which follows from the text."""
-    model, fixed = step.signals, find_delay_parameters(plant.model)
-    body = [
-        write_step(step),
-        f"#define DT {c_literal(step.dt)}",
-        f'#define DT_TEXT "{step.dt:g}"',
-        "",
-        *write_constants(plant, step),
-        f"static const int FIXED[] = {{{', '.join(str(int(q.name in fixed)) for q in model.all_parameters) or '0'}}};",
-        "",
-        read_template("fmu.c"),
-    ]
-    # The identifier follows from the text: the same model gives the same FMU, a changed one another.
-    guid = str(uuid.UUID(bytes=hashlib.sha256("\n".join(body).encode()).digest()[:16]))
-    return "\n".join(
-        [f"/* {to_identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]
-    ), f"{{{guid}}}"
 
 
 # ---- modelDescription.xml ----
