@@ -81,9 +81,9 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                     if time.dtype.kind == "M":  # dates, to the microsecond as TDMS counts
                         time = np.asarray(time.astype("datetime64[us]").astype(np.int64) * 1e-6)
                     else:
-                        said = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
+                        clock_unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
                         time = np.asarray(time, dtype=np.float64)
-                        time = np.asarray(convert(time, said, "s")) if said else time
+                        time = np.asarray(convert(time, clock_unit, "s")) if clock_unit else time
                     time = time - origin if np.isfinite(stamps.start) else time
                 else:
                     begin = stamps.start - origin if np.isfinite(stamps.start) else 0.0
