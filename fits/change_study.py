@@ -29,8 +29,7 @@ import numpy as np
 from scipy.stats import beta
 
 import greybox as gb
-from greybox.extensions.changes.chart import chart_changes
-from greybox.extensions.changes.population import survey_population
+from greybox.extensions.changes.survey import chart_changes, survey_population
 from models.silverbox import silverbox
 
 PERIOD = 1.6384e-3

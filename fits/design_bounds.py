@@ -47,7 +47,7 @@ def bound_precision(question: DesignProblem, plant: PlantScenario) -> float:
     """
     (name,) = question.driven
     limit, rows, n = question.limits[name], question.rows, plant.count
-    allowed = envelope(rows, question.policy.play)
+    allowed = envelope(rows, question.policy)
     kept = np.flatnonzero(allowed > 1e-12)
     impulse = np.zeros(rows)
     impulse[0] = PROBE * limit.high

@@ -35,9 +35,9 @@ from greybox.data.signals import SignalLimit
 from greybox.extensions.design.campaign import CampaignPlan, run_campaign
 from greybox.extensions.design.inputs import Prbs, Steps
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
+from greybox.extensions.design.next_record import fit_rival
 from greybox.extensions.design.plant import list_plants
 from greybox.extensions.design.problem import DesignProblem, GoalName
-from greybox.extensions.design.rivals import fit_rival
 from greybox.shell.project import find_model
 
 REST = gb.FitOptions(at_rest=True)

@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import ast
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
 
-def lazy_face(package: str, homes: Mapping[str, Sequence[str]]) -> tuple[Callable[[str], Any], list[str]]:
+def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str]]:
     """``__getattr__`` and ``__all__`` of a package whose modules are dear to import.
 
-    A command or a reader of the package is found without its algorithms, and these are loaded by the first use of a name.
+    A command or a reader of the package is found without its algorithms, and these are loaded by the first use of a name. What the
+    package imports under ``if TYPE_CHECKING`` is what it offers: one list, for type checkers and for users.
 
     Parameters
     ----------
     package
         Its name, ``__name__``.
-    homes
-        Module -> the names that come from it; a type checker finds them under ``if TYPE_CHECKING``.
 
     Returns
     -------
     tuple
         What to assign to ``__getattr__`` and ``__all__``.
     """
-    home = {name: module for module, names in homes.items() for name in names}
+    tree = ast.parse(sys.modules[package].__loader__.get_source(package))  # type: ignore[union-attr]
+    blocks = [node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    imports = [node for block in blocks for node in block.body if isinstance(node, ast.ImportFrom)]
+    home = {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def load(name: str) -> Any:
         if name not in home:

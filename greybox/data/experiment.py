@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base.errors import DataError
+from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Finding
 from greybox.base.values import Printable
 from greybox.data.findings import TIMING, RecordCode
@@ -66,6 +66,9 @@ class Experiment(Printable):
         Constants of this experiment alone, name -> value in the model's unit.
     findings
         What a reader should know about the record. A part keeps those of the whole.
+    noise
+        Standard deviation of the sensor noise in each row, output -> array (N,), in the unit of the output; for outputs whose noise is
+        not the same in all rows (a published table with error bars, a sensor that changes its range).
 
     Attributes
     ----------
@@ -96,6 +99,7 @@ class Experiment(Printable):
     source: str = ""
     conditions: Mapping[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    noise: Mapping[str, np.ndarray] = field(default_factory=dict)
     sampling_time: float | None = field(init=False)
     fingerprint: str = field(init=False)
 
@@ -110,20 +114,29 @@ class Experiment(Printable):
         rows = None if problems else len(time)
         inputs = {n: _to_read_only(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
         outputs = {n: _to_read_only(f"output {n!r}", v, problems, rows) for n, v in self.outputs.items()}
+        noise = {n: _to_read_only(f"noise of {n!r}", v, problems, rows) for n, v in self.noise.items()}
+        problems += [
+            f"noise of {n!r}: there is no such output; {nearest(n, outputs)}" for n in noise if n not in outputs
+        ]
         both = sorted(set(inputs) & set(outputs))
         problems += [f"{n!r} is both an input and an output; each signal needs its own name" for n in both]
         problems += [
             f"condition {n!r} is {v}; give a finite number" for n, v in self.conditions.items() if not math.isfinite(v)
         ]
-        raise_problems(f"experiment {self.name!r}", problems or find_array_problems(time, inputs, outputs, RowLabels()))
+        problems = problems or [
+            *find_array_problems(time, inputs, outputs, RowLabels()),
+            *_find_noise_problems(noise, outputs),
+        ]
+        raise_problems(f"experiment {self.name!r}", problems)
         values = {
             "time": time,
             "inputs": MappingProxyType(inputs),
             "outputs": MappingProxyType(outputs),
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
             "findings": tuple(self.findings),
+            "noise": MappingProxyType(noise),
             "sampling_time": find_sampling_time(time),
-            "fingerprint": _compute_fingerprint(time, inputs, outputs),
+            "fingerprint": _compute_fingerprint(time, inputs, outputs, noise),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -140,6 +153,7 @@ class Experiment(Printable):
         source: str = "",
         conditions: Mapping[str, float] | None = None,
         findings: tuple[Finding, ...] = (),
+        noise: Mapping[str, ArrayLike] | None = None,
         allow_constant_input: bool = False,
     ) -> Experiment:
         """A measured record from arrays in the model's units; what it shows of time and sensors goes to ``findings``.
@@ -154,6 +168,8 @@ class Experiment(Printable):
             As of `Experiment`.
         findings
             What is known of the record already; what is found here comes after.
+        noise
+            As of `Experiment`.
         allow_constant_input
             Accept inputs that are zero throughout (free decay).
 
@@ -168,7 +184,7 @@ class Experiment(Printable):
             Besides what `Experiment` refuses: fewer than 2 rows, an output without any value, a record in which no output moves,
             and inputs that are all constant at zero unless ``allow_constant_input``.
         """
-        bare = cls(name, time, inputs, outputs, hold, source, conditions or {})  # type: ignore[arg-type]
+        bare = cls(name, time, inputs, outputs, hold, source, conditions or {}, noise=noise or {})  # type: ignore[arg-type]
         problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
@@ -213,6 +229,7 @@ class Experiment(Printable):
             time=self.time[cut],
             inputs={n: v[cut] for n, v in self.inputs.items()},
             outputs={n: v[cut] for n, v in self.outputs.items()},
+            noise={n: v[cut] for n, v in self.noise.items()},
         )
         return _with_sampling_time(part, self.sampling_time) if self.regular else part
 
@@ -293,12 +310,13 @@ class Experiment(Printable):
 
     def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:
         """The same record with these outputs, name -> (N,), in place of its own; none for the inputs alone."""
-        return _with_sampling_time(replace(self, outputs=outputs), self.sampling_time)
+        noise = {n: v for n, v in self.noise.items() if n in outputs}
+        return _with_sampling_time(replace(self, outputs=outputs, noise=noise), self.sampling_time)
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled and arrays lose their protection: rebuild through the constructor.
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        values |= {n: dict(values[n]) for n in ("inputs", "outputs", "conditions")}
+        values |= {n: dict(values[n]) for n in ("inputs", "outputs", "conditions", "noise")}
         return _restore, (values, self.sampling_time)
 
 
@@ -380,10 +398,27 @@ def _to_read_only(what: str, values: ArrayLike, problems: list[str], rows: int |
     return array
 
 
-def _compute_fingerprint(time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> str:
+def _find_noise_problems(noise: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]) -> list[str]:
+    """What is no standard deviation, where the output was measured."""
+    problems = []
+    for name, std in noise.items():
+        wrong = np.flatnonzero(np.isfinite(outputs[name]) & ~(np.isfinite(std) & (std > 0)))
+        if len(wrong):
+            problems.append(
+                f"noise of {name!r} is {std[wrong[0]]:g} in row {wrong[0] + 1}; give a positive standard deviation for each measured row"
+            )
+    return problems
+
+
+def _compute_fingerprint(
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    outputs: Mapping[str, np.ndarray],
+    noise: Mapping[str, np.ndarray],
+) -> str:
     """16 hex digits of the SHA-256 over names and values, whatever the order of the signals."""
     digest = hashlib.sha256()
-    for kind, signals in (("time", {"time": time}), ("input", inputs), ("output", outputs)):
+    for kind, signals in (("time", {"time": time}), ("input", inputs), ("output", outputs), ("noise", noise)):
         for name, values in sorted(signals.items()):
             digest.update(f"{kind} {name} {len(values)}\n".encode())
             # One bit pattern for every NaN and for both zeros, the same on every machine.

@@ -13,6 +13,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import chirp, multisine
 from greybox.discovery.certainty import LEAST_RIVAL, MOST_CHANGE, to_features
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
@@ -166,10 +167,6 @@ def _courses(time: np.ndarray, period: float, number: int) -> dict[InputKind, np
     }
 
 
-# Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
-PROPOSAL_NEW_SENSOR_NOISE = 0.01
-
-
 def _cost_of_rival(
     problem: DiscoveryProblem,
     rival: CandidateFit,
@@ -185,7 +182,7 @@ def _cost_of_rival(
     for j, output in enumerate(rival.model.outputs):
         is_new = output.name in measured and output.name not in problem.noise_std
         if is_new:  # how good that sensor would be is not known
-            std[j] = PROPOSAL_NEW_SENSOR_NOISE * max(float(np.abs(record.outputs[output.name]).max()), TINY)
+            std[j] = NEW_SENSOR_NOISE * max(float(np.abs(record.outputs[output.name]).max()), TINY)
     estimation = replace(estimation, noise=replace(estimation.noise, std=std))
     e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
     if not (np.isfinite(e.cost) and e.is_finite):
@@ -273,10 +270,6 @@ def list_detection_limits(candidates: Sequence[CandidateFit]) -> tuple[Finding, 
     return tuple(limit for limit in limits if limit is not None)
 
 
-# Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent.
-PROPOSAL_DETECTION_RATIO = 3.3
-
-
 def _detection_limit(candidate: CandidateFit) -> Finding | None:
     bound, variables = candidate.model.bound_effects[-1], candidate.variables
     amplitudes = [
@@ -293,7 +286,7 @@ def _detection_limit(candidate: CandidateFit) -> Finding | None:
     std = float(np.sqrt(covariance[k, k]) * variables.spans[k])
     values = {
         "parameter": name,
-        "limit": PROPOSAL_DETECTION_RATIO * std,
+        "limit": DETECTION_RATIO * std,
         "unit": candidate.model.parameter(name).unit,
     }
     return Finding(DiscoveryCode.DETECTION_LIMIT, subject=bound.effect.name, values=values)

@@ -90,7 +90,8 @@ def fit(
 ) -> Fit:
     """Fit the free parameters of a model to one or more experiments.
 
-    Minimises the sum of squared free-run errors, each output over its noise standard deviation, ``sum ((y - yhat) / noise)^2``, over
+    Minimises the sum of squared free-run errors, each over its noise standard deviation (that of the output, or of the row where
+    `Experiment.noise` tells it), ``sum ((y - yhat) / noise)^2``, over
     the free parameters and each experiment's initial state, with IPOPT and a Gauss-Newton Hessian. A model with process noise
     (`State`) is fitted by its likelihood through a Kalman filter instead. Priors of parameters (`Model.prior`) are weighed as
     measurements. The parameters start at the values of ``model`` (`Model.start`); where the search from there explains nothing, others
@@ -104,10 +105,10 @@ def fit(
     experiments
         Estimation records.
     noise
-        Standard deviation by output in the model's units, or a `NoiseModel` that is known already. Outputs left out are estimated, in
-        this order of trust: from ``quiet`` records, from repetition in the records (a periodic input, several experiments with the same
-        input), from high-order differences. Quiet records and repetition show the noise's colour as well: then residual and
-        sensitivities are whitened by its autoregression, which is maximum likelihood for such noise.
+        Standard deviation by output in the model's units, or a `NoiseModel` that is known already. Of outputs left out it is what the
+        experiments tell row by row, or it is estimated, in this order of trust: from ``quiet`` records, from repetition in the records (a
+        periodic input, several experiments with the same input), from high-order differences. Quiet records and repetition show the noise's
+        colour as well: then residual and sensitivities are whitened by its autoregression, which is maximum likelihood for such noise.
     quiet
         Records with the input at rest and the same columns: they show the noise alone.
     colour
@@ -165,6 +166,10 @@ def fit(
         if colour == ColourTreatment.RESIDUAL:
             raise ModelError(
                 "colour 'residual': process noise makes the innovations white; leave out the colour, or the process noise"
+            )
+        if any(e.noise for e in to_experiments(experiments)):
+            raise ModelError(
+                "noise told row by row: a fit with process noise takes one standard deviation for each output; leave out one of the two"
             )
         estimate = estimate_by_prediction_error(
             model, experiments, noise, options, report, quiet=quiet, initial=initial

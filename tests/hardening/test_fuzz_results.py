@@ -30,8 +30,7 @@ from greybox.estimation.uncertainty import load_bootstrap, load_profile
 from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
-from greybox.extensions.design.findings import CampaignCode
-from greybox.extensions.design.policy import DesignPolicy, InputSearchPolicy, MarginPolicy
+from greybox.extensions.design.problem import CampaignCode, DesignPolicy
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
 from greybox.model.model import Model
@@ -175,8 +174,13 @@ def use_fmu_fit(path: Path, _: object) -> None:
 
 
 SHORT = DesignPolicy(
-    search=InputSearchPolicy(bands=2, iterations=3, rounds=1, starts=1, refined_scenarios=1, crest_iterations=20),
-    margin=MarginPolicy(samples=2),
+    bands=2,
+    iterations=3,
+    rounds=1,
+    starts=1,
+    refined_scenarios=1,
+    crest_iterations=20,
+    scenarios=2,
 )
 
 

@@ -27,6 +27,7 @@ QUICK = (
     "changed.md",
     "laws.md",
     "extensions.md",
+    "records.md",
 )
 STUDIES = sorted(path.stem for path in (DOCS / "gallery").glob("*.md"))
 QUICK_STUDIES = ("first_order_steps", "pendulum_constants", "worn_bearing")

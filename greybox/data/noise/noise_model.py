@@ -14,6 +14,11 @@ from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 
+# Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
+NEW_SENSOR_NOISE = 0.01
+# Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent.
+DETECTION_RATIO = 3.3
+
 # Coloured noise as an autoregression: fitted by Burg's method, with gaps, its order by BIC.
 
 

@@ -79,7 +79,7 @@ def estimate_noise(
     common: bool = False,
     policy: NoisePolicy = NOISE_POLICY,
 ) -> NoiseModel:
-    """Noise of each output: as given, else from quiet records, from repetition, or from differences.
+    """Noise of each output: as given (for all rows, or row by row), else from quiet records, from repetition, or from differences.
 
     Repetition is looked for in the experiments themselves: a periodic input, or several experiments with the same input.
 
@@ -116,6 +116,7 @@ def estimate_noise(
     """
     quiet_records = as_records(quiet)
     check_given_noise(model, given)
+    given = {**given, **_level_of_rows(model, experiments, given)}
     _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}
     std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
@@ -136,6 +137,25 @@ def estimate_noise(
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
     return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, common)
+
+
+def _level_of_rows(model: Model, experiments: Sequence[Experiment], given: Mapping[str, float]) -> dict[str, float]:
+    """The rms of the standard deviations that the records tell row by row, by output. Raises DataError where some do not."""
+    levels = {}
+    for name in (o.name for o in model.outputs):
+        measured = [e for e in experiments if np.isfinite(e.outputs.get(name, np.nan)).any()]
+        with_rows = [e for e in measured if name in e.noise]
+        if not with_rows or name in given:
+            continue
+        if len(with_rows) < len(measured):
+            other = next(e.name for e in measured if name not in e.noise)
+            raise DataError(
+                f"noise of {name!r}: experiment {with_rows[0].name!r} tells it row by row, {other!r} does not; tell it in all records, or"
+                " give its usual size (noise) too"
+            )
+        squares = [e.noise[name][np.isfinite(e.outputs[name])] ** 2 for e in with_rows]
+        levels[name] = float(np.sqrt(np.mean(np.concatenate(squares))))
+    return levels
 
 
 def _share_level(model: Model, levels: Mapping[str, _Level]) -> dict[str, _Level]:

@@ -68,14 +68,19 @@ class EstimationProblem:
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
-        if self.loss is None and not self.noise.coloured:
+        if self.loss is None and not self.is_whitened:
             return SingleShooting(*base)
         return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
 
     @property
+    def is_whitened(self) -> bool:
+        """Whether errors are more than divided by the noise of their output: of noise with a colour, or of another size in each row."""
+        return self.noise.coloured or any(record.spread is not None for record in self.records)
+
+    @property
     def is_plain_squares(self) -> bool:
-        """Whether the cost is the sum of squared errors over white noise, and of nothing else."""
-        return self.loss is None and not self.noise.coloured and not self.variables.has_prior.any()
+        """Whether the cost is the sum of squared errors over white noise of one size, and of nothing else."""
+        return self.loss is None and not self.is_whitened and not self.variables.has_prior.any()
 
     def with_white_noise(self) -> EstimationProblem:
         """The same with the noise taken to be white."""
@@ -156,7 +161,7 @@ def prepare_problem(
     constant = tuple(
         n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
-    records = tuple(to_record(model, e) for e in group)
+    records = tuple(_spread_noise(to_record(model, e), e, noise) for e in group)
     if constant:
         dead = [o.name in constant for o in model.outputs]
         records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
@@ -189,6 +194,17 @@ def prepare_problem(
         constant_outputs=constant,
         policy=policy,
     )
+
+
+def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:
+    """``record`` with the noise of each row over that of its output, where the experiment tells it."""
+    if not experiment.noise:
+        return record
+    spread = np.ones((experiment.rows, len(noise.outputs)))
+    for j, name in enumerate(noise.outputs):
+        if name in experiment.noise:
+            spread[:, j] = experiment.noise[name] / noise.std[j]
+    return replace(record, spread=spread)
 
 
 def guess_initial_states(

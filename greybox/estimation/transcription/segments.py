@@ -193,7 +193,7 @@ class SegmentedProblem:
         """
         v, records, pieces = whole.variables, whole.shooting().records, []
         for record, places in zip(records, cuts, strict=True):
-            pieces += [slice_rows(record, a, b) for a, b in pairwise(places)]
+            pieces += [record.cut(a, b) for a, b in pairwise(places)]
         owner = np.repeat(np.arange(len(records)), [len(places) - 1 for places in cuts])
         if states is None:
             guesses = []
@@ -255,11 +255,6 @@ class SegmentedProblem:
     def simulate(self) -> Runs:
         """For each record outputs (N, ny) and states (N, nx), each segment run from its own initial state."""
         return self.join(self.pieces.shooting().simulate(self.pieces.variables.here))
-
-
-def slice_rows(record: Record, a: int, b: int) -> Record:
-    """Rows ``a`` up to but without ``b``."""
-    return replace(record, u=record.u[a:b], y=record.y[a:b], h=record.h[a : b - 1], row=record.row[a : b - 1])
 
 
 def measure_state_ranges(states: np.ndarray) -> np.ndarray:

@@ -187,9 +187,9 @@ class WhitenedShooting(SingleShooting):
 
     With a robust ``loss`` it is ``sum rho(r)`` of the whitened error ``r``, and the Hessian weighs each residual as the loss does,
     ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never indefinite, and never too small where ``rho`` bends
-    down. ``colour`` (ny,) holds the autoregression of each output's noise. The filter begins anew after gaps, with the exact weights of
-    the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the whole Jacobian
-    (N, ny, L) of a record in memory, where white noise needs only sums.
+    down. ``colour`` (ny,) holds the autoregression of each output's noise, and each record how large it is row by row. The filter begins
+    anew after gaps, with the exact weights of the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps
+    the whole Jacobian (N, ny, L) of a record in memory, where white noise needs only sums.
     """
 
     def __init__(
@@ -255,6 +255,11 @@ class WhitenedShooting(SingleShooting):
 
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
+        for (r, jacobian), record in zip(errors, self.records, strict=True):
+            if record.spread is not None:
+                # w = e / sd(t): what is left is as large in every row, and the colour is that of w.
+                r /= record.spread[: len(r)]
+                jacobian /= record.spread[: len(r), :, None]
         if not any(colour.order for colour in self.colour):
             return errors
         result = []

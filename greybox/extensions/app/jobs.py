@@ -11,7 +11,7 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from multiprocessing.connection import Connection
@@ -92,12 +92,28 @@ class Job:
         self.kind, self.session = kind, session
         self._listener = listener
         self._stops = 0
+        # A process that begins empty: a fork would take the threads' locks of the server with it.
         context = multiprocessing.get_context("spawn")
         self._connection, far_end = context.Pipe()
-        payload = pack(_arguments(kind, session, journal, workers))
+        # What `greybox.fit` is called with, or `greybox.discover` as the command of that name calls it.
+        arguments: dict[str, Any] = {
+            "model": session.model_to_fit if kind is JobKind.FIT else session.model,
+            "records": session.estimation,
+            "validation": session.validation,
+            "noise": dict(session.noise),
+            "quiet": session.quiet,
+            "skip": session.skip,
+            "beginning": session.beginning,
+            "options": session.options,
+        }
+        if kind is JobKind.DISCOVER:
+            options = FitOptions(at_rest=session.options.at_rest)
+            arguments |= {"options": options, "journal": journal, "workers": workers, "beside": find_own_effects()}
+        payload = pack(arguments)
         self._process = context.Process(target=_run, args=(far_end, kind, payload))
         with quiet_children():
             self._process.start()
+        # Its other end belongs to the process alone: so it reads an end of file where that is gone.
         far_end.close()
         self._reader = threading.Thread(target=self._listen, daemon=True)
         self._reader.start()
@@ -116,6 +132,7 @@ class Job:
     def end(self) -> None:
         """End the process now."""
         if self._process.is_alive():
+            # First as somebody who asks; a process inside a compiled solver may not hear it.
             self._process.terminate()
             self._process.join(APP_GRACE_SECONDS)
         if self._process.is_alive():
@@ -127,13 +144,16 @@ class Job:
         self._reader.join(seconds)
 
     def _listen(self) -> None:
+        # The last news is told when the process is gone, so that the next one may begin.
         last: JobEvent | None = None
         while last is None:
             try:
                 news, content = self._connection.recv()
             except (EOFError, OSError, ValueError, UnpicklingError):  # gone, or cut short while it was telling
                 self.end()
+                # Silence after a request to stop is its answer; without one the process has crashed.
                 news, content = (JobNews.STOPPED, None) if self._stops else (JobNews.FAILED, "")
+            # A result comes packed: only one of this program's own processes can have sent it.
             event = JobEvent(JobNews(news), unpack(content) if news == JobNews.DONE else content)
             if event.news in LAST_NEWS:
                 last = event
@@ -143,35 +163,10 @@ class Job:
         self._listener(last)
 
 
-def _arguments(kind: JobKind, session: Session, journal: Path, workers: int) -> dict[str, Any]:
-    """What `greybox.fit` or `greybox.discover` is called with."""
-    both: dict[str, Any] = {
-        "model": session.model_to_fit,
-        "records": session.estimation,
-        "validation": session.validation,
-        "noise": dict(session.noise),
-        "quiet": session.quiet,
-        "skip": session.skip,
-        "beginning": session.beginning,
-        "options": session.options,
-    }
-    if kind is JobKind.FIT:
-        return both
-    # As greybox discover calls it.
-    options = FitOptions(at_rest=session.options.at_rest)
-    return {
-        **both,
-        "model": session.model,
-        "options": options,
-        "journal": journal,
-        "workers": workers,
-        "beside": find_own_effects(),
-    }
-
-
 def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
     """The process: compute, tell, end."""
     stop = threading.Event()
+    # Requests are heard beside the computation, which does not return until it is done.
     threading.Thread(target=_hear, args=(connection, stop, kind is JobKind.DISCOVER), daemon=True).start()
     news: JobNews
     content: bytes | str | None
@@ -194,7 +189,9 @@ def _hear(connection: Connection, stop: threading.Event, interrupts: bool) -> No
         connection.recv()
     except (EOFError, OSError):
         os._exit(1)
+    # Whoever asked is there: the first message is a request to stop.
     stop.set()
+    # A fit looks at the request after each iteration; a discovery is interrupted wherever it is.
     if interrupts:
         _thread.interrupt_main()
     try:
@@ -211,22 +208,19 @@ def _fit(connection: Connection, stop: threading.Event, model: Any, records: Any
 
     def report(progress: FitProgress) -> None:
         nonlocal passed_on
-        connection.send((str(JobNews.PROGRESS), _figures(progress)))
+        ratio = progress.noise_ratio
+        figures = {
+            "stage": progress.stage,
+            "stages": progress.stages,
+            "iteration": max(progress.iteration, 0),
+            "noise_ratio": ratio if math.isfinite(ratio) else None,
+        }
+        connection.send((str(JobNews.PROGRESS), figures))
         if stop.is_set() and not passed_on:
             passed_on = True
             signal.raise_signal(signal.SIGINT)  # heard by the search itself, which ends with its best point
 
     return fit(model, records, report=report, **options)
-
-
-def _figures(progress: Any) -> Mapping[str, float | None]:
-    ratio = progress.noise_ratio
-    return {
-        "stage": progress.stage,
-        "stages": progress.stages,
-        "iteration": max(progress.iteration, 0),
-        "noise_ratio": ratio if math.isfinite(ratio) else None,
-    }
 
 
 def _discover(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:

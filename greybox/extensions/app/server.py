@@ -44,6 +44,7 @@ from greybox.show.pages.html import pack_plotly, page_style, read_plotly, securi
 @cache
 def page_text() -> str:
     """The page. It holds nothing of a session: that comes as data, which its script shows as text."""
+    # A name that the page does not know is a mistake of ours, and stops.
     environment = Environment(
         loader=PackageLoader("greybox.extensions.app", "template"), autoescape=True, undefined=StrictUndefined
     )
@@ -123,16 +124,20 @@ class AppServer:
     def allows(self, request: HTTPServerRequest, token: str) -> bool:
         """Whether a request is from somebody who was given the address, and not from a page of another server."""
         hosts = {f"{name}:{self.port}" for name in (ADDRESS, "localhost")}
+        # A name that somebody else's DNS points here is not ours (DNS rebinding).
         if request.headers.get("Host") not in hosts:
             return False
+        # In a time that does not tell how much of it was right.
         if not hmac.compare_digest(token.encode(), self.token.encode()):
             return False
         origins = {f"http://{host}" for host in hosts}
         origin = request.headers.get("Origin")
+        # A page of another server says so in its request; an address that is typed in sends no origin, and may only read.
         return origin in origins or (origin is None and request.method in ("GET", "HEAD"))
 
     def tell(self, news: Mapping[str, Any]) -> None:
         """Send news to every window of the page; called in any thread."""
+        # Queues belong to the server's thread.
         self._loop.call_soon_threadsafe(self._spread, dict(news))
 
     def _spread(self, news: Mapping[str, Any]) -> None:
@@ -145,9 +150,11 @@ class AppServer:
 
     async def close(self) -> None:
         """Stop listening, and what runs."""
+        # First nobody new, then what runs, then the windows that listen.
         self._http.stop()
         self.workbench.close()
         for stream in self.streams:
+            # Nothing more comes: the window's answer ends.
             stream.put_nowait(None)
         await self._http.close_all_connections()
         self.executor.shutdown(wait=False, cancel_futures=True)
@@ -162,12 +169,14 @@ class GuardedHandler(RequestHandler):
 
     def prepare(self) -> None:
         """Refuse whoever is not allowed, before anything of the request is looked at."""
+        # Addresses without a token match no route, and are refused as well.
         token = self.path_args[0] if self.path_args else ""
         if not self.server.allows(self.request, token):
             raise HTTPError(FORBIDDEN)
 
     def set_default_headers(self) -> None:
         """Nothing is kept, framed, guessed or passed on by a browser."""
+        # Which server it is concerns nobody.
         self.clear_header("Server")
         for name, value in {
             "Cache-Control": "no-store",
@@ -280,6 +289,7 @@ class ActionHandler(GuardedHandler):
         """Do it, and answer with the new state or with what was asked for."""
         prepare = ACTIONS.get(name)
         try:
+            # What is no JSON object is no request of the page.
             given = json.loads(self.request.body or b"{}")
         except ValueError:
             given = None
@@ -292,28 +302,19 @@ class ActionHandler(GuardedHandler):
                 action = prepare(bench, given)
             except (KeyError, TypeError, ValueError, AttributeError) as error:
                 raise DataError(f"{name}: not understood ({error}); load the page again") from error
+            # An action that gives nothing has changed the session.
             result = action()
             return bench.show() if result is None else result
 
         await self.answer_with(act)
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError(f"{value!r} is not a number")
-    return float(value)
-
-
 def _values(given: Mapping[str, Any]) -> dict[str, float]:
-    return {str(name): _number(value) for name, value in given["values"].items()}
-
-
-def _put_effect(bench: Workbench, given: Mapping[str, Any]) -> Callable[[], Any]:
-    return partial(bench.add_effect if given["on"] else bench.remove_effect, str(given["name"]))
-
-
-def _export(bench: Workbench) -> dict[str, Any]:
-    return {"files": [str(path) for path in bench.export()], "folder": str(bench.folder)}
+    values = given["values"]
+    for value in values.values():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError(f"{value!r} is not a number")
+    return {str(name): float(value) for name, value in values.items()}
 
 
 ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]]] = {
@@ -322,14 +323,16 @@ ACTIONS: Mapping[str, Callable[[Workbench, Mapping[str, Any]], Callable[[], Any]
     "locate": lambda bench, given: partial(bench.show_location, int(given["record"])),
     "values": lambda bench, given: partial(bench.set_values, _values(given)),
     "fixed": lambda bench, given: partial(bench.set_fixed, str(given["name"]), bool(given["fixed"])),
-    "effect": _put_effect,
+    "effect": lambda bench, given: partial(
+        bench.add_effect if given["on"] else bench.remove_effect, str(given["name"])
+    ),
     "forget": lambda bench, given: partial(bench.forget, int(given["record"])),
     "role": lambda bench, given: partial(bench.set_role, int(given["record"]), bool(given["validates"])),
     "undo": lambda bench, given: bench.undo,
     "fit": lambda bench, given: partial(bench.start, JobKind.FIT),
     "discover": lambda bench, given: partial(bench.start, JobKind.DISCOVER),
     "stop": lambda bench, given: bench.stop,
-    "export": lambda bench, given: partial(_export, bench),
+    "export": lambda bench, given: lambda: {"files": list(map(str, bench.export())), "folder": str(bench.folder)},
 }
 """What a page can ask for, by its name, as a call to make; one that gives nothing is answered with the new state."""
 
@@ -348,7 +351,9 @@ class UploadHandler(GuardedHandler):
         super().prepare()
         if self.request.method != "POST":
             raise HTTPError(FORBIDDEN)
+        # On the disk without a name: a record may be larger than the memory.
         self.received = self.opened.enter_context(tempfile.TemporaryFile())  # noqa: SIM115 (closed in on_finish)
+        # As much as a reader would take; every other request is small.
         self.request.connection.set_max_body_size(READING_POLICY.largest_file)  # type: ignore[union-attr]
 
     def data_received(self, chunk: bytes) -> None:
@@ -365,29 +370,27 @@ class UploadHandler(GuardedHandler):
 
         def load() -> Any:
             bench = self.server.workbench
-            columns = self._columns()
+            # Which column is which signal, as a person said it in the page.
+            try:
+                columns = json.loads(self.get_query_argument("columns", "{}"))
+            except ValueError:
+                columns = None
+            if not isinstance(columns, dict) or not all(isinstance(column, str) for column in columns.values()):
+                raise DataError("columns: not understood; load the page again")
             file = self._store(bench.uploads, name)
             try:
                 bench.load(file, validates=validates, columns=columns)
             except BaseException:
+                # What could not be read is not kept.
                 file.unlink(missing_ok=True)
                 raise
             return bench.show()
 
         await self.answer_with(load)
 
-    def _columns(self) -> dict[str, str]:
-        """Which column is which signal, as a person said it in the page. Raises DataError."""
-        try:
-            given = json.loads(self.get_query_argument("columns", "{}"))
-        except ValueError:
-            given = None
-        if not isinstance(given, dict) or not all(isinstance(column, str) for column in given.values()):
-            raise DataError("columns: not understood; load the page again")
-        return given
-
     def _store(self, folder: Path | None, name: str) -> Path:
         """The bytes as a file in the folder for uploads, under a name that is safe and new there."""
+        # Letters, digits and a few marks of the last part of the name: no path, nothing that a shell or a disk reads otherwise.
         safe = re.sub(r"[^\w .()+-]", "_", Path(name.replace("\\", "/")).name).strip(". ")
         file = Path(safe)
         if folder is None or not file.stem or file.suffix.lower() not in record_suffixes():
@@ -395,6 +398,7 @@ class UploadHandler(GuardedHandler):
                 f"{name or 'record'}: no kind of record; load a file that ends in {', '.join(sorted(record_suffixes()))}"
             )
         target, count = folder / file.name, 1
+        # A file of the same name is another record.
         while target.exists():
             count += 1
             target = folder / f"{file.stem}-{count}{file.suffix}"

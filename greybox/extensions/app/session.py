@@ -9,12 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
 from greybox.base.errors import DataError, ModelError
-from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
@@ -50,10 +48,13 @@ class ValueRange:
     def around(cls, parameter: Parameter) -> ValueRange:
         """A range about the present value of a parameter, within its bounds."""
         value, (low, high) = parameter.value, parameter.bounds
+        # A constant that can only be positive moves by factors.
         if parameter.positive:
             return cls(max(low, value / SLIDER_RATIO), min(high, value * SLIDER_RATIO), True)
+        # Around zero the bounds are the only scale.
         if value == 0 and math.isfinite(low) and math.isfinite(high):
             return cls(low, high, False)
+        # Zero has no size of its own: one unit to both sides.
         reach = SLIDER_REACH * abs(value) or 1.0
         return cls(max(low, value - reach), min(high, value + reach), False)
 
@@ -107,6 +108,7 @@ class Session:
     searched: Model | None = None
 
     def __post_init__(self) -> None:
+        # A range stays while its value does not leave it: a slider must not jump under the hand.
         kept = {
             q.name: r
             for q in self.model.all_parameters
@@ -134,6 +136,7 @@ class Session:
     @property
     def model_to_fit(self) -> Model:
         """The model, its delays bounded as the records can show them."""
+        # As the slowest of the records shows them.
         periods = [float(np.median(record.intervals)) for record in self.estimation]
         return bound_delays(self.model, max(periods)) if periods else self.model
 
@@ -153,22 +156,20 @@ class Session:
         if effect.name in {e.name for e in self.model.effects}:
             raise ModelError(f"effect {effect.name}: the model contains it already; take it out first")
         model = self.model + effect
-        if self.estimation:
-            model = model.start(**self._visible_values(model, effect))
-        return replace(self, model=model)
-
-    def _visible_values(self, model: Model, effect: Effect) -> dict[str, float]:
-        """Values of the constants of a new effect where it is visible and small; none where the present model cannot tell."""
-        candidate = self._to_candidate(self.estimation[0])
-        if not _runs_through(candidate):  # a run that overflows has no size: the effect starts as the catalogue has it
-            return {}
-        points = generate_starting_points(
-            model, effect, candidate, self.model, estimate_scales(candidate), amplitudes=(1.0,)
-        )
-        point = next(points)
-        return {
-            name: _round(model.parameter(name), value) for name, value in point.items() if name not in self.model.values
-        }
+        candidate = self._to_candidate(self.estimation[0]) if self.estimation else None
+        # A run that overflows has no size: the effect starts as the catalogue has it.
+        if candidate is None or not _runs_through(candidate):
+            return replace(self, model=model)
+        # At the amplitude where a discovery begins: large enough to be seen, small beside the motion.
+        scales = estimate_scales(candidate)
+        point = next(generate_starting_points(model, effect, candidate, self.model, scales, amplitudes=(1.0,)))
+        values = {}
+        for name, value in point.items():
+            if name not in self.model.values:
+                # In three digits, as a person would write it, where the bounds allow it.
+                (low, high), rounded = model.parameter(name).bounds, float(f"{value:.3g}")
+                values[name] = rounded if low <= rounded <= high else value
+        return replace(self, model=model.start(**values))
 
     def without_effect(self, name: str) -> Session:
         """Without one of its effects. Raises ModelError where it has none of this name."""
@@ -185,6 +186,7 @@ class Session:
 
     def with_role(self, index: int, validates: bool) -> Session:
         """With one of the records fitted, or judging. Raises DataError where there is none."""
+        # A record that judges was not fitted: one that moves over is judged, or fitted, from the next fit on.
         changed = replace(self.record(index), validates=validates)
         return replace(self, records=(*self.records[:index], changed, *self.records[index + 1 :]))
 
@@ -221,46 +223,16 @@ class Session:
         run = self._run(record).traces[0]
         problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
         states = self.model.system.state_names
+        # The initial state of the free run: what the person sees is what is looked at.
         guess = np.array([[run.initial_state[name] for name in states]])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
+        # Nothing is fitted: the residual and its slopes at the present constants.
         evaluation = problem.shooting(variables).evaluate(variables.here)
         return CandidateFit(
             self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
         )
 
 
-def _round(parameter: Parameter, value: float) -> float:
-    """A start value in three digits, as a person would write it, where the bounds allow it."""
-    low, high = parameter.bounds
-    rounded = float(f"{value:.3g}")
-    return rounded if low <= rounded <= high else value
-
-
 def _runs_through(candidate: CandidateFit) -> bool:
     """Whether the run and its derivatives are finite to the end."""
     return bool(math.isfinite(candidate.cost) and candidate.evaluation.is_finite)
-
-
-# What the app asks of whoever knows how studies are written: the command line.
-
-
-class StudyBook(Protocol):
-    """Reads records as a study says, and writes a session as the study and the program that repeat it."""
-
-    def read(self, files: Sequence[Path], columns: Mapping[str, str]) -> tuple[Experiment, ...]:
-        """The records in ``files``, where ``columns`` are as in `Session`. Raises GreyboxError."""
-        ...
-
-    def propose_columns(
-        self, file: Path, columns: Mapping[str, str]
-    ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
-        """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
-        ...
-
-    def write_study(self, session: Session, path: Path) -> str:
-        """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
-        ...
-
-    def write_script(self, session: Session, path: Path) -> str:
-        """The text of the Python program ``path`` that computes the same."""
-        ...

@@ -5,26 +5,170 @@ Every step is kept and can be taken back; nothing that fails changes the session
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.base.files import write_file
+from greybox.base.units import format_unit
+from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
+from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
-from greybox.extensions.app.session import LoadedRecord, Session, StudyBook
-from greybox.extensions.app.view import EffectPlace, list_effects, show_choice, show_location, show_run, show_session
+from greybox.extensions.app.session import LoadedRecord, Session
 from greybox.extensions.export.python_model import to_python
 from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import all_effects
+from greybox.model.effects.placement import find_placements
+from greybox.model.equations import equations_text
+from greybox.model.model import Model
 from greybox.model.system import Statement
+from greybox.show.figures.discovery import plot_misfit_windows
+from greybox.show.figures.figure import Figure
+from greybox.show.figures.plotly_backend import height_on_page
+from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
+from greybox.show.pages.html import figure_content, say
+from greybox.show.pages.page import FigureBlock
 from greybox.show.pages.report import report
+from greybox.show.sentences.estimation import MISFIT_HEADS, to_constant_cells, to_misfit_cells
+
+if TYPE_CHECKING:
+    from greybox.extensions.app.command import StudyOnFile
+
+# What the page shows of a session, as plain values for JSON. Figures and sentences are those of the reports.
+
+EffectPlace = tuple[Effect, str]
+"""An effect and the site where it would act."""
+
+
+def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[str, Any]:
+    """Model, constants, effects, records and answers; ``places`` are the effects that can be put in."""
+    model, constants = session.model, []
+    for q in model.all_parameters:
+        reach = session.ranges[q.name]
+        # Interval and remark are those of the fit, as long as the constants are still its own.
+        estimate = session.fit.parameters.get(q.name) if session.fit is not None and session.is_fitted else None
+        cells = None if estimate is None or estimate.fixed else to_constant_cells(q.name, estimate)
+        constants.append(
+            {
+                "name": q.name,
+                "unit": format_unit(q.unit),
+                "description": q.description,
+                "value": q.value,
+                "fixed": q.fixed,
+                "interval": "" if cells is None else cells[2],
+                "remark": "" if cells is None else cells[4],
+                "low": reach.low,
+                "high": reach.high,
+                "logarithmic": reach.logarithmic,
+            }
+        )
+    return {
+        "model": model.name,
+        "title": model.title,
+        "description": model.description,
+        "equations": equations_text(model),
+        "constants": constants,
+        "effects": [
+            {"name": b.effect.name, "site": b.site, "equation": b.effect.equation} for b in model.bound_effects
+        ],
+        "catalogue": [{"name": e.name, "site": site, "equation": e.equation} for e, site in places],
+        "records": [
+            {
+                "name": r.experiment.name,
+                "rows": r.experiment.rows,
+                "seconds": float(r.experiment.time[-1] - r.experiment.time[0]),
+                "validates": r.validates,
+                "notes": [str(finding) for finding in r.experiment.findings],
+            }
+            for r in session.records
+        ],
+        "fit": None if session.fit is None else {"text": str(session.fit), "current": session.is_fitted},
+        "discovery": None
+        if session.discovery is None
+        else {"verdict": str(session.discovery.verdict), "text": str(session.discovery)},
+    }
+
+
+def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict[str, Any]:
+    """The columns of a file, and the signals that a person says the columns of."""
+    return {
+        "columns": list(columns),
+        "signals": [
+            {
+                "name": c.signal.name,
+                "unit": format_unit(c.signal.unit),
+                "kind": str(c.signal.kind),
+                "column": c.column,
+                "matched": c.matched,
+            }
+            for c in choices
+        ],
+    }
+
+
+def list_effects(model: Model, beside: tuple[Effect, ...] = ()) -> tuple[EffectPlace, ...]:
+    """Every effect that has a place in ``model``, and the place."""
+    places = find_placements(model, (*beside, *all_effects()))
+    return tuple((place.effect, place.site) for place in places if place.effect is not None)
+
+
+def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str, Any]:
+    """One record beside the simulation: the run, the residual, the misfit; with what drove it."""
+    result = session.simulate(index)
+    trace, model = result.traces[0], session.model
+    units = {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
+    # The noise that was given, else that of the last fit: a band around the residual.
+    noise: Mapping[str, float] = session.noise or (session.fit.noise.std if session.fit is not None else {})
+    figures = {
+        "run": plot_run(trace, units, "run"),
+        "residual": plot_residual(trace, units, noise, "residual"),
+        "inputs": plot_inputs(trace, units, "inputs") if inputs else None,
+    }
+    # A row an output; empty cells where the run overflows.
+    rows = [
+        [output, *(to_misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        for output, m in result.misfit.items()
+    ]
+    return {
+        "record": index,
+        "figures": {name: show_figure(figure) for name, figure in figures.items() if figure is not None},
+        "misfit": {"heads": ["", *MISFIT_HEADS], "rows": rows},
+        "overflows": not all(math.isfinite(m.rmse) for m in result.misfit.values()),
+    }
+
+
+def show_location(location: ResidualLocalisation, index: int) -> dict[str, Any]:
+    """Where, when and as a function of what the model falls short."""
+    windows = plot_misfit_windows(location)
+    return {
+        "record": index,
+        "missing": location.is_missing,
+        "text": str(location),
+        "ratio": location.misfit if math.isfinite(location.misfit) else None,
+        "figures": {} if windows is None else {"windows": show_figure(windows)},
+    }
+
+
+# Stretches by which a long curve is drawn, each by its smallest and largest value: a redraw while a slider moves must be quick.
+APP_STRETCHES = 700
+
+
+def show_figure(figure: Figure) -> dict[str, Any]:
+    """A figure as the page's script draws it, and in words."""
+    # The page draws the same figure as a report.
+    content = figure_content(FigureBlock(figure, stretches=APP_STRETCHES))
+    words = say(figure.description) or say(figure.caption)
+    return {**content, "height": height_on_page(figure), "words": words, "caption": say(figure.caption)}
+
 
 STUDY_FILE, SCRIPT_FILE, MODEL_FILE, RECORDS_FOLDER = "study.toml", "repeat.py", "model.py", "records"
 LAST_FILE = "last.toml"
@@ -68,7 +212,7 @@ class Workbench:
     def __init__(
         self,
         session: Session,
-        study: StudyBook,
+        study: StudyOnFile,
         folder: Path,
         *,
         beside: Sequence[Effect] = (),
@@ -81,6 +225,7 @@ class Workbench:
         self.listener = listener or (lambda _: None)
         self.undone: list[Session] = []
         self.job: Job | None = None
+        # Requests come one by one, but a job tells its news in a thread of its own.
         self._lock = threading.RLock()
         self._exported_session = session
         self._shown = 0
@@ -89,7 +234,9 @@ class Workbench:
     def show(self) -> dict[str, Any]:
         """The state of everything, as the page shows it; of two, the one with the higher ``number`` is the later."""
         with self._lock:
+            # Answers may overtake one another: the page shows the latest.
             self._shown += 1
+            # Without a record there is no study to repeat.
             texts = {"study": "", "script": ""}
             if self.session.records:
                 session = self._with_exported_records(self.session)
@@ -126,6 +273,7 @@ class Workbench:
     @np.errstate(over="ignore", invalid="ignore")
     def add_effect(self, name: str) -> None:
         """Put an effect in. Raises ModelError for a name that has no place in the model."""
+        # Looked up by name, so that a page can only ask for what has a place.
         places = {effect.name: effect for effect, _ in self._list_effects()}
         if name in {e.name for e in self.session.model.effects}:
             raise ModelError(f"effect {name}: the model contains it already; take it out first")
@@ -144,11 +292,13 @@ class Workbench:
         """
         session = self.session
         if columns:
+            # One choice of columns holds for all records: those that are there are read anew.
             merged = {**session.columns, **columns}
             session = replace(session, columns=merged, records=self._read_again(merged))
         try:
             records = self.study.read([file], session.columns)
         except DataError as error:
+            # A record that lacks columns asks the person; anything else that is wrong with it is said.
             proposal = self.study.propose_columns(file, session.columns)
             if proposal is None:
                 raise
@@ -213,7 +363,9 @@ class Workbench:
         session = self.session
         if not session.records:
             raise DataError("export: no record yet, so there is no study to write; load one first")
+        # Taken before anything is written: what changes meanwhile is not in the files.
         self._exported_session = self.session
+        # The study names files that are there on another day.
         copies = self._copy_records()
         session = self._with_exported_records(session)
         study, script = self.folder / STUDY_FILE, self.folder / SCRIPT_FILE
@@ -223,6 +375,7 @@ class Workbench:
             write_file(script, self.study.write_script(session, script)),
             *copies,
         ]
+        # A fit whose constants were moved since is no result of this session.
         if session.fit is not None and session.is_fitted:
             files.append(session.fit.save(self.folder / "fit.json"))
             files.append(report(session.fit, self.folder / "report.html"))
@@ -252,6 +405,7 @@ class Workbench:
         return replace(session, records=moved)
 
     def _exported(self, file: Path) -> Path:
+        # Files of the person stay where they are.
         is_uploaded = self.uploads is not None and self.uploads in file.parents
         return self.folder / RECORDS_FOLDER / file.name if is_uploaded else file
 
@@ -268,12 +422,14 @@ class Workbench:
     def _list_effects(self) -> tuple[EffectPlace, ...]:
         """The effects that can be put in; looked for anew where the equations have changed."""
         statement = self.session.model.statement
+        # Sliders change values, not equations: the search for places is made once for these.
         if self._places is None or self._places[0] != statement:
             self._places = statement, list_effects(self.session.model, self.beside)
         return self._places[1]
 
     def _take(self, session: Session) -> None:
         with self._lock:
+            # Sessions are frozen: a step back is the value that was there.
             self.undone = [*self.undone, self.session][-MOST_UNDONE:]
             self.session = session
 
@@ -281,9 +437,11 @@ class Workbench:
         """What the job tells: its answer becomes the session's."""
         if event.news is JobNews.DONE:
             with self._lock:
+                # The answer may come after the app has given the job up.
                 job, self.job = self.job, None
                 if job is None:
                     return
+                # A discovery began with the model of its own session, which the person may have left meanwhile.
                 if job.kind is JobKind.DISCOVER:
                     self._take(self.session.with_discovery(event.content, job.session.model))
                 else:

@@ -135,7 +135,7 @@ def _detect(
 
 
 def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
-    from greybox.extensions.changes.population import survey_population
+    from greybox.extensions.changes.survey import survey_population
 
     machines = {str(path): read_like(known, list_record_files([path]), sampling_time) for path in new}
     refuse_repeated_records(new, (record for records in machines.values() for record in records))
@@ -144,7 +144,7 @@ def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> Cha
 
 
 def _chart(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
-    from greybox.extensions.changes.chart import chart_changes
+    from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(new)
     records = read_like(known, files, sampling_time)

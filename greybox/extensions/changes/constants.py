@@ -14,12 +14,11 @@ from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
 from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import NEARLY_NORMAL
 from greybox.data.experiment import Experiment
-from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit import fit
 from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import IntervalKind, Trace
+from greybox.estimation.result_parts import IntervalKind
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
 
 
@@ -102,12 +101,15 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
     places = [fit.uncertainty.free.index(name) for name in names]
     values = np.array([fit.parameters[name].value for name in names])
     positive = np.array([quantities[name].positive and fit.parameters[name].value > 0 for name in names], bool)
+    # d ln p = dp / p: the covariance on the scale of the comparison.
     slopes = np.where(positive, 1 / np.where(positive, values, 1.0), 1.0)
     # A colour that a short record shows by chance may make an interval narrower than a white residual would: not here.
-    slopes /= np.array([min(_positive_or_one(fit.uncertainty.inflation.get(name, 1.0)), 1.0) for name in names])
+    inflation = np.array([fit.uncertainty.inflation.get(name, 1.0) for name in names])
+    slopes /= np.where(inflation > 0, np.minimum(inflation, 1.0), 1.0)
     covariance = fit.uncertainty.covariance[np.ix_(places, places)] * np.outer(slopes, slopes)
     units = tuple(fit.parameters[name].unit for name in names)
     at_bound = tuple(name for name in names if fit.parameters[name].at_bound)
+    # A constant that the records leave open has any value; one at a bound has a covariance that is NaN already.
     open_ones = [k for k, name in enumerate(names) if fit.parameters[name].std is None and name not in at_bound]
     covariance[open_ones, open_ones] = np.inf
     return FittedConstants(names, units, values, covariance, positive, at_bound, _degrees(fit, residual))
@@ -118,9 +120,12 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     noise = restore_noise(fit)
     names = [o.name for o in fit.model.outputs]
     measured = tuple(name for name in names if name in fit.misfit and name in fit.noise.std)
+    # NaN where a record lacks the output.
     series = tuple(
         tuple(
-            _whitened_residual(trace, name, fit.noise.std[name], noise.colour[names.index(name)])
+            noise.colour[names.index(name)].whiten(trace.residual(name) / fit.noise.std[name])
+            if name in trace.measured and name in trace.simulated
+            else np.full(len(trace.time), np.nan)
             for trace in fit.traces
         )
         for name in measured
@@ -131,6 +136,7 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     total = max(sum(colour.counts), 1)
     degrees, kurtosis = [], []
     for j, (count, (_, squares)) in enumerate(zip(colour.counts, colour.times, strict=True)):
+        # Independent samples less the unknowns' share: N / sum of squared autocorrelations (Bartlett 1935).
         degrees.append(max((count - unknowns * count / total) / squares, 1.0))
         everything = np.concatenate(series[j])
         centred = everything - np.nanmean(everything)
@@ -141,25 +147,16 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     return FittedResidual(measured, series, colour, np.array(degrees), np.array(kurtosis), adequate)
 
 
-def _positive_or_one(factor: float) -> float:
-    return factor if factor > 0 else 1.0
-
-
-def _whitened_residual(trace: Trace, output: str, std: float, colour: AutoRegression) -> np.ndarray:
-    """The residual over the noise (N,), NaN where the record lacks the output."""
-    if output not in trace.measured or output not in trace.simulated:
-        return np.full(len(trace.time), np.nan)
-    return colour.whiten(trace.residual(output) / std)
-
-
 def _degrees(fit: Fit, residual: FittedResidual) -> float:
     """Degrees of freedom behind the intervals of ``fit``, by the rule that the estimation made them with."""
     if fit.prediction.process_noise:
         return float(np.inf)
     count = sum(residual.colour.counts)
     if fit.uncertainty.kind is IntervalKind.SANDWICH:
+        # The sandwich takes its scale from the residual, whose independent samples are fewer where it is coloured.
         return max(float(residual.degrees.sum()), 1.0)
     squares = sum(float(np.nansum(s**2)) for series in residual.series for s in series)
+    # A given noise is exact as long as the residual is no larger than it; else the residual is the estimate.
     left = max(count - residual.colour.unknowns, 1)
     return float(np.inf) if restore_noise(fit).known and squares <= left else float(left)
 
@@ -235,6 +232,7 @@ class ConstantsEstimate:
 
 def join_estimates(estimates: Sequence[ConstantsEstimate]) -> ConstantsEstimate:
     """The mean of independent estimates, each weighed by its information."""
+    # M = sum M_i, theta = M^-1 sum M_i theta_i
     total = sum((e.information for e in estimates), start=np.zeros_like(estimates[0].information))
     weighed = sum((e.information @ e.values for e in estimates), start=np.zeros_like(estimates[0].values))
     return ConstantsEstimate(pseudo_inverse(total) @ weighed, total)
@@ -320,6 +318,7 @@ def _to_scatter(
     paired = yardstick is Yardstick.PAIRED_PIECES
     widened = []
     for side, is_change in ((before, False), (after, paired)):
+        # Of pairs the change alone is known: it stands on the constants of the fit, which count as exact.
         scaled = side.values + constants.scaled if is_change else side.values
         covariance = side.covariance * np.outer(factors, factors)
         if paired and not is_change:
@@ -340,6 +339,7 @@ def _estimate_each(
     whole: Fit, pieces: Sequence[Experiment], constants: FittedConstants
 ) -> list[ConstantsEstimate | None]:
     """The constants of the model of ``whole`` from each piece alone; None where a piece does not give them."""
+    # A piece begins in motion; it is short, so that no shorter part comes first.
     options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
     estimates: list[ConstantsEstimate | None] = []
     for piece in pieces:
@@ -379,7 +379,9 @@ def _measure(
         squares[is_known] += deviation[is_known] ** 2 / variance[is_known]
         counts[is_known] += 1
     enough = counts - len(known) >= least_degrees
+    # By itself: root of the mean square of deviations over their promised standard deviations.
     factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
+    # Of all together: sum of d' M d, a chi-square where the covariances are right.
     all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
     p = float(chdtrc(all_degrees, all_squares))
     return _Spread(np.maximum(factors, least_factor), degrees, p)
@@ -393,6 +395,7 @@ SCATTER_LEAST_ROWS = 20
 
 def cut_records(records: Sequence[Experiment]) -> list[Experiment]:
     """The records, each cut into equal pieces so that there are `SCATTER_PIECES`, or as many as its rows allow."""
+    # As many pieces of each record, rounded up.
     each = -(-SCATTER_PIECES // len(records))
     pieces = []
     for record in records:
@@ -488,6 +491,7 @@ def compare_constants(
     i, j = before.index(names), after.index(names)
     common = before.positive[i] & after.positive[j]
     one, other = _rescale(before, i, common), _rescale(after, j, common)
+    # Independent estimates: their covariances add up.
     difference = other[0] - one[0]
     covariance = one[1] + other[1]
     std = np.sqrt(np.diag(covariance))
@@ -497,6 +501,7 @@ def compare_constants(
     null = _NullDistribution.draw(correlation, degrees)
     p, critical = null.step_down(np.abs(z)), null.quantile(1 - level)
     wide = null.quantile(INTERVAL_LEVEL)
+    # The gradient of z' R^-1 z: the combination that stands out most.
     direction = null.inverse @ z
     largest = np.abs(direction).max(initial=0.0)
     return DifferenceTest(
@@ -548,11 +553,14 @@ class _NullDistribution:
         decomposition = decompose_symmetric(correlation)
         inverse = decomposition.pseudo_inverse
         values, vectors = np.linalg.eigh(correlation)
+        # R = root root': draws with the correlation of the estimates; rounding may make an eigenvalue negative.
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         generator = np.random.default_rng(CHANGE_TEST_SEED)
         z = generator.standard_normal((CHANGE_TEST_DRAWS, len(correlation))) @ root.T
         if np.isfinite(degrees):
+            # Student: all differences of a draw over one estimated deviation.
             z /= np.sqrt(generator.chisquare(degrees, (CHANGE_TEST_DRAWS, 1)) / degrees)
+        # Wald's form has as many degrees of freedom as the correlation has rank.
         rank = max(round(float(np.trace(inverse @ correlation))), 1)
         return cls(z, inverse, rank, degrees)
 
@@ -573,6 +581,7 @@ class _NullDistribution:
     def step_down(self, z: np.ndarray) -> np.ndarray:
         """p-values (k,) of each, corrected for the looks that are left when it has its turn."""
         p, left, worst = np.ones(len(z)), np.ones(len(z), bool), 0.0
+        # The largest first; each is held against the largest of those that are left, and is no more certain than the one before (Holm).
         for k in np.argsort(-z):
             largest = self.largest if left.all() else np.abs(self.z[:, left]).max(axis=1)
             exceeding = int((largest >= z[k]).sum())
@@ -584,10 +593,12 @@ class _NullDistribution:
         """Probability that one of the two statistics is as unlikely as the less likely one at hand."""
         count = len(self.largest)
         of_largest = np.empty(count)
+        # p-value of each draw by the first statistic: its rank among the draws.
         of_largest[self.ordered] = 1 - np.arange(count) / count
         seen = float(np.abs(z).max(initial=0.0))
         of_form = float(self._form_tail(self._form(z[None]))[0])
         p_largest = self._share(int((self.largest >= seen).sum()), len(z) * self._tail(seen))
+        # The smaller of two p-values is no p-value: it is held against the smaller one of every draw.
         smallest = min(p_largest, of_form)
         exceeding = int((np.minimum(of_largest, self._form_tail(self._form(self.z))) <= smallest).sum())
         return self._share(exceeding, 2 * smallest)

@@ -16,7 +16,7 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, name_records
-from greybox.data.noise.noise_model import AutoRegression, NoiseModel, join_series
+from greybox.data.noise.noise_model import AutoRegression, join_series
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
@@ -36,8 +36,14 @@ from greybox.extensions.changes.constants import (
     read_constants,
     read_residual,
 )
-from greybox.extensions.changes.findings import ChangeCode, ChangeRule
-from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, list_appeared_effects
+from greybox.extensions.changes.result import (
+    ChangeCode,
+    ChangeDetection,
+    ChangeRule,
+    ChangeVerdict,
+    ConstantChange,
+    list_appeared_effects,
+)
 from greybox.model.effect import Effect
 
 # Is today's residual like that of the fit: as large, and as white? Where it is not, more than constants have changed.
@@ -61,25 +67,21 @@ def check_residual(before: FittedResidual, after: FittedResidual, level: float) 
     tests: list[tuple[ChangeRule, str, float]] = []
     for name in shared:
         i, j = before.outputs.index(name), after.outputs.index(name)
-        tests.append((ChangeRule.RESIDUAL_AS_LARGE, name, _compare_variances(before, i, after, j)))
+        one, other = before.colour.variance[i], after.colour.variance[j]
+        # A variance of samples with kurtosis k is as uncertain as one of 2 / (k - 1) times as many normal ones (Box 1953). The kurtosis is
+        # that of the fit's residual: an effect that has appeared gives today's heavy tails.
+        tails = 2 / (max(before.kurtosis[i], 3.0) - 1)
+        p = float(fdtrc(after.degrees[j] * tails, before.degrees[i] * tails, other / one)) if one > 0 else 1.0
+        tests.append((ChangeRule.RESIDUAL_AS_LARGE, name, p))
+        # A residual that was coloured already says nothing by its colour.
         if not before.colour.models[i].order:
             series = join_series(after.series[j])
             lags = min(CHANGE_TEST_LAGS, int(np.isfinite(series).sum()) // ROWS_PER_LAG)
             if lags:
                 tests.append((ChangeRule.RESIDUAL_AS_WHITE, name, ljung_box_test(series, lags)[1]))
+    # Bonferroni: all tests together keep the level.
     limit = level / max(len(tests), 1)
     return tuple(Check.at_least(rule, p, limit, name) for rule, name, p in tests)
-
-
-def _compare_variances(before: FittedResidual, i: int, after: FittedResidual, j: int) -> float:
-    one, other = before.colour.variance[i], after.colour.variance[j]
-    if not one > 0:
-        return 1.0
-    kurtosis = max(
-        before.kurtosis[i], 3.0
-    )  # of the fit's residual: an effect that has appeared gives today's heavy tails
-    tails = 2 / (kurtosis - 1)
-    return float(fdtrc(after.degrees[j] * tails, before.degrees[i] * tails, other / one))
 
 
 Signals = Mapping[str, np.ndarray]
@@ -142,19 +144,13 @@ def is_alike(one: Experiment, other: Experiment) -> bool:
     if not np.allclose(np.median(one.intervals), np.median(other.intervals), rtol=REPEATED_INPUT):
         return False
     if not one.inputs and not other.inputs:
-        return _are_near(
-            {n: v[:1] for n, v in one.outputs.items()}, {n: v[:1] for n, v in other.outputs.items()}, one.outputs
-        )
-    inputs, outputs = (
-        (_on_common_rows(of_one, of_other))
-        for of_one, of_other in ((one.inputs, other.inputs), (one.outputs, other.outputs))
-    )
-    return _are_near(*inputs, inputs[0]) or _are_near(*outputs, outputs[0])
-
-
-def _on_common_rows(one: Signals, other: Signals) -> tuple[Signals, Signals]:
-    rows = min(len(values) for values in (*one.values(), *other.values()))
-    return {n: v[:rows] for n, v in one.items()}, {n: v[:rows] for n, v in other.items()}
+        # Nothing drives them: the same motion is one that begins alike, by the size of the whole of it.
+        first, second = ({n: v[:1] for n, v in record.outputs.items()} for record in (one, other))
+        return _are_near(first, second, one.outputs)
+    rows = min(one.rows, other.rows)
+    sides = ((one.inputs, other.inputs), (one.outputs, other.outputs))
+    cut = [[{n: v[:rows] for n, v in signals.items()} for signals in pair] for pair in sides]
+    return any(_are_near(mine, others, mine) for mine, others in cut)
 
 
 def _are_near(one: Signals, other: Signals, sizes: Signals) -> bool:
@@ -242,7 +238,13 @@ def detect_changes(
     check_reference(reference)
     if not listed:
         raise DataError("no record of today: give at least one")
-    findings = _find_known_records(reference, (*listed, *judges))
+    # Records that the fit was made of cannot have changed.
+    known = {trace.fingerprint for trace in reference.traces}
+    findings: tuple[Finding, ...] = tuple(
+        Finding(ChangeCode.SAME_RECORD, Severity.WARNING, record.source or record.name)
+        for record in (*listed, *judges)
+        if record.fingerprint in known
+    )
     today = refit(reference, listed)
     if not today.success:
         values = {"status": today.solver.status_message}
@@ -253,6 +255,7 @@ def detect_changes(
     if not residuals[0].adequate:
         findings = (*findings, Finding(ChangeCode.MODEL_LACKS_SOMETHING, Severity.WARNING))
     level = CHANGE_TEST_FALSE_ALARM_RATE
+    # The rate of false alarms is shared between the residual, where it can be tested, and the constants.
     of_residual = check_residual(*residuals, CHANGE_TEST_RESIDUAL_SHARE * level)
     level_of_constants = (1 - CHANGE_TEST_RESIDUAL_SHARE) * level if of_residual else level
     discovery = None
@@ -262,12 +265,14 @@ def detect_changes(
         if len(listed) == 1 and not judges:
             options = replace(options, at_rest=False)  # the second half begins in motion
             findings = (*findings, Finding(ChangeCode.SPLIT_FOR_VALIDATION, subject=listed[0].name))
+        # What the fit left is the noise of today, where that is noise.
+        misfit = {name: reference.misfit[name].rmse for name in residuals[0].outputs if residuals[0].adequate}
         discovery = discover(
             reference.model,
             learnt,
             validation=judged_by,
             skip=skip,
-            noise=_expected_noise(reference, residuals[0]),
+            noise={name: rmse for name, rmse in misfit.items() if rmse > 0},
             effects=effects,
             without=without,
             options=options,
@@ -278,6 +283,7 @@ def detect_changes(
             time_limit=time_limit,
             journal=journal,
         )
+        # The constants of today are those beside the effect that has appeared.
         if list_appeared_effects(discovery):
             today = discovery.best
     before, after = (
@@ -290,6 +296,7 @@ def detect_changes(
         adequate, compared = residuals[0].adequate, (reference, today)
         repeats = Repeats()
         if not adequate:
+            # Of a model that lacks something only records of the same motion say the same of its constants.
             repeats = match_repeats([trace.experiment for trace in reference.traces], listed)
             compared = _fit_repeats(reference, today, repeats)
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
@@ -297,6 +304,7 @@ def detect_changes(
             shares = _share_beyond_missing_part(compared, before, after)
             scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
         if scatter is not None:
+            # From here on the constants are as uncertain as they scatter.
             before, after = scatter.before, scatter.after
             largest = int(np.argmax(scatter.factors))
             allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees, "over": scatter.yardstick}
@@ -392,8 +400,13 @@ def check_reference(reference: Fit) -> None:
 
 def refit(reference: Fit, records: Sequence[Experiment]) -> Fit:
     """The model of ``reference`` fitted to other records: same options, priors and noise, begun at its constants."""
+    noise = restore_noise(reference)
+    periods = [float(np.median(np.diff(trace.time))) for trace in reference.traces if len(trace.time) > 1]
+    if not all(np.allclose(np.median(record.intervals), period) for record in records for period in periods):
+        # The colour of noise is stated sample by sample: at another sampling time it would be another one.
+        noise = replace(noise, colour=tuple(AutoRegression() for _ in noise.colour))
     options = FitOptions.from_data(reference.provenance.options)
-    return fit(reference.model, records, noise=_noise_for(reference, records), options=options)
+    return fit(reference.model, records, noise=noise, options=options)
 
 
 # Probability with which a change of the size that counts as seen is seen.
@@ -420,6 +433,7 @@ def compare_fits(
         k = names.index(name)
         reach, seen, difference = float(test.half_widths[k]), float(test.visible[k]), float(test.difference[k])
         if before.positive[i] and today > 0:
+            # p exp(d) - p: back from the logarithm, at most as large as a double holds.
             interval = tuple(value * math.expm1(min(difference + sign * reach, 700.0)) for sign in (-1, 1))
             smallest = value * math.expm1(min(seen, 700.0))
         else:
@@ -462,31 +476,6 @@ def _choose_validation(
     return (record.window(0, half),), (record.window(half, record.rows),)
 
 
-def _find_known_records(reference: Fit, records: Sequence[Experiment]) -> tuple[Finding, ...]:
-    """Records of today that the fit was made of: they cannot have changed."""
-    known = {trace.fingerprint for trace in reference.traces}
-    return tuple(
-        Finding(ChangeCode.SAME_RECORD, Severity.WARNING, record.source or record.name)
-        for record in records
-        if record.fingerprint in known
-    )
-
-
-def _noise_for(reference: Fit, records: Sequence[Experiment]) -> NoiseModel:
-    """The noise that the fit was weighed with; its colour only for records of the same sampling time."""
-    noise = restore_noise(reference)
-    periods = [float(np.median(np.diff(trace.time))) for trace in reference.traces if len(trace.time) > 1]
-    same = all(np.allclose(np.median(record.intervals), period) for record in records for period in periods)
-    return noise if same else replace(noise, colour=tuple(AutoRegression() for _ in noise.colour))
-
-
-def _expected_noise(reference: Fit, residual: FittedResidual) -> dict[str, float]:
-    """What the fit left as the noise of today, where that is noise."""
-    if not residual.adequate:
-        return {}
-    return {name: reference.misfit[name].rmse for name in residual.outputs if reference.misfit[name].rmse > 0}
-
-
 def _find_unseen(
     constants: Mapping[str, ConstantChange], after: FittedConstants, verdict: ChangeVerdict
 ) -> list[Finding]:
@@ -497,6 +486,7 @@ def _find_unseen(
         if name in after.at_bound:
             findings.append(Finding(ChangeCode.CONSTANT_AT_BOUND, Severity.WARNING, name, {"value": change.after}))
         elif not change.moved and not is_seen(change):
+            # The smallest change that would be seen, over the constant: what a reader weighs.
             share = None if change.smallest is None or not change.before else change.smallest / abs(change.before)
             values = {"share": share, "limit": LARGEST_HIDDEN_CHANGE}
             findings.append(Finding(ChangeCode.CONSTANT_NOT_SEEN, severity, name, values))
@@ -533,32 +523,30 @@ def _conclude(
             }
             conclusion.append(Finding(ChangeCode.CONSTANT_MOVED, Severity.WARNING, name, values))
     if ChangeRule.CONSTANTS_AS_BEFORE in failed and test and not any(c.moved for c in constants.values()):
+        # No constant by itself stands out: the combination that does is named by its larger entries.
         combination = {
             name: float(w) for name, w in zip(test.names, test.direction, strict=True) if abs(w) > NAMED_WEIGHT
         }
         values = {"combination": combination, "p": test.p_value}
         conclusion.append(Finding(ChangeCode.COMBINATION_MOVED, Severity.WARNING, values=values))
+    # An effect that has appeared explains the residual; without one the residual is described as it is.
     if failed - {ChangeRule.CONSTANTS_AS_BEFORE} and not appeared:
-        conclusion += _describe_residual(checks, residuals)
+        for name in dict.fromkeys(c.subject for c in checks if not c and c.subject):
+            rules = {c.rule for c in checks if not c and c.subject == name}
+            before, after = (r.colour.variance[r.outputs.index(name)] for r in residuals)
+            # In the unit of the output: of standard deviations, not variances.
+            ratio = math.sqrt(after / before) if before > 0 else math.inf
+            # As white as before: the sensor's noise has grown.
+            code = ChangeCode.UNEXPLAINED if ChangeRule.RESIDUAL_AS_WHITE in rules else ChangeCode.NOISE_GREW
+            conclusion.append(Finding(code, Severity.WARNING, name, {"ratio": ratio}))
     if conclusion:
         return tuple(conclusion)
     hidden = [name for name, change in constants.items() if not is_seen(change)]
     if verdict is ChangeVerdict.CANNOT_TELL:
         return (Finding(ChangeCode.CANNOT_TELL, Severity.WARNING, values={"constants": hidden}),)
+    # Nothing has changed: what could have, unseen, is said of the constant that is least certain.
     widest = max(constants, key=lambda name: (constants[name].smallest or 0.0) / abs(constants[name].before or 1.0))
     values = {"constants": list(constants), "widest": widest, "rate": CHANGE_TEST_FALSE_ALARM_RATE}
     change = constants[widest]
     values |= {"smallest": change.smallest, "before": change.before, "unit": change.unit}
     return (Finding(ChangeCode.NOTHING_CHANGED, values=values),)
-
-
-def _describe_residual(checks: Sequence[Check], residuals: tuple[FittedResidual, FittedResidual]) -> list[Finding]:
-    """What the residual of each output became, where no effect explains it: as white as before, the sensor's noise has grown."""
-    findings = []
-    for name in dict.fromkeys(c.subject for c in checks if not c and c.subject):
-        rules = {c.rule for c in checks if not c and c.subject == name}
-        before, after = (r.colour.variance[r.outputs.index(name)] for r in residuals)
-        ratio = math.sqrt(after / before) if before > 0 else math.inf
-        code = ChangeCode.UNEXPLAINED if ChangeRule.RESIDUAL_AS_WHITE in rules else ChangeCode.NOISE_GREW
-        findings.append(Finding(code, Severity.WARNING, name, {"ratio": ratio}))
-    return findings

@@ -31,6 +31,7 @@ def plot_changes(change: ChangeDetection) -> Figure | None:
     if not shown:
         return None
     percent = {n: 100 * (c.after - c.before) / abs(c.before) for n, c in shown.items()}
+    # Half of the interval, in percent of the constant before.
     half = {n: 50 * (c.interval[1] - c.interval[0]) / abs(c.before) for n, c in shown.items() if c.interval}
     series: list[Series] = [Reference(0.0)]
     moved = [n for n, c in shown.items() if c.moved]
@@ -59,6 +60,7 @@ def plot_population(change: ChangeDetection) -> Figure | None:
     """Each constant of each machine with its 95 % interval, over the band in which 95 % of such machines lie."""
     panels = []
     for name, common in change.population.items():
+        # Two deviations to both sides; of a spread in the logarithm as factors.
         low, high = (
             (common.mean * math.exp(s * 2 * common.spread) for s in (-1, 1))
             if common.relative
@@ -77,6 +79,7 @@ def plot_population(change: ChangeDetection) -> Figure | None:
     if not panels:
         return None
     outlying = {name for m in change.machines for name in m.outlying}
+    # What stands out comes first.
     panels.sort(key=lambda panel: panel.name not in outlying)
     return Figure(
         "machines",
@@ -105,6 +108,7 @@ def plot_course(change: ChangeDetection) -> Figure | None:
             Points(np.array(places), np.array(values), Role.RESIDUAL, "records", size=6, half_bars=np.array(bars))
         ]
         if jumps:
+            # A level reaches from half a record before its first one to half a record behind its last.
             edges = [-0.5, *(c.number - 0.5 for c in jumps), len(change.records) - 0.5]
             levels = [jumps[0].before, *(c.after for c in jumps)]
             x = np.repeat(edges, 2)[1:-1]

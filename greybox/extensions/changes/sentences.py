@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base.findings import Finding, Severity
 from greybox.extensions.changes.constants import Yardstick
-from greybox.extensions.changes.findings import ChangeCode, ChangeRule
+from greybox.extensions.changes.result import ChangeCode, ChangeRule
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import (
     TEXT_LIMITS,

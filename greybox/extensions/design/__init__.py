@@ -19,8 +19,7 @@ if TYPE_CHECKING:
     )
     from greybox.extensions.design.limits import LimitPrediction
     from greybox.extensions.design.next_record import answer, design
-    from greybox.extensions.design.policy import CampaignPolicy, DesignPolicy
-    from greybox.extensions.design.problem import CriterionName, DesignProblem, GoalName
+    from greybox.extensions.design.problem import CampaignPolicy, CriterionName, DesignPolicy, DesignProblem, GoalName
     from greybox.extensions.design.result import (
         Alternative,
         AlternativeKind,
@@ -28,40 +27,6 @@ if TYPE_CHECKING:
         PredictedConstant,
         PredictedDetection,
     )
-    from greybox.extensions.design.sampling_times import SamplingTimes, choose_sampling_times, weigh_optimally
+    from greybox.extensions.design.search import SamplingTimes, choose_sampling_times, weigh_optimally
 
-__getattr__, __all__ = lazy_face(
-    __name__,
-    {
-        "greybox.data.signals": ("SignalLimit",),
-        "greybox.extensions.design.campaign": (
-            "Campaign",
-            "CampaignPlan",
-            "CampaignStatus",
-            "CampaignStep",
-            "run_campaign",
-        ),
-        "greybox.extensions.design.next_record": ("answer", "design"),
-        "greybox.extensions.design.inputs": (
-            "Chirp",
-            "Multisine",
-            "PiecewiseConstant",
-            "Prbs",
-            "Steps",
-            "compress_multisine",
-            "crest_factor",
-            "staircase",
-        ),
-        "greybox.extensions.design.limits": ("LimitPrediction",),
-        "greybox.extensions.design.policy": ("CampaignPolicy", "DesignPolicy"),
-        "greybox.extensions.design.problem": ("CriterionName", "DesignProblem", "GoalName"),
-        "greybox.extensions.design.result": (
-            "Alternative",
-            "AlternativeKind",
-            "Design",
-            "PredictedConstant",
-            "PredictedDetection",
-        ),
-        "greybox.extensions.design.sampling_times": ("SamplingTimes", "choose_sampling_times", "weigh_optimally"),
-    },
-)
+__getattr__, __all__ = lazy_face(__name__)

@@ -11,7 +11,6 @@ import ctypes
 import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
-from typing import Protocol
 
 import casadi as ca
 import numpy as np
@@ -109,29 +108,45 @@ class StepDerivatives:
         return self.forward, self.backward, self.outputs, self.outputs_back
 
 
-class AdjointLoops(Protocol):
-    """Rows are samples (or substeps); n substeps, N samples; arrays of float64, one row after the other in memory."""
+class AdjointLoops:
+    """The loops as CasADi's maps.
+
+    Rows are samples (or substeps); n substeps, N samples; arrays of float64, one row after the other in memory.
+    """
+
+    def __init__(self, functions: StepDerivatives) -> None:
+        self.functions = functions
 
     def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """States with sensitivities (n + 1, nX) from ``start`` (nX,) under inputs (n, nu) with constants ``c``."""
+        run = self.functions.forward.mapaccum(len(u))(start, u.T, np.tile(c[:, None], len(u))).full()
+        return np.ascontiguousarray(np.column_stack([start, run]).T)
 
     def backward(self, X: np.ndarray, u: np.ndarray, c: np.ndarray, added: np.ndarray) -> np.ndarray:
         """Slopes along the inputs (n, nu), given what is ``added`` (n + 1, nX) to the costate at each row of ``X``."""
+        count, backward = len(u), self.functions.backward.mapaccum(len(u))
+        late = X[:-1][::-1].T, u[::-1].T, np.tile(c[:, None], count), added[:-1][::-1].T
+        _, along = backward(added[-1], *late)
+        return along.full().T[::-1]
 
     def outputs(self, X: np.ndarray, u: np.ndarray, d: np.ndarray) -> np.ndarray:
         """Outputs with sensitivities (N, nY)."""
+        return self.functions.outputs.map(len(u))(X.T, u.T, np.tile(d[:, None], len(u))).full().T
 
     def outputs_back(
         self, X: np.ndarray, u: np.ndarray, d: np.ndarray, along: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Slopes along states with sensitivities (N, nX) and inputs (N, nu), given those along outputs (N, nY)."""
+        back = self.functions.outputs_back.map(len(u))
+        at_x, at_u = back(X.T, u.T, np.tile(d[:, None], len(u)), along.T)
+        return at_x.full().T, at_u.full().T
 
 
-class CompiledLoops:
+class CompiledLoops(AdjointLoops):
     """The loops in C. Raises CompilerError where that cannot be made."""
 
     def __init__(self, functions: StepDerivatives) -> None:
-        self.functions = functions
+        super().__init__(functions)
         key = " ".join(f.serialize() for f in functions.all)
         self.library = load_library(lambda: self.source, f"adjoint {LOOPS} {key}")
         self._iw = np.zeros(max(f.sz_iw() for f in functions.all) + 1, np.int64)
@@ -186,47 +201,16 @@ class CompiledLoops:
         function(*[ctypes.c_longlong(n) for n in sizes], *addresses)
 
 
-class InterpretedLoops:
-    """The loops as CasADi's maps."""
-
-    def __init__(self, functions: StepDerivatives) -> None:
-        self.functions = functions
-
-    def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """See `AdjointLoops.forward`."""
-        run = self.functions.forward.mapaccum(len(u))(start, u.T, np.tile(c[:, None], len(u))).full()
-        return np.ascontiguousarray(np.column_stack([start, run]).T)
-
-    def backward(self, X: np.ndarray, u: np.ndarray, c: np.ndarray, added: np.ndarray) -> np.ndarray:
-        """See `AdjointLoops.backward`."""
-        count, backward = len(u), self.functions.backward.mapaccum(len(u))
-        late = X[:-1][::-1].T, u[::-1].T, np.tile(c[:, None], count), added[:-1][::-1].T
-        _, along = backward(added[-1], *late)
-        return along.full().T[::-1]
-
-    def outputs(self, X: np.ndarray, u: np.ndarray, d: np.ndarray) -> np.ndarray:
-        """See `AdjointLoops.outputs`."""
-        return self.functions.outputs.map(len(u))(X.T, u.T, np.tile(d[:, None], len(u))).full().T
-
-    def outputs_back(
-        self, X: np.ndarray, u: np.ndarray, d: np.ndarray, along: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """See `AdjointLoops.outputs_back`."""
-        back = self.functions.outputs_back.map(len(u))
-        at_x, at_u = back(X.T, u.T, np.tile(d[:, None], len(u)), along.T)
-        return at_x.full().T, at_u.full().T
-
-
 @lru_cache(maxsize=64)
 def make_loops(step: Step, directions: int) -> AdjointLoops:
     """The fastest loops that this machine can make; ``GREYBOX_KERNEL`` decides as for kernels."""
     functions = StepDerivatives(step, directions)
     if os.environ.get("GREYBOX_KERNEL") == "interpreted":
-        return InterpretedLoops(functions)
+        return AdjointLoops(functions)
     try:
         return CompiledLoops(functions)
     except CompilerError:  # the kernel has warned of it, with its reason
-        return InterpretedLoops(functions)
+        return AdjointLoops(functions)
 
 
 class SensitivityRun:

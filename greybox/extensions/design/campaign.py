@@ -28,13 +28,18 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import format_json, to_json_data
-from greybox.extensions.design.findings import CampaignCode
-from greybox.extensions.design.next_record import answer
-from greybox.extensions.design.policy import CAMPAIGN_POLICY, DESIGN_POLICY, CampaignPolicy, DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, GoalName
+from greybox.extensions.design.next_record import answer, fit_explanation, fit_rival
+from greybox.extensions.design.problem import (
+    CAMPAIGN_POLICY,
+    DESIGN_POLICY,
+    CampaignCode,
+    CampaignPolicy,
+    DesignPolicy,
+    DesignProblem,
+    GoalName,
+)
 from greybox.extensions.design.result import Design, save_design
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
-from greybox.extensions.design.rivals import fit_explanation, fit_rival
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.model import Model
 from greybox.simulation.simulate import read_inputs
@@ -300,7 +305,7 @@ def _carry_on(
                 return _save(plan, place, CampaignStatus.MEASURING, steps, finding)
             _save(plan, place, CampaignStatus.MEASURING, steps, None)
             say(f"experiment {number}: the rig plays {step_folder / 'input.csv'}")
-            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig, held)
+            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig_timeout, held)
             fresh = True
         else:
             fresh = False

@@ -293,7 +293,7 @@ def _from_discovery(path: Path, data: Sequence[Path], name: str | None) -> tuple
     """The best explanation of a discovery fitted again to the records, the fit of its plain model, and the alternatives."""
     from greybox.base.json_file import ResultKind, read_json
     from greybox.estimation.options import FitOptions
-    from greybox.extensions.design.rivals import fit_explanation
+    from greybox.extensions.design.next_record import fit_explanation
     from greybox.shell.project import find_model, is_model_path
 
     content = read_json(path, ResultKind.DISCOVERY)
@@ -398,8 +398,7 @@ def campaign(
     from greybox.estimation.options import FitOptions
     from greybox.estimation.result_parts import format_json, to_json_data
     from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, campaign_data, run_campaign
-    from greybox.extensions.design.policy import CAMPAIGN_POLICY
-    from greybox.extensions.design.problem import DesignProblem
+    from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem
     from greybox.extensions.design.rig import check_command
     from greybox.model.effects.catalogue import effect
     from greybox.show.sentences.shell import report_line

@@ -10,7 +10,6 @@ import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.numerics import TINY
-from greybox.discovery.proposals import PROPOSAL_DETECTION_RATIO
 from greybox.extensions.design.plant import GOAL_PRIOR_SPREAD, PlantScenario, draw_plants, make_plant
 from greybox.extensions.design.problem import CriterionName, DesignProblem
 from greybox.model.effect import Effect
@@ -64,15 +63,15 @@ def information_of(run: Run, scale: float) -> np.ndarray:
     return scale * rows.T @ rows
 
 
-def add_earlier(plant: PlantScenario, information: np.ndarray, prior_spread: float) -> np.ndarray:
+def add_earlier(plant: PlantScenario, information: np.ndarray) -> np.ndarray:
     """Information (L, L) of a run with that of earlier records, and with the order of magnitude that is known anyway."""
     n = plant.count
     total = information.copy()
     # Adding a prior of a factor keeps the inverse finite where a record leaves a constant open, and hardly moves it
     # elsewhere.
-    total[:n, :n] += plant.earlier + np.eye(n) / prior_spread**2
+    total[:n, :n] += plant.earlier + np.eye(n) / GOAL_PRIOR_SPREAD**2
     others = np.arange(n, len(total))
-    total[others, others] += 1 / prior_spread**2
+    total[others, others] += 1 / GOAL_PRIOR_SPREAD**2
     return total
 
 
@@ -95,14 +94,11 @@ class Precision:
         Positions of the constants that count.
     criterion
         What of their covariance is made small.
-    prior_spread
-        What is known without data.
     """
 
     plants: Sequence[PlantScenario]
     chosen: np.ndarray
     criterion: CriterionName
-    prior_spread: float
 
     def value(self, runs: Sequence[Run], scale: float = 1.0) -> float:
         """Mean over the plants of minus the logarithm of the typical relative standard deviation."""
@@ -126,11 +122,11 @@ class Precision:
         """Covariance (n, n) of all scaled constants of plant ``number`` after ``run``."""
         plant = self.plants[number]
         n = plant.count
-        return np.linalg.inv(add_earlier(plant, information_of(run, scale), self.prior_spread))[:n, :n]
+        return np.linalg.inv(add_earlier(plant, information_of(run, scale)))[:n, :n]
 
     def _measure(self, plant: PlantScenario, run: Run, scale: float) -> tuple[float, np.ndarray]:
         """The value for one plant, and its slope along the information (L, L)."""
-        total = add_earlier(plant, information_of(run, scale), self.prior_spread)
+        total = add_earlier(plant, information_of(run, scale))
         inverse = np.linalg.inv(total)
         c = inverse[np.ix_(self.chosen, self.chosen)]
         values, vectors = np.linalg.eigh((c + c.T) / 2)
@@ -155,7 +151,7 @@ def make_precision(question: DesignProblem, draws: int, step: float | None = Non
     names = list(plant.variables.names)
     chosen = np.array([names.index(n) for n in (question.constants or names)], int)
     plants = [plant, *draw_plants(plant, question, draws)]
-    return Precision(plants, chosen, question.criterion, GOAL_PRIOR_SPREAD)
+    return Precision(plants, chosen, question.criterion)
 
 
 # Discrimination: rivals stay far apart after each has been refitted (T-optimality), for two explanations or more.
@@ -184,13 +180,10 @@ class Discrimination:
         Every explanation at its best constants, then the draws of each.
     pairs
         Which of them are compared.
-    prior_spread
-        What is known of constants without data.
     """
 
     plants: Sequence[PlantScenario]
     pairs: Sequence[RivalPair]
-    prior_spread: float
 
     def separations(self, runs: Sequence[Run], scale: float = 1.0) -> list[float]:
         """The cost by which the rival of each pair would lose."""
@@ -226,7 +219,7 @@ class Discrimination:
         apart = (right.outputs - rival.outputs) * weight
         rows = np.nan_to_num(rival.slopes)
         flat = rows.reshape(-1, rows.shape[-1])
-        total = add_earlier(plant, information_of(rival, scale), self.prior_spread)
+        total = add_earlier(plant, information_of(rival, scale))
         # Linearised refit: min |a - S d|^2 + d'(earlier) d, hence (S'S + earlier) d = S'a.
         change = np.linalg.solve(total, scale * (flat.T @ apart.ravel()))
         left = apart - rows @ change
@@ -246,7 +239,7 @@ def make_discrimination(question: DesignProblem, draws: int, step: float | None 
         for drawn in draw_plants(plants[a], question, draws):
             everything.append(drawn)
             pairs += [RivalPair(len(everything) - 1, b) for b in range(count) if b != a]
-    return Discrimination(everything, pairs, GOAL_PRIOR_SPREAD)
+    return Discrimination(everything, pairs)
 
 
 def closest_pairs(goal: Discrimination, costs: Sequence[float]) -> Mapping[tuple[int, int], float]:
@@ -276,6 +269,11 @@ class HiddenEffect:
     unit: str
 
 
+# Share of what is known without data that is assumed of the amplitude of an effect which may hide: an effect that no record shows has a
+# large amount, not an infinite one.
+LEAST_PRIOR = 1e-08
+
+
 @dataclass(frozen=True, eq=False)
 class Detection:
     """The goal of showing small amounts of effects.
@@ -286,19 +284,10 @@ class Detection:
         For each effect the model with a little of it, at several sets of constants.
     positions
         For each plant the position of the amplitude among its constants.
-    prior_spread
-        What is known of constants without data.
-    least_prior
-        Share of that information that the amplitude has: an effect that no record shows has a large amount, not an infinite one.
-    ratio
-        Standard deviations of an amplitude that are seen.
     """
 
     plants: Sequence[PlantScenario]
     positions: Sequence[int]
-    prior_spread: float
-    least_prior: float
-    ratio: float
 
     def value(self, runs: Sequence[Run], scale: float = 1.0) -> float:
         """Minus the mean logarithm of the standard deviations of the amplitudes."""
@@ -325,9 +314,9 @@ class Detection:
 
     def _total(self, plant: PlantScenario, information: np.ndarray, k: int) -> np.ndarray:
         """Information with what is known before; of the amplitude itself nothing is."""
-        total = add_earlier(plant, information, self.prior_spread)
+        total = add_earlier(plant, information)
         # Of the amplitude nothing is known: all but a little of the prior on it is taken out again.
-        total[k, k] -= (1 - self.least_prior) / self.prior_spread**2
+        total[k, k] -= (1 - LEAST_PRIOR) / GOAL_PRIOR_SPREAD**2
         return total
 
 
@@ -389,11 +378,6 @@ def _nearly_absent(model: Model, entry: Effect, scales: Scales, question: Design
     return HiddenEffect(entry.name, extended, shown[0], extended.parameter(shown[0]).unit)
 
 
-# Standard deviations of an amplitude that is detected nine times in ten at a false-alarm rate of one per cent.
-GOAL_DETECTION_RATIO: float = PROPOSAL_DETECTION_RATIO
-# Share of that information that is assumed of the amplitude of an effect which may hide: an effect that no record shows has a large
-# amount, not an infinite one.
-LEAST_PRIOR = 1e-08
 # Information that keeps such an amplitude where it is while the other constants are drawn.
 HELD_AMPLITUDE = 10000.0
 
@@ -413,4 +397,4 @@ def make_detection(
         drawn = draw_plants(replace(plant, earlier=held), question, draws)
         plants += [plant, *(replace(p, earlier=plant.earlier) for p in drawn)]
         positions += [position] * (1 + len(drawn))
-    return Detection(plants, positions, GOAL_PRIOR_SPREAD, LEAST_PRIOR, GOAL_DETECTION_RATIO)
+    return Detection(plants, positions)

@@ -11,8 +11,7 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.data.signals import SignalLimit, chirp, prbs
-from greybox.extensions.design.policy import PlayPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 
 
 class InputShape(Protocol):
@@ -248,9 +247,7 @@ def compress_multisine(
 PLAY_SMOOTHING = 5
 
 
-def play(
-    question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float, time: np.ndarray | None = None
-) -> dict[str, np.ndarray]:
+def play(question: DesignProblem, shapes: Mapping[str, InputShape], amplitude: float) -> dict[str, np.ndarray]:
     """All inputs (N,) of the model: those that may move follow their shape, the others rest.
 
     Parameters
@@ -261,10 +258,8 @@ def play(
         By input.
     amplitude
         Share of the way from rest to the ends of the range, 0 to 1.
-    time
-        Other times than the question's.
     """
-    t = question.time if time is None else time
+    t = question.time
     inputs = {}
     for i in question.model.inputs:
         limit, rest = question.limits[i.name], question.rest(i.name)
@@ -276,12 +271,12 @@ def play(
         if question.hold != "zero":
             deviation = smooth(deviation, PLAY_SMOOTHING)
         # About the rest, not the middle of the range: an amplitude of zero is no input.
-        u = rest + amplitude * envelope(len(t), question.policy.play) * deviation
+        u = rest + amplitude * envelope(len(t), question.policy) * deviation
         inputs[i.name] = limit_rate(u, rest, limit, float(t[1] - t[0]))
     return inputs
 
 
-def envelope(rows: int, policy: PlayPolicy) -> np.ndarray:
+def envelope(rows: int, policy: DesignPolicy) -> np.ndarray:
     """What an input is multiplied with (N,): it rises softly from zero, and is back at zero before the end."""
     ramp, rest = round(policy.soft_start * rows), round(policy.rest_share * rows)
     rise = 0.5 - 0.5 * np.cos(np.pi * np.arange(ramp) / max(ramp, 1))

@@ -81,8 +81,7 @@ class LimitKeeper:
             if name in predictions:
                 continue
             low, high, rest = ranges.get(name, (-math.inf, math.inf, 0.0))
-            reserve = MARGIN_RESERVE
-            usage = _usage(low, high, limit.low, limit.high, rest, reserve)
+            usage = _usage(low, high, limit.low, limit.high, rest, MARGIN_RESERVE)
             predictions[name] = LimitPrediction(
                 limit.low, limit.high, units.get(name, ""), low, high, math.inf, 0.0, usage
             )
@@ -91,7 +90,6 @@ class LimitKeeper:
     def _ranges(self, inputs: Mapping[str, np.ndarray]) -> dict[str, tuple[float, float, float]]:
         """Predicted low, high and value at rest of each limited state and output."""
         ranges: dict[str, tuple[float, float, float]] = {}
-        deviations = MARGIN_DEVIATIONS
         for plant, drawn in zip(self.plants, self.draws, strict=True):
             runs = [p.simulate(inputs) for p in (plant, *drawn)]
             if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in runs):
@@ -107,7 +105,7 @@ class LimitKeeper:
                     continue
                 # Whichever is wider at each time: the extreme draw, or mean and deviations, which reach beyond few
                 # draws.
-                middle, spread = signals.mean(axis=0), deviations * signals.std(axis=0)
+                middle, spread = signals.mean(axis=0), MARGIN_DEVIATIONS * signals.std(axis=0)
                 low = float(min(signals.min(), (middle - spread).min()))
                 high = float(max(signals.max(), (middle + spread).max()))
                 before = ranges.get(name, (low, high, float(signals[0, 0])))

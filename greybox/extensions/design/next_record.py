@@ -4,22 +4,26 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base.errors import DataError, FitError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, Hold
+from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import SignalLimit
-from greybox.discovery.proposals import PROPOSAL_NEW_SENSOR_NOISE
+from greybox.discovery.candidates import estimate_scales, generate_starting_points
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.result import Discovery
+from greybox.estimation.fit import fit
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.extensions.design.findings import DesignCode
 from greybox.extensions.design.goals import (
+    LEAST_PRIOR,
     Detection,
     Discrimination,
     Goal,
@@ -35,12 +39,148 @@ from greybox.extensions.design.goals import (
 from greybox.extensions.design.inputs import play
 from greybox.extensions.design.limits import MARGIN_RESERVE, LimitKeeper, fit_into_limits, largest_usage
 from greybox.extensions.design.plant import ASSUMED_SPREAD, GOAL_PRIOR_SPREAD, PlantScenario, list_plants
-from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
-from greybox.extensions.design.problem import DESIGN_MOST_ROWS, CriterionName, DesignProblem, GoalName, range_of_inputs
+from greybox.extensions.design.problem import (
+    DESIGN_MOST_ROWS,
+    DESIGN_POLICY,
+    CriterionName,
+    DesignCode,
+    DesignPolicy,
+    DesignProblem,
+    GoalName,
+    range_of_inputs,
+)
 from greybox.extensions.design.result import Alternative, AlternativeKind, Design, PredictedConstant, PredictedDetection
-from greybox.extensions.design.rivals import Source, read_source
 from greybox.extensions.design.search import TriedInput, evaluate, find_bands, flat_multisine, kinds_of, search_inputs
+from greybox.model.effects.catalogue import effect
+from greybox.model.effects.scales import tailor_to_record
+from greybox.model.effects.starts import AMPLITUDE_GRID
 from greybox.model.model import Model
+
+# What a design begins with: a model, a fit or a discovery, and rivals fitted to the same records.
+
+Source = Model | Fit | Discovery
+
+
+@dataclass(frozen=True)
+class KnownPlant:
+    """What is known before a design.
+
+    Parameters
+    ----------
+    models
+        The explanations, fitted where there are records; the best one first.
+    earlier
+        The records that were taken.
+    noise
+        Standard deviation of each sensor, by output; empty where nothing is known.
+    options
+        How records are fitted.
+    inflation
+        By constant, see `DesignProblem`.
+    """
+
+    models: tuple[Model, ...]
+    earlier: tuple[Experiment, ...]
+    noise: dict[str, float]
+    options: FitOptions
+    inflation: dict[str, float]
+
+
+def read_source(
+    source: Source,
+    rivals: Sequence[str | Model] = (),
+    options: FitOptions | None = None,
+    plain: Fit | None = None,
+) -> KnownPlant:
+    """What a source and named rivals say.
+
+    Parameters
+    ----------
+    source
+        A model, its fit, or a discovery, whose alternatives become rivals.
+    rivals
+        Further explanations: effects of the plain model joined by ``+`` (``""`` or ``none`` for the plain model itself), or models.
+    options
+        How records are fitted; those of the fit where left out.
+    plain
+        The fit of the plain model that rivals extend, where ``source`` is the fit of another one.
+
+    Returns
+    -------
+    KnownPlant
+        Explanations, records, noise, options.
+
+    Raises
+    ------
+    ModelError, DataError
+        For a rival that cannot be made or fitted.
+    """
+    if isinstance(source, Model):
+        named = [r for r in rivals if isinstance(r, str)]
+        if named:
+            raise DataError(
+                f"rival {named[0]!r}: a rival is fitted to records first, and there are none; give records or a fit"
+            )
+        others = (r for r in rivals if isinstance(r, Model))
+        return KnownPlant((source, *others), (), {}, options or FitOptions(), {})
+    if isinstance(source, Discovery):
+        best, base = source.best, source.base
+        names = ["+".join(effects) for effects in source.alternatives]
+    elif isinstance(source, Fit):
+        best, base, names = source, plain or source, []
+    else:
+        raise ModelError(f"design: {type(source).__name__} is no model, fit or discovery; give one of them")
+    if not best.success:
+        raise FitError(
+            f"the fit of {best.model.title} did not end at an optimum; repeat it before a record is designed"
+        )
+    models = [best.model, *(r for r in rivals if isinstance(r, Model))]
+    for name in dict.fromkeys([*names, *(r for r in rivals if isinstance(r, str))]):
+        # To the same records: a rival that explains them worse from a bad start would look easy to tell apart.
+        models.append(fit_rival(base, name))
+    chosen = options or FitOptions.from_data(best.provenance.options)
+    noise = {name: float(std) for name, std in best.noise.std.items()}
+    # A residual with a colour widens intervals; one that is whiter than white by chance narrows none.
+    inflation = {name: max(1.0, float(factor)) for name, factor in best.uncertainty.inflation.items()}
+    # Each set of effects once, the first of it.
+    distinct: dict[str, Model] = {}
+    for model in models:
+        distinct.setdefault(model.title, model)
+    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, inflation)
+
+
+def fit_rival(plain: Fit, text: str) -> Model:
+    """The plain model with effects, ``a+b``, fitted to the records of its fit.
+
+    Raises
+    ------
+    ModelError
+        For an effect that has no place in it, or that cannot be fitted.
+    """
+    names = [part.strip() for part in text.split("+") if part.strip() not in ("", "none")]
+    problem = DiscoveryProblem.from_fit(plain)
+    candidate = problem.to_candidate(plain)
+    scales = estimate_scales(candidate)
+    for name in names:
+        entry = tailor_to_record(effect(name), scales)
+        extended = candidate.model + entry
+        starts = [
+            extended.values,
+            *generate_starting_points(extended, entry, candidate, plain.model, scales, AMPLITUDE_GRID),
+        ]
+        refitted = problem.refit_best(extended, starts, like=candidate)
+        if refitted is None:
+            raise ModelError(f"rival {text!r}: {extended.title} cannot be fitted to the records; leave it out")
+        candidate = refitted
+    return candidate.model
+
+
+def fit_explanation(plain: Fit, text: str) -> Fit:
+    """The plain model with effects, ``a+b``, as a fit to the records of its fit. Raises ModelError as `fit_rival` does."""
+    model = fit_rival(plain, text)
+    options = FitOptions.from_data(plain.provenance.options)
+    records = [t.experiment for t in plain.traces]
+    return fit(model, records, noise=dict(plain.noise.std), options=replace(options, progressive=False))
 
 
 def design(
@@ -178,7 +318,7 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     hidden: list[HiddenEffect] = []
     if question.goal is GoalName.DETECTION:
         _, bands = find_bands(question)
-        shape = {name: flat_multisine(bands[-1], question.policy.search) for name in question.driven}
+        shape = {name: flat_multisine(bands[-1], question.policy) for name in question.driven}
         # Effects are made ready by the size of things in a run that the limits allow.
         _, inputs, _ = fit_into_limits(keeper, shape)
         hidden = list_hidden_effects(question, plants[0], inputs)
@@ -197,9 +337,13 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
             f"{question.model.title}: under every input that keeps the limits the model overflows or brings nothing for"
             f" {question.goal}; give other limits or another goal"
         )
-    final = make_goal(question.policy.margin.samples, None)
+    final = make_goal(question.policy.scenarios, None)
     predicted = predict_constants(question, plants[0], best)
-    separation = _separations(question, final, best) if isinstance(final, Discrimination) else {}
+    separation: dict[str, float] = {}
+    if isinstance(final, Discrimination):
+        pairs = closest_pairs(final, final.separations([plant.run(best.inputs) for plant in final.plants]))
+        titles = [m.title for m in question.models]
+        separation = {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
     detection = _detections(hidden, final, best) if isinstance(final, Detection) else {}
     findings = [*extra, *_findings(question, best, predicted, separation)]
     experiment = Experiment("designed", question.time, best.inputs, {}, question.hold)
@@ -227,7 +371,7 @@ UNDETERMINED_SHARE = 0.3
 def predict_constants(question: DesignProblem, plant: PlantScenario, best: TriedInput) -> dict[str, PredictedConstant]:
     """Standard deviation of every free constant before and after the record, at the best constants."""
     spread, n = GOAL_PRIOR_SPREAD, plant.count
-    goal = Precision([plant], np.arange(n), question.criterion, spread)
+    goal = Precision([plant], np.arange(n), question.criterion)
     # (M + I / s^2)^-1 with the order of magnitude s that is known anyway
     before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
     after = goal.covariance(0, plant.run(best.inputs))
@@ -246,25 +390,19 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
     return constants
 
 
-def _separations(question: DesignProblem, goal: Discrimination, best: TriedInput) -> dict[str, float]:
-    runs = [plant.run(best.inputs) for plant in goal.plants]
-    pairs = closest_pairs(goal, goal.separations(runs))
-    titles = [m.title for m in question.models]
-    return {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
-
-
 def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInput) -> dict[str, PredictedDetection]:
-    ratio, result = goal.ratio, {}
+    """For each effect the smallest amount that would be seen, before and after the record."""
+    result = {}
     first = {plant.number: k for k, plant in reversed(list(enumerate(goal.plants)))}
     for number, each in enumerate(hidden):
         k = first[number]
         plant = goal.plants[k]
-        size = ratio * abs(float(plant.variables.spans[goal.positions[k]]))
+        size = DETECTION_RATIO * abs(float(plant.variables.spans[goal.positions[k]]))
         known = plant.earlier.any()
         before = goal.amplitude_std(k, None) if known else np.inf
         after = goal.amplitude_std(k, plant.run(best.inputs))
         # A tenth of what the amplitude's own prior allows: as large an amount is that prior's, not the record's.
-        largest = 0.1 * goal.prior_spread / np.sqrt(goal.least_prior)
+        largest = 0.1 * GOAL_PRIOR_SPREAD / np.sqrt(LEAST_PRIOR)
         amounts = [float(size * s) if s < largest else None for s in (before, after)]
         result[each.name] = PredictedDetection(each.amplitude, amounts[0], amounts[1], each.unit)
     return result
@@ -281,15 +419,21 @@ def _findings(
     separation: Mapping[str, float],
 ) -> Iterator[Finding]:
     if not question.earlier:
-        spread = ASSUMED_SPREAD
-        yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": spread})
+        yield Finding(DesignCode.NO_EARLIER_RECORD, values={"spread": ASSUMED_SPREAD})
     usage, ruling = largest_usage(best.limits)
     inputs = {i.name for i in question.model.inputs}
     if ruling not in inputs and usage > 1 - 5 * MARGIN_RESERVE:
         yield Finding(DesignCode.LIMIT_RULES, subject=ruling)
     open_constants = [n for n, c in predicted.items() if c.std_after is None]
     if open_constants:
-        remedies = _remedies(question)
+        # What would part constants that stay in combinations: a sensor, or something that is known.
+        try:
+            structure = analyse_structural_identifiability(
+                question.model, list(question.noise), at_rest=question.options.at_rest
+            )
+            remedies = [str(finding) for finding in structure.recommendations]
+        except DataError:  # a model that overflows wherever it is looked at
+            remedies = []
         yield Finding(
             DesignCode.CONSTANT_NOT_DETERMINED,
             Severity.WARNING,
@@ -298,19 +442,8 @@ def _findings(
         )
     for pair, cost in separation.items():
         if cost < DECIDING_COST:
-            limit = DECIDING_COST
-            yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, {"cost": cost, "limit": limit})
-
-
-def _remedies(question: DesignProblem) -> list[str]:
-    """What would part constants that stay in combinations: a sensor, or something that is known."""
-    try:
-        structure = analyse_structural_identifiability(
-            question.model, list(question.noise), at_rest=question.options.at_rest
-        )
-    except DataError:  # a model that overflows wherever it is looked at
-        return []
-    return [str(finding) for finding in structure.recommendations]
+            values = {"cost": cost, "limit": DECIDING_COST}
+            yield Finding(DesignCode.WOULD_NOT_DECIDE, Severity.WARNING, pair, values)
 
 
 def list_alternatives(
@@ -321,53 +454,32 @@ def list_alternatives(
     tried: Sequence[TriedInput],
 ) -> tuple[Alternative, ...]:
     """What else could be done; ``tried`` inputs, of which the first is the design. Those that cannot be run are left out."""
-    everything = [
-        # The best of each other kind, against the design.
-        *(
-            Alternative(AlternativeKind.INPUT, each.kind, float(np.exp(each.value - tried[0].value)))
-            for each in kinds_of(tried)
-            if each.kind != tried[0].kind
-        ),
-        *_more_time(question, make_goal, goal, tried),
-        *_more_sensors(question, goal, tried[0]),
-    ]
-    return tuple(a for a in everything if np.isfinite(a.gain))
-
-
-def _more_time(
-    question: DesignProblem, make_goal: GoalMaker, goal: Goal, tried: Sequence[TriedInput]
-) -> Iterator[Alternative]:
-    best = tried[0]
-    twice = evaluate(goal, best.inputs, 2.0)
-    yield Alternative(AlternativeKind.REPEAT, "2", float(np.exp(twice - best.value)))
-    if 2 * question.rows > DESIGN_MOST_ROWS:
-        return
-    # A shape that fills any duration: a refined input has its levels for this one only.
-    general = next((t for t in tried if t.kind != "piecewise constant"), best)
-    longer = replace(question, duration=2 * question.duration)
-    value = evaluate(goal, play(longer, general.shapes, general.amplitude))
-    yield Alternative(AlternativeKind.LONGER, f"{longer.duration:g}", float(np.exp(value - general.value)))
-    step = question.sampling_time / 2
-    finer = replace(question, sampling_time=step)
-    fine_goal = make_goal(question.policy.search.refined_scenarios, step)
-    coarse_goal = make_goal(question.policy.search.refined_scenarios, None)
-    repeated = {name: np.repeat(u, 2)[: finer.rows] for name, u in best.inputs.items()}
-    gain = evaluate(fine_goal, repeated) - evaluate(coarse_goal, best.inputs)
-    yield Alternative(AlternativeKind.SAMPLE_FASTER, f"{step:g}", float(np.exp(gain)))
-
-
-# Noise of a sensor that is not installed and not described, as a share of the largest value that it would show.
-GOAL_NEW_SENSOR_NOISE: float = PROPOSAL_NEW_SENSOR_NOISE
-
-
-def _more_sensors(question: DesignProblem, goal: Goal, best: TriedInput) -> Iterator[Alternative]:
+    best, policy = tried[0], question.policy
+    # What each brings over the design, as a difference of the goal's logarithms: the best of each other kind of input first.
+    gains = [(AlternativeKind.INPUT, t.kind, t.value - best.value) for t in kinds_of(tried) if t.kind != best.kind]
+    # The same record again.
+    gains.append((AlternativeKind.REPEAT, "2", evaluate(goal, best.inputs, 2.0) - best.value))
+    if 2 * question.rows <= DESIGN_MOST_ROWS:
+        # A shape that fills any duration: a refined input has its levels for this one only.
+        general = next((t for t in tried if t.kind != "piecewise constant"), best)
+        longer = replace(question, duration=2 * question.duration)
+        value = evaluate(goal, play(longer, general.shapes, general.amplitude))
+        gains.append((AlternativeKind.LONGER, f"{longer.duration:g}", value - general.value))
+        # The same input with twice the samples, both with as many draws.
+        finer = replace(question, sampling_time=question.sampling_time / 2)
+        repeated = {name: np.repeat(u, 2)[: finer.rows] for name, u in best.inputs.items()}
+        fine, coarse = (make_goal(policy.refined_scenarios, step) for step in (finer.sampling_time, None))
+        gain = evaluate(fine, repeated) - evaluate(coarse, best.inputs)
+        gains.append((AlternativeKind.SAMPLE_FASTER, f"{finer.sampling_time:g}", gain))
+    # A further sensor: those that were named, and one of the usual noise at each output that has none.
     sensors: dict[str, float] = dict(question.sensors)
     outputs, _ = goal.plants[0].simulate(best.inputs)
     for j, output in enumerate(question.model.outputs):
         if output.name not in question.noise and output.name not in sensors:
-            largest = float(np.abs(outputs[:, j]).max())
-            sensors[output.name] = GOAL_NEW_SENSOR_NOISE * max(largest, TINY)
+            sensors[output.name] = NEW_SENSOR_NOISE * max(float(np.abs(outputs[:, j]).max()), TINY)
     for name, std in sensors.items():
         plants = [plant.with_sensors({name: std}) for plant in goal.plants]
         with_sensor = replace(goal, plants=plants)  # type: ignore[type-var]
-        yield Alternative(AlternativeKind.SENSOR, name, float(np.exp(evaluate(with_sensor, best.inputs) - best.value)))
+        gains.append((AlternativeKind.SENSOR, name, evaluate(with_sensor, best.inputs) - best.value))
+    alternatives = [Alternative(kind, text, float(np.exp(gain))) for kind, text, gain in gains]
+    return tuple(a for a in alternatives if np.isfinite(a.gain))

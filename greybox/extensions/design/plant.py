@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,6 @@ import numpy as np
 from greybox.base.errors import ModelError
 from greybox.base.linear_algebra import eliminate
 from greybox.data.experiment import Experiment
-from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.simulation_error import KernelPoint
@@ -161,26 +160,22 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
         {name: np.full(rows, value) for name, value in at_rest.items()},
         question.hold,
     )
-    problem = _lay_out(question, model, template, noise)
-    names = [o.name for o in model.outputs]
-    measured = np.array([name in question.noise for name in names])
-    weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
-    earlier = information_of_records(question, model, problem.variables)
-    return PlantScenario(model, weight, measured, earlier, problem, template, number)
-
-
-def _lay_out(question: DesignProblem, model: Model, template: Experiment, noise: NoiseModel) -> EstimationProblem:
-    """The estimation problem of one record that begins in the declared state, its initial state estimated where a fit would."""
+    # The estimation problem of one record that begins in the declared state, its initial state estimated where a fit would.
     options = question.options
     problem = prepare_problem(model, template, noise, replace(options.integration, at_rest=True))
     declared = guess_initial_states(model, problem.records, True)
     free = np.array([not options.at_rest or s.free_start for s in model.all_states], bool)
     variables = DecisionVector.of(model, replace(declared, free=free))
-    # Priors count once: they are in ``earlier``.
-    unknown = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
     if problem.step.past is not None and len(variables.names) == 0:
         raise ModelError(f"{model.title}: no free constant")
-    return replace(problem, variables=replace(variables, prior=unknown))
+    # Priors count once: they are in ``earlier``.
+    unknown = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
+    problem = replace(problem, variables=replace(variables, prior=unknown))
+    names = [o.name for o in model.outputs]
+    measured = np.array([name in question.noise for name in names])
+    weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
+    earlier = information_of_records(question, model, problem.variables)
+    return PlantScenario(model, weight, measured, earlier, problem, template, number)
 
 
 def information_of_records(question: DesignProblem, model: Model, like: DecisionVector) -> np.ndarray:
@@ -193,8 +188,15 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         prior[np.diag_indices(n)] += np.where(known.has_prior, curvature / 2, 0.0)
     if not question.earlier:
         return prior
-    noise = question.noise_model(_noise_of_others(question))
-    problem = prepare_problem(model, question.earlier, noise, question.options.integration)
+    # A rough level for sensors that are no longer there: the spread of their reading.
+    known_outputs = {o.name for o in question.model.outputs}
+    others = {
+        name: float(max(np.nanstd(values), 1e-300))
+        for e in question.earlier
+        for name, values in e.outputs.items()
+        if name in known_outputs and name not in question.noise
+    }
+    problem = prepare_problem(model, question.earlier, question.noise_model(others), question.options.integration)
     variables = problem.variables
     # The same here: priors were added above.
     without = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
@@ -207,18 +209,6 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
     # First states of earlier records were unknown, too.
     reduced = (eliminate(whole, kept, states) @ whole)[:, :n] if len(states) else whole
     return prior + (reduced + reduced.T) / 2
-
-
-def _noise_of_others(question: DesignProblem) -> dict[str, float]:
-    """A rough level for sensors of earlier records that are no longer there: the spread of their reading."""
-    present = {name for e in question.earlier for name in e.outputs} - set(question.noise)
-    known = {o.name for o in question.model.outputs}
-    return {
-        name: float(max(np.nanstd(e.outputs[name]), 1e-300))
-        for e in question.earlier
-        for name in e.outputs
-        if name in present & known
-    }
 
 
 # Standard deviation of the logarithm of each free constant where no record has been taken: a data sheet's 20 %.
@@ -249,13 +239,10 @@ def draw_plants(plant: PlantScenario, question: DesignProblem, count: int) -> li
     generator = np.random.default_rng(INPUT_SEARCH_SEED)
     half = [root @ generator.standard_normal(n) for _ in range(-(-count // 2))]
     draws = [sign * z for z in half for sign in (1, -1)][:count]
-    limit = LARGEST_DEVIATION
-    return [plant.at(np.clip(z, -limit, limit)) for z in draws]
+    return [plant.at(np.clip(z, -LARGEST_DEVIATION, LARGEST_DEVIATION)) for z in draws]
 
 
-def list_plants(
-    question: DesignProblem, models: Sequence[Model] | None = None
-) -> tuple[list[PlantScenario], list[list[PlantScenario]]]:
+def list_plants(question: DesignProblem) -> tuple[list[PlantScenario], list[list[PlantScenario]]]:
     """Each explanation at its best constants, and at constants drawn for it."""
-    plants = [make_plant(question, model, k) for k, model in enumerate(models or question.models)]
-    return plants, [draw_plants(plant, question, question.policy.margin.samples) for plant in plants]
+    plants = [make_plant(question, model, k) for k, model in enumerate(question.models)]
+    return plants, [draw_plants(plant, question, question.policy.scenarios) for plant in plants]

@@ -15,9 +15,77 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions
-from greybox.extensions.design.policy import DESIGN_POLICY, DesignPolicy
 from greybox.model.model import Model
 from greybox.simulation.simulate import declared_initial_state
+
+# What a design and a campaign have to say beside their numbers.
+
+
+class DesignCode(StrEnum):
+    """Codes of the findings of a design."""
+
+    CONSTANT_NOT_DETERMINED = "design_constant_not_determined"
+    WOULD_NOT_DECIDE = "design_would_not_decide"
+    NO_EARLIER_RECORD = "design_no_earlier_record"
+    LIMIT_RULES = "design_limit_rules"
+    RANGE_FROM_RECORDS = "design_range_from_records"
+
+
+class CampaignCode(StrEnum):
+    """How a campaign stands."""
+
+    MEASURE = "campaign_measure"
+    ONE_LEFT = "campaign_one_left"
+    BUDGET_SPENT = "campaign_budget_spent"
+    LIMIT_BROKEN = "campaign_limit_broken"
+
+
+# The numbers that steer the design of an experiment.
+
+
+@dataclass(frozen=True)
+class DesignPolicy:
+    """The numbers behind a design."""
+
+    soft_start: float = 0.04
+    """Share of the duration in which an input rises from rest at the start, and falls back at the end: a step into a plant at rest
+    excites every resonance, and a rig wants to end where it began."""
+    rest_share: float = 0.02
+    """Share of the duration at the end in which the input is at rest: the plant settles, and the noise shows."""
+    least_rows: int = 40
+    """Rows below which there is nothing to design."""
+    scenarios: int = 4
+    """Constants drawn from what is known of them, beside the best ones: each must keep the limits."""
+    bands: int = 4
+    """Upper ends of the band of sweeps and multisines that are tried, evenly on a logarithmic scale."""
+    crest_iterations: int = 400
+    """Steps in which the phases of a multisine are improved."""
+    starts: int = 6
+    """Inputs, the best of their kinds, that are refined: each ends at a best input of its own, by up to a factor of two apart."""
+    rounds: int = 4
+    """Rounds of the refinement, one where only the ranges of the inputs are limited."""
+    iterations: int = 120
+    """Most iterations of L-BFGS-B in a round."""
+    refined_scenarios: int = 4
+    """Drawn constants that the refinement looks at beside the best ones: with two it made inputs for these two."""
+
+
+DESIGN_POLICY = DesignPolicy()
+
+
+@dataclass(frozen=True)
+class CampaignPolicy:
+    """How a campaign goes on and when it ends."""
+
+    experiments: int = 3
+    """Records that may be taken."""
+    contradiction: float = 3.0
+    """Misfit over noise from which the best explanation is contradicted: what it predicts far from where the rig has been says little."""
+    rig_timeout: float = 600.0
+    """Seconds after which a rig program that has not ended is stopped, beyond the duration of the record."""
+
+
+CAMPAIGN_POLICY = CampaignPolicy()
 
 
 class GoalName(StrEnum):
@@ -40,6 +108,10 @@ class CriterionName(StrEnum):
     """The mean variance."""
     E = "E"
     """The variance of the worst combination."""
+
+
+# Rows of a designed record: its runs must fit into the memory several times.
+DESIGN_MOST_ROWS = 200000
 
 
 @dataclass(frozen=True)
@@ -101,7 +173,65 @@ class DesignProblem(ReadOnly):
     policy: DesignPolicy = DESIGN_POLICY
 
     def __post_init__(self) -> None:
-        _check(self)
+        model, policy = self.model, self.policy
+        inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
+        states = [s.name for s in model.all_states]
+        if not inputs:
+            raise ModelError(f"{model.title}: the model has no input; there is nothing to design")
+        for name in self.limits:
+            if name not in (*inputs, *outputs, *states):
+                raise ModelError(
+                    f"limit of {name!r}: no such signal in {model.title}; {nearest(name, [*inputs, *outputs, *states])}"
+                )
+            if name not in inputs and math.isfinite(self.limits[name].rate):
+                raise ModelError(
+                    f"rate of {name!r}: only an input has a rate that can be kept; give --limit {name}=LOW:HIGH"
+                )
+        for name in inputs:
+            limit = self.limits.get(name, SignalLimit())
+            if not (math.isfinite(limit.low) and math.isfinite(limit.high)):
+                raise DataError(f"input {name!r} has no limits; give both, as in --limit {name}=-1:1")
+        if not self.driven:
+            raise DataError("no input may move: each limit has one value only; give one input a range")
+        if not (self.sampling_time > 0 and math.isfinite(self.duration)):
+            raise DataError("a design needs a duration and a sampling time, both above 0 seconds")
+        if not policy.least_rows <= self.rows <= DESIGN_MOST_ROWS:
+            raise DataError(
+                f"{self.duration:g} s every {self.sampling_time:g} s are {self.rows} rows; give"
+                f" {policy.least_rows} to {DESIGN_MOST_ROWS}"
+            )
+        for group, what in ((self.noise, "noise"), (self.sensors, "sensor")):
+            for name, std in group.items():
+                if name not in outputs:
+                    raise ModelError(f"{what} of {name!r}: {model.title} has no such output; {nearest(name, outputs)}")
+                if not (math.isfinite(std) and std > 0):
+                    raise DataError(f"{what} of {name!r}: {std:g} is no standard deviation; give a number above 0")
+        if not self.noise:
+            raise DataError(
+                f"the noise of no output is known; give the standard deviation of each sensor, as in --noise {outputs[0]}=1e-3"
+            )
+        if not any(not q.fixed for q in model.all_parameters):
+            raise ModelError(f"{model.title}: every constant is fixed; free what is to be determined")
+        free = [q.name for q in model.free_parameters]
+        for name in self.constants:
+            if name not in free:
+                raise ModelError(f"constant {name!r}: not among the free ones of {model.title}; {nearest(name, free)}")
+        if self.goal is GoalName.DISCRIMINATION and len(self.models) < 2:
+            raise DataError(
+                "discrimination needs two explanations or more; name rivals, as in --rival coulomb_friction"
+            )
+        for other in self.models[1:]:
+            if [i.name for i in other.inputs] != inputs or [o.name for o in other.outputs] != outputs:
+                raise ModelError(
+                    f"{other.title} has other inputs or outputs than {model.title}; rivals describe one rig"
+                )
+        # Every record begins where the plant rests: a limit that leaves it out is broken before anything moves.
+        start = dict(zip(states, declared_initial_state(model), strict=True))
+        for name, limit in self.limits.items():
+            if name in start and not limit.low <= start[name] <= limit.high:
+                raise DataError(
+                    f"limit of {name!r}: the plant starts at {start[name]:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
+                )
         super().__post_init__()
 
     @property
@@ -154,65 +284,3 @@ def range_of_inputs(model: Model, earlier: Sequence[Experiment]) -> dict[str, Si
                 min(float(v.min()) for v in values), max(float(v.max()) for v in values), math.inf
             )
     return ranges
-
-
-# Rows of a designed record: its runs must fit into the memory several times.
-DESIGN_MOST_ROWS = 200000
-
-
-def _check(problem: DesignProblem) -> None:
-    model, policy = problem.model, problem.policy
-    inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
-    states = [s.name for s in model.all_states]
-    if not inputs:
-        raise ModelError(f"{model.title}: the model has no input; there is nothing to design")
-    for name in problem.limits:
-        if name not in (*inputs, *outputs, *states):
-            raise ModelError(
-                f"limit of {name!r}: no such signal in {model.title}; {nearest(name, [*inputs, *outputs, *states])}"
-            )
-        if name not in inputs and math.isfinite(problem.limits[name].rate):
-            raise ModelError(
-                f"rate of {name!r}: only an input has a rate that can be kept; give --limit {name}=LOW:HIGH"
-            )
-    for name in inputs:
-        limit = problem.limits.get(name, SignalLimit())
-        if not (math.isfinite(limit.low) and math.isfinite(limit.high)):
-            raise DataError(f"input {name!r} has no limits; give both, as in --limit {name}=-1:1")
-    if not problem.driven:
-        raise DataError("no input may move: each limit has one value only; give one input a range")
-    if not (problem.sampling_time > 0 and math.isfinite(problem.duration)):
-        raise DataError("a design needs a duration and a sampling time, both above 0 seconds")
-    if not policy.least_rows <= problem.rows <= DESIGN_MOST_ROWS:
-        raise DataError(
-            f"{problem.duration:g} s every {problem.sampling_time:g} s are {problem.rows} rows; give"
-            f" {policy.least_rows} to {DESIGN_MOST_ROWS}"
-        )
-    for group, what in ((problem.noise, "noise"), (problem.sensors, "sensor")):
-        for name, std in group.items():
-            if name not in outputs:
-                raise ModelError(f"{what} of {name!r}: {model.title} has no such output; {nearest(name, outputs)}")
-            if not (math.isfinite(std) and std > 0):
-                raise DataError(f"{what} of {name!r}: {std:g} is no standard deviation; give a number above 0")
-    if not problem.noise:
-        raise DataError(
-            f"the noise of no output is known; give the standard deviation of each sensor, as in --noise {outputs[0]}=1e-3"
-        )
-    if not any(not q.fixed for q in model.all_parameters):
-        raise ModelError(f"{model.title}: every constant is fixed; free what is to be determined")
-    free = [q.name for q in model.free_parameters]
-    for name in problem.constants:
-        if name not in free:
-            raise ModelError(f"constant {name!r}: not among the free ones of {model.title}; {nearest(name, free)}")
-    if problem.goal is GoalName.DISCRIMINATION and len(problem.models) < 2:
-        raise DataError("discrimination needs two explanations or more; name rivals, as in --rival coulomb_friction")
-    for other in problem.models[1:]:
-        if [i.name for i in other.inputs] != inputs or [o.name for o in other.outputs] != outputs:
-            raise ModelError(f"{other.title} has other inputs or outputs than {model.title}; rivals describe one rig")
-    # Every record begins where the plant rests: a limit that leaves it out is broken before anything moves.
-    start = dict(zip(states, declared_initial_state(model), strict=True))
-    for name, limit in problem.limits.items():
-        if name in start and not limit.low <= start[name] <= limit.high:
-            raise DataError(
-                f"limit of {name!r}: the plant starts at {start[name]:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
-            )

@@ -18,8 +18,7 @@ from greybox.extensions.design.goals import Goal, GoalMaker
 from greybox.extensions.design.inputs import PLAY_SMOOTHING, InputShape, PiecewiseConstant, envelope, play, smooth
 from greybox.extensions.design.limits import MARGIN_DEVIATIONS, MARGIN_RESERVE, LimitKeeper
 from greybox.extensions.design.plant import PlantScenario, list_plants
-from greybox.extensions.design.policy import InputSearchPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 
 
 @dataclass(frozen=True)
@@ -64,7 +63,7 @@ def refine(
     """
     from scipy.optimize import minimize
 
-    policy = question.policy.search
+    policy = question.policy
     grid = choose_grid(question, max(shape.highest for shape in shapes.values()))
     step = grid.hold * question.sampling_time
     small = replace(question, duration=grid.rows * step, sampling_time=step)
@@ -135,7 +134,7 @@ class InputRefinement:
         self.names, self.order = question.driven, [i.name for i in question.model.inputs]
         self.tightness, self.weight = 1.0, VIOLATION_WEIGHT
         self.multipliers: dict[tuple[str, ...], np.ndarray] = {}
-        self.envelope = envelope(question.rows, question.policy.play)
+        self.envelope = envelope(question.rows, question.policy)
         self.smooths = question.hold != "zero"
 
     @property
@@ -154,7 +153,7 @@ class InputRefinement:
             ends += [(max(low, -1.0), min(high, 1.0))] * self.question.rows
         return ends
 
-    def affordable_iterations(self, policy: InputSearchPolicy) -> int:
+    def affordable_iterations(self, policy: DesignPolicy) -> int:
         """Iterations of a round: fewer where one takes long, so that a design takes about as long for every model."""
         work = 0.0
         for plant in self.goal.plants:
@@ -168,7 +167,7 @@ class InputRefinement:
         """The levels (inputs, rows) of an input that was tried."""
         rows = len(next(iter(inputs.values())))
         # Undo the soft start; where that is nearly zero the level cannot be told, and a tenth bounds what is read.
-        rising = np.maximum(envelope(rows, self.question.policy.play), 0.1)
+        rising = np.maximum(envelope(rows, self.question.policy), 0.1)
         levels = []
         for name in self.names:
             limit, rest = self.question.limits[name], self.question.rest(name)

@@ -14,8 +14,7 @@ from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
 from greybox.estimation.result_parts import format_json, to_json_data
 from greybox.extensions.design.limits import LimitPrediction
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import CriterionName, GoalName
+from greybox.extensions.design.problem import CriterionName, DesignPolicy, GoalName
 from greybox.model.model import Model
 from greybox.simulation.simulate import write_csv
 

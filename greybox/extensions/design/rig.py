@@ -23,7 +23,6 @@ from greybox.base.files import write_file
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.data.signals import SignalLimit
-from greybox.extensions.design.policy import RigPolicy
 from greybox.model.model import Model
 
 PLACES = ("{input}", "{record}", "{number}")
@@ -40,7 +39,7 @@ def run_rig(
     target: Path,
     number: int,
     duration: float,
-    policy: RigPolicy,
+    timeout: float,
     held: BinaryIO | None = None,
 ) -> None:
     """Run a rig program once; its record becomes ``target`` when it is whole.
@@ -55,9 +54,9 @@ def run_rig(
     number
         Number of the experiment.
     duration
-        Of the record in seconds; a program may take that and the policy's time.
-    policy
-        How long to wait.
+        Of the record in seconds.
+    timeout
+        Seconds that the program may take beyond that.
     held
         A file of `greybox.base.files.hold_file` that the program holds as long as it runs: where this process is killed, nobody starts a
         second program beside the one that still moves the rig.
@@ -75,9 +74,11 @@ def run_rig(
         if not any("{input}" in w or "{record}" in w for w in words):
             words += ["{input}", "{record}"]
         values = dict(zip(PLACES, (str(asked.absolute()), str(part), str(number)), strict=True))
-        typed = [_fill(word, values) for word in words]
+        typed = list(words)
+        for mark, value in values.items():
+            typed = [word.replace(mark, value) for word in typed]
         # Beyond the record's own length: a rig plays in real time.
-        code, output = _run(typed, policy.timeout + duration, number, held)
+        code, output = _run(typed, timeout + duration, number, held)
         last = shorten(output.strip().splitlines()[-1] if output.strip() else "", MESSAGE_LENGTH)
         if code != 0:
             reason = f": {last}" if last else ""
@@ -178,12 +179,6 @@ def _split(command: str) -> list[str]:
     if not words:
         raise GreyboxError("rig: the command is empty; give the program that plays an input")
     return words
-
-
-def _fill(word: str, values: Mapping[str, str]) -> str:
-    for place, value in values.items():
-        word = word.replace(place, value)
-    return word
 
 
 def _run(words: list[str], seconds: float, number: int, held: BinaryIO | None) -> tuple[int, str]:

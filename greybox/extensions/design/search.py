@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.base.numerics import TINY
 from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
 from greybox.extensions.design.adjoint import is_differentiable
 from greybox.extensions.design.goals import Goal, GoalMaker
@@ -24,11 +25,114 @@ from greybox.extensions.design.inputs import (
     staircase,
 )
 from greybox.extensions.design.limits import LimitKeeper, LimitPrediction, fit_into_limits
-from greybox.extensions.design.plant import INPUT_SEARCH_SEED, PlantScenario
-from greybox.extensions.design.policy import InputSearchPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.plant import INPUT_SEARCH_SEED, PlantScenario, make_plant
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 from greybox.extensions.design.refinement import refine
-from greybox.extensions.design.sampling_times import weigh_optimally
+
+# Optimal weights of given pieces of information: which sampling times, which lines of a spectrum, which of many small experiments.
+#
+# For the sum of information matrices ``M(w) = sum w_i M_i`` with ``w >= 0`` and ``sum w = 1`` the D-optimal weights follow from the
+# multiplicative algorithm ``w_i <- w_i trace(M(w)^-1 M_i) / p`` (Silvey, Titterington and Torsney 1978), which climbs at every step; at the
+# optimum no trace exceeds ``p`` (Kiefer and Wolfowitz 1960).
+
+
+@dataclass(frozen=True)
+class SamplingTimes:
+    """When to sample.
+
+    Parameters
+    ----------
+    times
+        In seconds, ascending.
+    weights
+        Share of all samples that belongs there.
+    efficiency
+        Determinant per constant over that of sampling evenly, as a factor: how many times fewer samples do as well.
+    """
+
+    times: tuple[float, ...]
+    weights: tuple[float, ...]
+    efficiency: float
+
+
+def weigh_optimally(information: np.ndarray, iterations: int = 2000, tolerance: float = 1e-6) -> np.ndarray:
+    """The D-optimal weights of information matrices.
+
+    Parameters
+    ----------
+    information : array (K, p, p)
+        What each piece brings.
+    iterations, tolerance
+        The algorithm ends where no trace exceeds ``p`` by this share, or after so many steps.
+
+    Returns
+    -------
+    array (K,)
+        Weights that add up to one.
+
+    Raises
+    ------
+    DataError
+        Where all pieces together do not determine every constant.
+    """
+    count, p, _ = information.shape
+    weights = np.full(count, 1 / count)
+    scale = np.sqrt(np.maximum(np.diagonal(information.sum(axis=0)), TINY))
+    # D-optimal weights do not depend on units; the inverse does not have to either.
+    scaled = information / scale[:, None] / scale
+    if np.linalg.cond(scaled.mean(axis=0)) > 1e13:
+        raise DataError(
+            "optimal weights: the pieces together do not determine every constant; fix one, or add a sensor"
+        )
+    for _ in range(iterations):
+        inverse = np.linalg.inv(np.tensordot(weights, scaled, 1))
+        # trace(M(w)^-1 M_i) / p: above one a piece brings more than its share, and gets more weight.
+        gain = np.einsum("ij,kji->k", inverse, scaled) / p
+        weights = weights * gain
+        weights /= weights.sum()
+        if gain.max() < 1 + tolerance:
+            break
+    return weights
+
+
+def choose_sampling_times(
+    question: DesignProblem, inputs: Mapping[str, np.ndarray], *, least_weight: float = 0.02
+) -> SamplingTimes:
+    """The D-optimal times at which to sample a run, in the approximate theory: a share of all samples for each.
+
+    Parameters
+    ----------
+    question
+        Its sampling time is the grid of the times that are considered; earlier records are not counted.
+    inputs
+        Name -> array (N,) over that grid.
+    least_weight
+        Neighbouring times are merged, and those of less weight left out.
+
+    Returns
+    -------
+    SamplingTimes
+        Times and weights.
+
+    Raises
+    ------
+    DataError
+        Where the run does not determine every constant.
+    """
+    plant = make_plant(question, question.model)
+    run = plant.run(inputs)
+    rows = np.nan_to_num(run.slopes)[:, :, : plant.count]
+    information = np.einsum("kip,kiq->kpq", rows, rows)
+    weights = weigh_optimally(information)
+    active = weights > least_weight / 10
+    edges = np.flatnonzero(np.diff(active.astype(int))) + 1
+    # Weights on neighbouring grid points stand for one time between them.
+    groups = [g for g in np.split(np.arange(len(weights)), edges) if active[g[0]] and weights[g].sum() >= least_weight]
+    times = tuple(float(np.average(question.time[g], weights=weights[g])) for g in groups)
+    shares = np.array([weights[g].sum() for g in groups])
+    best = np.linalg.slogdet(np.tensordot(weights, information, 1))[1]
+    even = np.linalg.slogdet(information.mean(axis=0))[1]
+    return SamplingTimes(times, tuple((shares / shares.sum()).tolist()), float(np.exp((best - even) / plant.count)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +163,8 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
     DataError
         Where no input keeps the limits.
     """
-    policy = question.policy.search
-    goal = make_goal(question.policy.margin.samples, None)
+    policy = question.policy
+    goal = make_goal(question.policy.scenarios, None)
     tried = try_shapes(question, keeper, goal, list_shapes(question, goal))
     best_of_kind: dict[str, TriedInput] = {}
     for each in tried:
@@ -135,7 +239,7 @@ STEP_COUNT = 12
 
 def list_shapes(question: DesignProblem, goal: Goal) -> list[dict[str, InputShape]]:
     """Chirps, steps, a staircase, PRBS and multisines over several bands; a multisine whose spectrum suits the model."""
-    policy = question.policy.search
+    policy = question.policy
     lowest, bands = find_bands(question)
     generator = np.random.default_rng(INPUT_SEARCH_SEED)
     shapes: list[InputShape] = [staircase(STAIRCASE_LEVELS, question.duration)]
@@ -169,15 +273,19 @@ def find_bands(question: DesignProblem) -> tuple[float, list[float]]:
     high = min(top, fastest / 2) if fastest else top
     low = min(max(4 * lowest, slowest / 20), high)
     high = max(high, min(4 * lowest, top))
-    return lowest, list(np.geomspace(low, high, policy.search.bands) if high > low else [high])
+    return lowest, list(np.geomspace(low, high, policy.bands) if high > low else [high])
 
 
-def flat_multisine(high: float, policy: InputSearchPolicy) -> Multisine:
+# Lines of a multisine over two decades.
+FLAT_HARMONICS = tuple(sorted({round(k) for k in np.geomspace(1, 100, 40)}))
+
+
+def flat_multisine(high: float, policy: DesignPolicy) -> Multisine:
     """A multisine up to ``high`` Hz with lines on a logarithmic scale and a low crest factor."""
-    harmonics = _spread_harmonics()
-    phases = _compressed_phases(harmonics, tuple([1.0] * len(harmonics)), policy.crest_iterations)
-    base = high / harmonics[-1]
-    return Multisine(tuple(base * k for k in harmonics), tuple([1.0] * len(harmonics)), phases)
+    amplitudes = (1.0,) * len(FLAT_HARMONICS)
+    phases = _compressed_phases(FLAT_HARMONICS, amplitudes, policy.crest_iterations)
+    base = high / FLAT_HARMONICS[-1]
+    return Multisine(tuple(base * k for k in FLAT_HARMONICS), amplitudes, phases)
 
 
 # Lines of the spectrum whose power is optimised.
@@ -186,7 +294,7 @@ SPECTRUM_LINES = 12
 
 def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -> Multisine | None:
     """A multisine whose power is D-optimal for a plant of small motion; None where single lines do not determine the constants."""
-    policy = question.policy.search
+    policy = question.policy
     harmonics = sorted({round(k) for k in np.geomspace(1, 100, SPECTRUM_LINES)})
     base = high / harmonics[-1]
     information = []
@@ -209,11 +317,6 @@ def shape_spectrum(question: DesignProblem, plant: PlantScenario, high: float) -
     phases = _compressed_phases(lines, tuple(np.round(amplitudes, 6).tolist()), policy.crest_iterations)
     frequencies = tuple(base * k for k in lines)
     return Multisine(frequencies, tuple(amplitudes.tolist()), phases, "multisine with optimal spectrum")
-
-
-@lru_cache(maxsize=1)
-def _spread_harmonics() -> tuple[int, ...]:
-    return tuple(sorted({round(k) for k in np.geomspace(1, 100, 40)}))
 
 
 @lru_cache(maxsize=16)

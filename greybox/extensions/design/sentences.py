@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from greybox.extensions.design.findings import CampaignCode, DesignCode
+from greybox.extensions.design.problem import CampaignCode, DesignCode
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import (
     change_text,

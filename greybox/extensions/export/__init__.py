@@ -27,29 +27,4 @@ if TYPE_CHECKING:
     from greybox.extensions.export.python_model import to_python
     from greybox.extensions.export.target import ExportTarget
 
-__getattr__, __all__ = lazy_face(
-    __name__,
-    {
-        "greybox.estimation.linear.plant": ("ExportFinding",),
-        "greybox.estimation.linear.linearisation": ("Linearisation", "minimal_realisation"),
-        "greybox.estimation.linear.linearise": ("linearise",),
-        "greybox.estimation.linear.model_family": ("ModelFamily", "WorstCase", "sample_family"),
-        "greybox.estimation.linear.operating_point": ("OperatingPoint", "find_operating_point"),
-        "greybox.estimation.linear.sampling": ("sample",),
-        "greybox.estimation.linear.transfer_channel": ("TransferChannel", "extract_channel"),
-        "greybox.extensions.export.c_code": ("to_c",),
-        "greybox.extensions.export.casadi_model": ("to_acados", "to_casadi", "to_do_mpc"),
-        "greybox.extensions.export.fmu": ("to_fmu",),
-        "greybox.extensions.export.linear_files": ("to_json", "to_mat", "to_numpy", "write_linear"),
-        "greybox.extensions.export.modelica": ("to_modelica",),
-        "greybox.extensions.export.observer": ("Observer", "ObserverRun", "design_observer"),
-        "greybox.extensions.export.python_control": (
-            "to_control",
-            "to_nonlinear_system",
-            "to_state_space",
-            "to_transfer_function",
-        ),
-        "greybox.extensions.export.python_model": ("to_python",),
-        "greybox.extensions.export.target": ("ExportTarget",),
-    },
-)
+__getattr__, __all__ = lazy_face(__name__)

@@ -6,7 +6,6 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
 
 from greybox.base.files import write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers
@@ -35,11 +34,12 @@ def write_step(interval: DiscreteStep) -> str:
     Raises UnsupportedOperationError for an operation that C does not have.
     """
     step = interval.step
-    columns = len(interval.interface.inputs) + count_history_columns(step.past)
+    # A row of the step: the inputs, then the past of a delayed one with its share of the interval.
+    columns = len(interval.signals.inputs) + count_history_columns(step.past)
     sizes = {
         "NX": len(interval.x0),
-        "NU": len(interval.interface.inputs),
-        "NY": len(interval.interface.outputs),
+        "NU": len(interval.signals.inputs),
+        "NY": len(interval.signals.outputs),
         "NP": len(interval.p),
         "NQ": len(interval.coefficients()),
         "PAST": interval.past,
@@ -51,7 +51,8 @@ def write_step(interval: DiscreteStep) -> str:
         # Without tangents, which need vector types, and without fused products: the text is plain C99.
         CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
         CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
-        CRoutine("start", read_tape(interval.start_function()), ("p",), (), 0),
+        # The state at rest may follow from constants that somebody changes in the source.
+        CRoutine("start", read_tape(interval.start), ("p",), (), 0),
     ]
     return "\n".join(
         [
@@ -71,9 +72,14 @@ def read_template(name: str) -> str:
     return files("greybox.extensions.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def write_initialisers(values: list[float], remarks: list[str]) -> str:
-    """Initialisers of an array, one a line, each with a remark."""
-    return "\n".join(f"    {c_literal(float(v))}, /* {to_comment(r)} */" for v, r in zip(values, remarks, strict=True))
+def write_constants(plant: Plant, interval: DiscreteStep) -> list[str]:
+    """The array of the constants, one a line, each with its unit and where it comes from."""
+    lines = []
+    for q, value in zip(interval.signals.all_parameters, interval.p, strict=True):
+        # Unit and origin stand beside each number: the file is read without the model.
+        remark = to_comment(f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}")
+        lines.append(f"    {c_literal(float(value))}, /* {remark} */")
+    return ["static const double constants[] = {", *(lines or ["    0"]), "};"]
 
 
 KEYWORDS = frozenset(
@@ -129,22 +135,38 @@ def to_c(
         source = to_plant(plant)
         interval = make_discrete_step(source, dt, substeps=substeps)
     target = Path(path).with_suffix(".c")
-    header, text = write_c(source, interval, target.with_suffix(".h").name)
-    declarations = write_file(target.with_suffix(".h"), header)
+    header = target.with_suffix(".h")
+    text = _source(source, interval, header.name)
+    declarations = write_file(header, _header(source, interval))
     return write_file(target, text), declarations
 
 
-def write_c(plant: Plant, interval: DiscreteStep, header_name: str) -> tuple[str, str]:
-    """The texts of header and source."""
-    return _header(plant, interval), _source(plant, interval, header_name)
-
-
 def _header(plant: Plant, interval: DiscreteStep) -> str:
-    model, name = interval.interface, to_identifier(interval.interface.name)
-    past = _past_members(interval)
+    model, name = interval.signals, to_identifier(interval.signals.name)
+    # Equations and constants are those of the plant, also in the header of its observer.
+    table = [
+        (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
+        for q in plant.model.all_parameters
+    ]
+    # Columns under one another, the last one as long as it is.
+    widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
+    constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
+    about = [
+        f"{model.title}: {model.description}" if model.description else model.title,
+        "",
+        *equations_text(plant.model).splitlines(),
+        "",
+        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.",
+        "",
+        "Constants",
+        *constants,
+        "",
+        *plant.origin(),
+        *(f"Note: {finding}" for finding in plant.findings),
+    ]
     lines = [
         "/*",
-        *(f"   {to_comment(line)}".rstrip() for line in _about(plant, interval)),
+        *(f"   {to_comment(line)}".rstrip() for line in about),
         "*/",
         "",
         f"#ifndef {name.upper()}_H",
@@ -152,7 +174,7 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
         "",
         f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */",
         "",
-        *_struct(f"{name}_state", model.all_states, past),
+        *_struct(f"{name}_state", model.all_states, _past_members(interval)),
         *_struct(f"{name}_input", model.inputs),
         *_struct(f"{name}_output", model.outputs),
         "/* The state at rest. */",
@@ -170,42 +192,11 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
     return "\n".join(lines)
 
 
-def _about(plant: Plant, interval: DiscreteStep) -> list[str]:
-    model = plant.model
-    title = interval.interface.title
-    title = f"{title}: {interval.interface.description}" if interval.interface.description else title
-    table = [
-        (q.name, repr(float(q.value)), format_unit(q.unit) or "-", plant.provenance(q.name))
-        for q in model.all_parameters
-    ]
-    widths = [max(len(row[k]) for row in table) for k in range(3)] if table else [0, 0, 0]
-    constants = ["  " + "  ".join(c.ljust(w) for c, w in zip(row, [*widths, 0], strict=True)).rstrip() for row in table]
-    return [
-        title,
-        "",
-        *equations_text(model).splitlines(),
-        "",
-        f"One step is {interval.dt:g} s with the input held; integrated by {interval.step.label}.",
-        "",
-        "Constants",
-        *constants,
-        "",
-        *plant.origin(),
-        *(f"Note: {finding}" for finding in plant.findings),
-    ]
-
-
 def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
-    model, name = interval.interface, to_identifier(interval.interface.name)
-    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
+    model, name = interval.signals, to_identifier(interval.signals.name)
+    # An exact hold computes nothing from the constants: its matrices are numbers of their own.
     exact = interval.step.per_interval
-    tables = [
-        "/* The constants. */",
-        "static const double constants[] = {",
-        write_initialisers(list(interval.p), remarks) or "    0",
-        "};",
-        "",
-    ]
+    tables = ["/* The constants. */", *write_constants(plant, interval), ""]
     if exact:
         tables += [
             "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these:",
@@ -219,6 +210,7 @@ def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
     states = _members(model.all_states, _past_members(interval))
     inputs, outputs = _members(model.inputs), _members(model.outputs)
     nx = len(model.all_states)
+    # C has no empty array: a model without inputs has one element that nothing reads.
     load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
     past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
     body = [
@@ -267,6 +259,7 @@ def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequenc
     remarks = [f"[{format_unit(s.unit) or '-'}] {s.description}".rstrip() for s in signals] + [
         remark for _, remark in extra
     ]
+    # C has no empty structure either.
     members = _members(signals, extra) or ["none"]
     remarks = remarks or ["nothing"]
     width = max(map(len, members)) + 1
@@ -281,7 +274,7 @@ def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[st
 def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
     if not interval.past:
         return []
-    late = interval.interface.inputs[interval.late_input]
+    late = interval.signals.inputs[interval.late_input]
     return [
         (f"{late.name}_{k + 1}", f"[{format_unit(late.unit) or '-'}] {late.name} of {k + 1} steps ago")
         for k in range(interval.past)
@@ -290,11 +283,12 @@ def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:
 
 def _blocks(interval: DiscreteStep) -> list[str]:
     """The coefficients of the exact hold, block by block."""
-    nx, nu = len(interval.x0), len(interval.interface.inputs)
+    nx, nu = len(interval.x0), len(interval.signals.inputs)
     sizes = {
         "Phi: x+ = Phi x + ..., column by column": nx * nx,
         "Gamma of the held inputs and of the constant 1": nx * (nu + 1),
     }
+    # The first-order hold's second matrix is there, too: the step has one layout for both.
     sizes |= {"of inputs that are linear in between (not used here)": nx * nu}
     q, lines = interval.coefficients(), []
     for title, size in [
@@ -307,11 +301,11 @@ def _blocks(interval: DiscreteStep) -> list[str]:
     return lines
 
 
-def _write_source_and_header(plant: Fit | Model | Observer, path: Path, **options: Any) -> tuple[Path, Path]:
-    source, header = to_c(plant, path, **options)
-    return header, source  # in the order in which they are read
-
-
 TARGET = ExportTarget(
-    "C", ".c", _write_source_and_header, options=frozenset(["dt", "substeps", "observer"]), stepped="one step of"
+    "C",
+    ".c",
+    # The header first: in the order in which they are read.
+    lambda plant, path, **options: to_c(plant, path, **options)[::-1],
+    options=frozenset(["dt", "substeps", "observer"]),
+    stepped="one step of",
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -15,12 +14,11 @@ from greybox.base.texts import to_identifier, to_identifiers
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (
-    DiscreteStep,
     find_delay_parameters,
     make_discrete_step,
     name_past_inputs,
+    refuse_discontinuous,
 )
-from greybox.extensions.export.python_control import find_discontinuous_effects
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 
@@ -112,6 +110,7 @@ def to_do_mpc(plant: Fit | Model, dt: float | None = None, *, free: Sequence[str
     model_type = _import_optional("do_mpc.model", "do-mpc", "do-mpc").Model
     model = model_type("continuous" if dt is None else "discrete", "SX")
     groups = (("_x", e.states), ("_u", e.inputs), ("_p", e.parameters))
+    # do-mpc makes its own symbols, which take the place of ours.
     symbols = [ca.vertcat(*[model.set_variable(kind, name) for name in names], ca.SX(0, 1)) for kind, names in groups]
     motion, y = ca.substitute([e.motion, e.y], [e.x, e.u, e.p], symbols)
     for k, name in enumerate(e.states):
@@ -188,28 +187,38 @@ def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], subste
         if name not in names:
             raise ModelError(f"{model.title} has no parameter {name!r}; {nearest(name, names)}")
     p = ca.SX.sym("p", len(free))
+    # Free constants stay symbols, the others are numbers from here on.
     values = ca.vertcat(
         *[p[free.index(n)] if n in free else v for n, v in zip(names, plant.p, strict=True)], ca.SX(0, 1)
     )
     x, u = ca.SX.sym("x", s.x.numel()), ca.SX.sym("u", s.u.numel())
     state_names = list(s.state_names)
     if dt is None:
-        beyond = find_discontinuous_effects(model)
-        if beyond:
-            raise ModelError(
-                f"{model.title} is not an ordinary differential equation: {', '.join(beyond)}; give dt"
-                " for a sampled system that contains it"
-            )
+        refuse_discontinuous(model)
         motion, y = s.rhs_function(x, u, values), s.output_function(x, u, values)
     else:
+        # How many earlier inputs are states would hang on a symbol.
         late = [name for name in free if name in find_delay_parameters(model)]
         if late:
             raise ModelError(f"{', '.join(late)}: a delay decides how many states there are; it cannot be free")
         # The exact hold has its constants in numbers; a free one must stay in the equations.
         step = make_discrete_step(plant, dt, substeps=substeps, method="rk4" if free else "automatic")
-        x = ca.SX.sym("x", s.x.numel() + step.past)
+        x, nx, n = ca.SX.sym("x", s.x.numel() + step.past), s.x.numel(), step.step.substeps
         state_names += name_past_inputs(step)
-        motion, y = _write_interval(step, x, u, values)
+        past = x[nx:]
+        # The entries of the discrete matrices as numbers, or the constants themselves.
+        q = ca.SX(ca.DM(step.coefficients())) if step.step.per_interval else values
+
+        def row(share: float) -> ca.SX:
+            return ca.vertcat(u, past, share, 0.0, step.dt) if step.past else u
+
+        after = x[:nx]
+        for k in range(n):
+            after = step.step.advance(after, row(k / n), row((k + 1) / n), q, step.dt / n)
+        if step.past:
+            # The earlier inputs move back by one interval, and the present one joins them.
+            after = ca.vertcat(after, u[step.late_input], past[: step.past - 1])
+        motion, y = ca.cse(after), step.step.outputs(x[:nx], row(0.0), values)
     return _SymbolicModel(
         to_identifier(model.name),
         x,
@@ -224,26 +233,9 @@ def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], subste
     )
 
 
-def _write_interval(step: DiscreteStep, x: ca.SX, u: ca.SX, values: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """States after an interval, with the earlier inputs behind them, and the outputs at its beginning."""
-    nx, n = len(step.x0), step.step.substeps
-    past = x[nx:]
-    # The entries of the discrete matrices as numbers, or the constants themselves.
-    q = ca.SX(ca.DM(step.coefficients())) if step.step.per_interval else values
-
-    def row(share: float) -> ca.SX:
-        return ca.vertcat(u, past, share, 0.0, step.dt) if step.past else u
-
-    after = x[:nx]
-    for k in range(n):
-        after = step.step.advance(after, row(k / n), row((k + 1) / n), q, step.dt / n)
-    if step.past:
-        after = ca.vertcat(after, u[step.late_input], past[: step.past - 1])
-    return ca.cse(after), step.step.outputs(x[:nx], row(0.0), values)
-
-
-def _write_casadi(plant: Fit | Model, path: Path, **options: Any) -> Path:
-    return write_file(path, to_casadi(plant, **options).serialize())
-
-
-TARGET = ExportTarget("a CasADi function", ".casadi", _write_casadi, options=frozenset(["dt", "substeps"]))
+TARGET = ExportTarget(
+    "a CasADi function",
+    ".casadi",
+    lambda plant, path, **options: write_file(path, to_casadi(plant, **options).serialize()),
+    options=frozenset(["dt", "substeps"]),
+)

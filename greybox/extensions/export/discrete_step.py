@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,43 +19,24 @@ from greybox.simulation.integrators.step import Step
 NO_ROWS = np.empty(0, int)
 
 
-class SteppedSignals(Protocol):
-    """What code has to know of the thing that it steps."""
+class SteppedSignals(NamedTuple):
+    """What code has to know of the thing that it steps: what people and code call it, its signals and its constants."""
 
-    @property
-    def title(self) -> str:
-        """What people call it."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in code."""
-
-    @property
-    def description(self) -> str:
-        """What it is."""
-
-    @property
-    def inputs(self) -> Sequence[Input]:
-        """Inputs."""
-
-    @property
-    def outputs(self) -> Sequence[Output]:
-        """Outputs."""
-
-    @property
-    def all_states(self) -> Sequence[State]:
-        """States."""
-
-    @property
-    def all_parameters(self) -> Sequence[Parameter]:
-        """Constants."""
+    title: str
+    name: str
+    description: str
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    all_states: tuple[State, ...]
+    all_parameters: tuple[Parameter, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class DiscreteStep:
     """``dt`` seconds of ``model`` with its inputs held, as ``step`` takes them; ``p`` (np,) constants, ``x0`` (nx,) state at rest.
 
-    With a delayed input earlier inputs belong to the state: ``past`` of them, the latest first.
+    ``signals`` are those that code is written for, and ``start`` gives the state at rest from the constants. With a delayed input earlier
+    inputs belong to the state: ``past`` of them, the latest first. An observer's step has ``measurements`` among its inputs.
     """
 
     model: Model
@@ -64,15 +44,9 @@ class DiscreteStep:
     dt: float
     p: np.ndarray
     x0: np.ndarray
-
-    @property
-    def interface(self) -> SteppedSignals:
-        """The signals that code is written for."""
-        return self.model
-
-    def start_function(self) -> ca.Function:
-        """``p -> state`` at rest."""
-        return ca.Function("start", [self.model.system.p], [ca.densify(self.model.system.start)])
+    signals: SteppedSignals
+    start: ca.Function
+    measurements: tuple[str, ...] = ()
 
     @property
     def past(self) -> int:
@@ -98,6 +72,7 @@ class DiscreteStep:
         shares = np.arange(n + 1) / n
         # The flag of a delayed input runs from 0 to 1 over the interval, as the rows of a record do.
         rows = np.array([self.row(u, past, share) for share in shares]).T
+        # The same coefficients for each substep.
         q = np.tile(self.coefficients(p)[:, None], n)
         return self._substeps(x, rows[:, :-1], rows[:, 1:], q, np.full((1, n), self.dt / n)).full()[:, -1]
 
@@ -112,6 +87,8 @@ class DiscreteStep:
 
 # The step is halved until that changes a run over the estimation record by less than this share of its movement.
 DISCRETE_STEP_PRECISION = 1e-07
+# Rows of that record.
+DISCRETE_STEP_ROWS = 2000
 
 
 def make_discrete_step(
@@ -120,17 +97,17 @@ def make_discrete_step(
     *,
     substeps: int = 0,
     method: str = "automatic",
-    at: Mapping[str, float] | None = None,
 ) -> DiscreteStep:
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 
     ``substeps`` 0: as many as it takes that halving them changes nothing visible over the fitted record (for a model without a fit:
-    ten for the time of its fastest mode). ``at``: states to begin with, by name; the others are as declared.
+    ten for the time of its fastest mode).
 
-    Raises ModelError for a sampling time that is not above zero or not known, and for an unknown state.
+    Raises ModelError for a sampling time that is not above zero or not known.
     """
     from greybox.simulation.simulate import declared_initial_state
 
+    # Of the fitted records where none is given: the model was judged at that one.
     period = plant.sampling_time if dt is None else dt
     if period is None:
         raise ModelError(f"{plant.model.title}: no sampling time is known; give dt in seconds")
@@ -138,36 +115,49 @@ def make_discrete_step(
         raise ModelError(f"sampling time {period} s: give a time above 0 s")
     # With every constant known a delay is as long as it is, not as long as its bounds allow.
     known = plant.model.fix(*plant.model.values)
-    system, p, x0 = known.system, plant.p, declared_initial_state(known, at)
-    lengths = np.array([float(period)])
-    inputs = _recorded_inputs(plant, period)
-    if inputs is not None and not substeps:
-        step = discretise(system, p, x0[None, :], lengths, method=method, target=DISCRETE_STEP_PRECISION, inputs=inputs)
-    else:
-        step = discretise(system, p, x0[None, :], lengths, method=method, substeps=substeps)
-    return DiscreteStep(known, step, float(period), p, x0)
+    system, p, x0 = known.system, plant.p, declared_initial_state(known)
+    chosen: dict[str, Any] = {"substeps": substeps}
+    if not substeps and plant.fit is not None and plant.fit.traces and plant.model.inputs:
+        # Inputs of the first fitted record, held at every ``dt``. The one at each time is taken a little later, so that a time equal to
+        # a sample but for rounding takes that sample.
+        record = plant.fit.traces[0].experiment
+        elapsed = record.time - record.time[0]
+        count = min(int((record.time[-1] - record.time[0]) / period) + 1, DISCRETE_STEP_ROWS)
+        rows = np.searchsorted(elapsed, np.arange(count) * period * (1 + 1e-12), side="right") - 1
+        inputs = np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
+        chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": inputs}
+    step = discretise(system, p, x0[None, :], np.array([float(period)]), method=method, **chosen)
+    signals = SteppedSignals(
+        known.title,
+        known.name,
+        known.description,
+        tuple(known.inputs),
+        tuple(known.outputs),
+        tuple(known.all_states),
+        tuple(known.all_parameters),
+    )
+    start = ca.Function("start", [system.p], [ca.densify(system.start)])
+    return DiscreteStep(known, step, float(period), p, x0, signals, start)
+
+
+def refuse_discontinuous(model: Model) -> None:
+    """Raise ModelError for effects that ordinary differential equations cannot hold, each with the reason."""
+    s = model.system
+    beyond = [
+        *(f"{d.effect} (it sticks: the velocity stays at zero for a while)" for d in s.dry),
+        *(f"{u.effect} (its state {s.state_names[u.state]!r} is set, it has no rate)" for u in s.updates),
+        *(f"{d.effect} (it needs earlier values of the input)" for d in s.delays),
+    ]
+    if beyond:
+        raise ModelError(
+            f"{model.title} is not an ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that contains it"
+        )
 
 
 def find_delay_parameters(model: Model) -> list[str]:
     """Names of the constants on which a delay depends: how many earlier inputs are kept hangs on them."""
     symbols = ca.symvar(ca.vertcat(*[d.seconds for d in model.system.delays], ca.SX(0, 1)))
     return [symbol.name() for symbol in symbols]
-
-
-# Rows of that record.
-DISCRETE_STEP_ROWS = 2000
-
-
-def _recorded_inputs(plant: Plant, dt: float) -> np.ndarray | None:
-    """Inputs (N, nu) of the first fitted record, held at every ``dt`` seconds; None without a record."""
-    if plant.fit is None or not plant.fit.traces or not plant.model.inputs:
-        return None
-    record = plant.fit.traces[0].experiment
-    count = min(int((record.time[-1] - record.time[0]) / dt) + 1, DISCRETE_STEP_ROWS)
-    # The input that was held at each time; a little later, so that a time equal to a sample but for rounding takes
-    # that sample.
-    rows = np.searchsorted(record.time - record.time[0], np.arange(count) * dt * (1 + 1e-12), side="right") - 1
-    return np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
 
 
 def name_past_inputs(interval: DiscreteStep) -> list[str]:

@@ -8,7 +8,6 @@ import sys
 import tempfile
 import uuid
 import zipfile
-from collections.abc import Iterable
 from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree as ET
@@ -19,14 +18,14 @@ from greybox.base.texts import to_identifier, to_identifiers, to_line
 from greybox.base.units import format_unit, parse_unit
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.result import Fit
-from greybox.extensions.export.c_code import read_template, write_initialisers, write_step
+from greybox.extensions.export.c_code import read_template, write_constants, write_step
 from greybox.extensions.export.discrete_step import (
     DiscreteStep,
     SteppedSignals,
     find_delay_parameters,
     make_discrete_step,
 )
-from greybox.extensions.export.observer import Observer, ObserverInterval, refuse_sampling
+from greybox.extensions.export.observer import Observer, refuse_sampling
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.expressions.printer import c_literal
 from greybox.model.model import Model
@@ -95,10 +94,28 @@ def to_fmu(
     else:
         source = to_plant(plant)
         step = make_discrete_step(source, dt, substeps=substeps, method="rk4")
+    # Parameters of an FMU may change on the way, matrices that were computed from them would not.
     if step.step.per_interval:
         raise ModelError(f"{source.model.title}: an FMU needs a step that takes the parameters as they are; use rk4")
-    name = to_identifier(step.interface.name)
-    text, guid = _source(source, step)
+    name = to_identifier(step.signals.name)
+    fixed = find_delay_parameters(source.model)
+    flags = ", ".join(str(int(q.name in fixed)) for q in step.signals.all_parameters)
+    body = [
+        write_step(step),
+        f"#define DT {c_literal(step.dt)}",
+        f'#define DT_TEXT "{step.dt:g}"',
+        "",
+        *write_constants(source, step),
+        f"static const int FIXED[] = {{{flags or '0'}}};",
+        "",
+        read_template("fmu.c"),
+    ]
+    # The identifier follows from the text: the same model gives the same FMU, a changed one another.
+    digest = hashlib.sha256("\n".join(body).encode()).digest()
+    guid = f"{{{uuid.UUID(bytes=digest[:16])}}}"
+    head = f"/* {to_identifier(step.signals.title)}: one model as an FMU. */"
+    text = "\n".join([head, f'#define GUID "{guid}"', *body])
+    # A platform without a place in the standard gets the sources alone.
     platform = next((value for key, value in PLATFORMS.items() if sys.platform.startswith(key)), None)
     target = Path(path).with_suffix(".fmu")
     contents: dict[str, bytes] = {
@@ -118,35 +135,12 @@ def to_fmu(
     return write_file(target, write_archive)
 
 
-def _source(plant: Plant, step: DiscreteStep) -> tuple[str, str]:
-    """The C text of the FMU and its identifier, which follows from the text."""
-    model, fixed = step.interface, find_delay_parameters(plant.model)
-    remarks = [f"{q.name} [{format_unit(q.unit) or '-'}] {plant.provenance(q.name)}" for q in model.all_parameters]
-    body = [
-        write_step(step),
-        f"#define DT {c_literal(step.dt)}",
-        f'#define DT_TEXT "{step.dt:g}"',
-        "",
-        "static const double constants[] = {",
-        write_initialisers(list(step.p), remarks) or "    0",
-        "};",
-        f"static const int FIXED[] = {{{', '.join(str(int(q.name in fixed)) for q in model.all_parameters) or '0'}}};",
-        "",
-        read_template("fmu.c"),
-    ]
-    # The identifier follows from the text: the same model gives the same FMU, a changed one another.
-    guid = str(uuid.UUID(bytes=hashlib.sha256("\n".join(body).encode()).digest()[:16]))
-    return "\n".join(
-        [f"/* {to_identifier(model.title)}: one model as an FMU. */", f'#define GUID "{{{guid}}}"', *body]
-    ), f"{{{guid}}}"
-
-
 # ---- modelDescription.xml ----
 
 
 def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) -> str:
     """The description of ``plant`` stepped over ``step``; value references as in ``fmu.c``."""
-    model = step.interface
+    model = step.signals
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
@@ -161,7 +155,7 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         "CoSimulation",
         modelIdentifier=name,
         # Past inputs, and the measurements of an observer, belong to samples: such a step cannot be divided.
-        canHandleVariableCommunicationStepSize="false" if step.past or isinstance(step, ObserverInterval) else "true",
+        canHandleVariableCommunicationStepSize="false" if step.past or step.measurements else "true",
         canGetAndSetFMUstate="true",
         canSerializeFMUstate="true",
         canNotUseMemoryManagementFunctions="true",
@@ -173,10 +167,22 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
         *model.all_states,
         *model.all_parameters,
     ]
-    _units(root, signals)
+    # Each unit by its powers of the base units.
+    units = dict.fromkeys(format_unit(s.unit) for s in signals if format_unit(s.unit) not in ("", "-", "1"))
+    definitions = ET.SubElement(root, "UnitDefinitions") if units else root
+    for unit_text in units:
+        value = parse_unit(unit_text)
+        powers = {
+            symbol: str(int(e)) for symbol, e in value.dimensions if symbol in BASE_UNITS and float(e).is_integer()
+        }
+        unit = ET.SubElement(definitions, "Unit", name=unit_text)
+        if len(powers) == len(value.dimensions):  # the standard has no fractional powers
+            ET.SubElement(unit, "BaseUnit", {**powers, "factor": repr(value.factor)})
+    # A thousand steps, so that whoever opens it sees something.
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime=repr(1000 * step.dt), stepSize=repr(step.dt))
     _variables(root, plant, step, signals)
     structure = ET.SubElement(root, "ModelStructure")
+    # Indices count from one, in the order of the variables: inputs, then outputs.
     first = len(model.inputs) + 1
     for kind in ("Outputs", "InitialUnknowns"):
         group = ET.SubElement(structure, kind)
@@ -188,25 +194,10 @@ def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) ->
 
 def list_fmu_names(model: SteppedSignals) -> list[str]:
     """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
+    # One name each: an output may be called as a state is, and a constant as an input.
     plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])
     states = [f"state.{name}" for name in to_identifiers(s.name for s in model.all_states)]
     return [*plain, *states, *to_identifiers((q.name for q in model.all_parameters), plain)]
-
-
-def _units(root: ET.Element, signals: Iterable[Input | Output | State | Parameter]) -> None:
-    units = dict.fromkeys(format_unit(s.unit) for s in signals if format_unit(s.unit) not in ("", "-", "1"))
-    if not units:
-        return
-    group = ET.SubElement(root, "UnitDefinitions")
-    for text in units:
-        value = parse_unit(text)
-        powers = {
-            symbol: str(int(e)) for symbol, e in value.dimensions if symbol in BASE_UNITS and float(e).is_integer()
-        }
-        representable = len(powers) == len(value.dimensions)
-        unit = ET.SubElement(group, "Unit", name=text)
-        if representable:  # the standard has no fractional powers
-            ET.SubElement(unit, "BaseUnit", {**powers, "factor": repr(value.factor)})
 
 
 def _variables(
@@ -214,15 +205,17 @@ def _variables(
 ) -> None:
     group, fixed = ET.SubElement(root, "ModelVariables"), find_delay_parameters(plant.model)
     starts = iter(step.x0)
-    measured = step.measurements if isinstance(step, ObserverInterval) else ()
-    for reference, (name, signal) in enumerate(zip(list_fmu_names(step.interface), signals, strict=True)):
+    for reference, (name, signal) in enumerate(zip(list_fmu_names(step.signals), signals, strict=True)):
         description = signal.description
         real: dict[str, str] = {}
         if isinstance(signal, Input):
             # A measurement is there at its sample; between two of them there is nothing to interpolate.
-            kind = {"causality": "input", "variability": "discrete" if signal.name in measured else "continuous"}
+            kind = {
+                "causality": "input",
+                "variability": "discrete" if signal.name in step.measurements else "continuous",
+            }
             # Missing until the simulator sets it: the observer then predicts.
-            real["start"] = "NaN" if signal.name in measured else "0"
+            real["start"] = "NaN" if signal.name in step.measurements else "0"
         elif isinstance(signal, Output):
             kind = {"causality": "output", "variability": "continuous", "initial": "calculated"}
         elif isinstance(signal, State):
@@ -230,8 +223,10 @@ def _variables(
             real["start"] = repr(float(next(starts)))
         else:
             settable = {"causality": "parameter", "variability": "tunable", "initial": "exact"}
+            # A delay decides how many states there are: it cannot move.
             kind = {"causality": "local", "variability": "constant"} if signal.name in fixed else settable
             real["start"] = repr(float(signal.value))
+            # Bounds that are none are left out: a reader would take them for numbers.
             real |= {
                 key: repr(float(v)) for key, v in zip(("min", "max"), signal.bounds, strict=True) if abs(v) < 1e300
             }
@@ -249,10 +244,23 @@ def _variables(
 
 
 def _compile_binary(text: str, name: str, target: Path) -> bytes:
-    """The library of that ``name``. Raises NoCompilerError, and OutputError with the FMU's name where it cannot be made."""
+    """The library of that ``name``, for any machine of this kind.
+
+    Raises NoCompilerError, and OutputError with the FMU's name where it cannot be made.
+    """
     try:
+        compiler = find_compiler()
         with tempfile.TemporaryDirectory() as folder:
-            return compile_shared_library(text, Path(folder) / name).read_bytes()
+            library = Path(folder) / name
+            source = write_file(library.with_suffix(".c"), text)
+            # Windows has no position-independent code to ask for.
+            flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
+            run = run_compiler([*compiler.command, *flags, "-o", str(library), str(source), "-lm"], compiler.timeout)
+            if run.returncode != 0:
+                raise CompilerError(
+                    f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
+                )
+            return library.read_bytes()
     except NoCompilerError:
         raise
     except CompilerError as error:
@@ -260,20 +268,6 @@ def _compile_binary(text: str, name: str, target: Path) -> bytes:
     except OSError as error:
         reason = f"its library cannot be made in {tempfile.gettempdir()}: {error.strerror or error}"
         raise OutputError(error.errno or errno.EIO, reason, str(target)) from error
-
-
-def compile_shared_library(text: str, target: Path) -> Path:
-    """Compile C ``text`` into a library for any machine of this kind. Raises CompilerError where there is no compiler, or it fails."""
-    compiler = find_compiler()
-    source = write_file(target.with_suffix(".c"), text)
-    flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
-    command = [*compiler.command, *flags, "-o", str(target), str(source), "-lm"]
-    run = run_compiler(command, compiler.timeout)
-    if run.returncode != 0:
-        raise CompilerError(
-            f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
-        )
-    return target
 
 
 TARGET = ExportTarget(

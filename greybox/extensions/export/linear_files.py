@@ -32,6 +32,9 @@ from greybox.simulation.kernel.c_compiler import GreyboxWarning
 FORMAT_VERSION = 1
 
 
+SIGNALS = ("state", "input", "output")
+
+
 class LinearExportOptions(TypedDict, total=False):
     """How the linear model that is written is made: arguments of `linearise` and `sample_family`."""
 
@@ -97,6 +100,7 @@ def write_linear(
     --------
     >>> gb.export.write_linear(fit, "plant.mat", "mat", {"u": 0.5}, samples=50)  # doctest: +SKIP
     """
+    # Also those that other packages bring.
     formats = {name: target for name, target in load_extensions(ExtensionKind.EXPORTS).items() if target.linear}
     if format not in formats:
         raise ModelError(f"unknown format {format!r}; {nearest(format, formats)}")
@@ -108,8 +112,10 @@ def write_linear(
                 "samples need a fit, whose parameters have a covariance; give what gb.fit returns, or samples=0"
             )
         family = sample_family(plant, at, number=samples, seed=seed, dt=dt, method=method, delay=delay, minimal=minimal)
+    # A file has no place where somebody would look for them: they are said when it is written.
     for finding in (*model.findings, *(family.findings if family else ())):
         warnings.warn(str(finding), GreyboxWarning, stacklevel=2)
+    # After the findings: what is cut away may be what they speak of.
     reduced = minimal_realisation(model) if minimal else model
     return formats[format].write(reduced, path, plant=to_plant(plant), family=family)
 
@@ -233,11 +239,22 @@ def linear_model_data(
     model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> dict[str, Any]:
     """What `write_json` writes."""
+    channels = {}
+    for output in model.output_names:
+        for name in model.input_names:
+            channel = extract_channel(model, output, name)
+            numbers = ("factor", "gain", "integrators", "bandwidth", "unit")
+            channels[f"{name} -> {output}"] = {
+                "zeros": _complex(channel.zeros),
+                "poles": _complex(channel.poles),
+                **{key: getattr(channel, key) for key in numbers},
+            }
     data = {
         "format": FORMAT_VERSION,
         **_contents(model),
         "findings": model.findings,
-        **_channels(model),
+        "poles": _complex(model.poles),
+        "channels": channels,
         **_origin(plant),
         **_members(family),
     }
@@ -249,6 +266,7 @@ def write_npz(
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
     contents = _contents(model) | _origin(plant)
+    # Tables have no arrays: they become names and values beside each other.
     arrays = {key: np.asarray(value) for key, value in contents.items() if not isinstance(value, Mapping)}
     arrays |= _tables(contents)
     arrays |= {f"family_{key}": np.asarray(value) for key, value in _members(family).get("family", {}).items()}
@@ -274,20 +292,14 @@ def write_mat(
         "Ts": model.dt,
         # Apart from the matrices, as `ss` takes it: exact in MATLAB, not approximated.
         "InputDelay": model.delay.reshape(-1, 1),
-        "StateName": _cell(to_identifiers(model.state_names)),
-        "InputName": _cell(to_identifiers(model.input_names)),
-        "OutputName": _cell(to_identifiers(model.output_names)),
-        "StateUnit": _cell(model.state_units),
-        "InputUnit": _cell(model.input_units),
-        "OutputUnit": _cell(model.output_units),
-        "x0": model.x0.reshape(-1, 1),
-        "u0": model.u0.reshape(-1, 1),
-        "y0": model.y0.reshape(-1, 1),
-        "rates": model.rates.reshape(-1, 1),
+        **{f"{kind.capitalize()}Name": _cell(to_identifiers(getattr(model, f"{kind}_names"))) for kind in SIGNALS},
+        **{f"{kind.capitalize()}Unit": _cell(getattr(model, f"{kind}_units")) for kind in SIGNALS},
+        **{key: getattr(model, key).reshape(-1, 1) for key in ("x0", "u0", "y0", "rates")},
         "Name": to_line(model.name),
         "Method": model.method,
         "Notes": _cell([str(finding) for finding in model.findings]),
     }
+    # As arrays with names: a name of a parameter need not be one that MATLAB allows.
     tables = _tables(_contents(model) | _origin(plant))
     for key in ("parameters", "covariance"):
         if f"{key}_names" in tables:
@@ -325,13 +337,14 @@ def write_control(
     )
     lines += ["", "import control", "import numpy as np", ""]
     for name in ("A", "B", "C", "D"):
+        # Every digit, so that the file holds the same numbers.
         rows = [f"        [{', '.join(repr(float(v)) for v in row)}]," for row in getattr(model, name)]
+        # An empty matrix in brackets has lost one of its sizes.
         shape = f".reshape({getattr(model, name).shape})" if 0 in getattr(model, name).shape else ""
         lines += [f"{name} = np.array(", "    [", *rows, "    ]", f"){shape}"]
     units = {
-        "state": dict(zip(to_identifiers(model.state_names), model.state_units, strict=True)),
-        "input": dict(zip(to_identifiers(model.input_names), model.input_units, strict=True)),
-        "output": dict(zip(to_identifiers(model.output_names), model.output_units, strict=True)),
+        kind: dict(zip(to_identifiers(getattr(model, f"{kind}_names")), getattr(model, f"{kind}_units"), strict=True))
+        for kind in SIGNALS
     }
     for kind, table in units.items():
         lines.append(f"{kind}_units = {{{', '.join(f'{literal(n)}: {literal(u)}' for n, u in table.items())}}}")
@@ -349,46 +362,18 @@ JSON = ExportTarget("JSON", ".json", write_json, linear=True, options=frozenset(
 NUMPY = ExportTarget("NumPy arrays", ".npz", write_npz, linear=True, options=frozenset(["samples"]))
 
 
+# What every file holds of a linear model, under these keys.
+CONTENTS = (
+    *("name", "A", "B", "C", "D", "dt", "method"),
+    *(f"{kind}_names" for kind in SIGNALS),
+    *(f"{kind}_units" for kind in SIGNALS),
+    *("x0", "u0", "y0", "rates", "delay"),
+)
+
+
 def _contents(model: Linearisation) -> dict[str, Any]:
-    return {
-        "name": model.name,
-        "A": model.A,
-        "B": model.B,
-        "C": model.C,
-        "D": model.D,
-        "dt": model.dt,
-        "method": model.method,
-        "state_names": model.state_names,
-        "input_names": model.input_names,
-        "output_names": model.output_names,
-        "state_units": model.state_units,
-        "input_units": model.input_units,
-        "output_units": model.output_units,
-        "x0": model.x0,
-        "u0": model.u0,
-        "y0": model.y0,
-        "rates": model.rates,
-        "delay": model.delay,
-        "parameters": dict(model.parameters),
-        "notes": [str(finding) for finding in model.findings],
-    }
-
-
-def _channels(model: Linearisation) -> dict[str, Any]:
-    channels = {}
-    for output in model.output_names:
-        for name in model.input_names:
-            channel = extract_channel(model, output, name)
-            channels[f"{name} -> {output}"] = {
-                "zeros": _complex(channel.zeros),
-                "poles": _complex(channel.poles),
-                "factor": channel.factor,
-                "gain": channel.gain,
-                "integrators": channel.integrators,
-                "bandwidth": channel.bandwidth,
-                "unit": channel.unit,
-            }
-    return {"poles": _complex(model.poles), "channels": channels}
+    notes = [str(finding) for finding in model.findings]
+    return {key: getattr(model, key) for key in CONTENTS} | {"parameters": dict(model.parameters), "notes": notes}
 
 
 def _origin(plant: Plant | None) -> dict[str, Any]:
@@ -399,11 +384,10 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
         "provenance": {n: plant.provenance(n) for n in plant.model.values},
     }
     if plant.fit is not None:
+        # By name on both sides: nobody need know the order.
+        free, covariance = plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float)
         origin["covariance"] = {
-            name: dict(zip(plant.fit.uncertainty.free, map(float, row), strict=True))
-            for name, row in zip(
-                plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float), strict=True
-            )
+            name: dict(zip(free, map(float, row), strict=True)) for name, row in zip(free, covariance, strict=True)
         }
     return origin
 
@@ -411,6 +395,7 @@ def _origin(plant: Plant | None) -> dict[str, Any]:
 def _members(family: ModelFamily | None) -> dict[str, Any]:
     if family is None:
         return {}
+    # Members first: family_A[k] is the matrix of one draw.
     stacked = {key: np.array([getattr(member, key) for member in family.members]) for key in ("A", "B", "C", "D")}
     return {"family": stacked | {"constants": family.parameters, "names": family.parameter_names, "seed": family.seed}}
 
@@ -432,6 +417,7 @@ def _complex(values: np.ndarray) -> list[list[float]]:
 
 def _cell(texts: Any) -> np.ndarray:
     """A column of texts, which MATLAB reads as a cell array."""
+    # Of objects: an array of texts would become one matrix of characters.
     cell = np.empty((len(texts), 1), object)
     for k, text in enumerate(texts):
         cell[k, 0] = to_line(str(text))

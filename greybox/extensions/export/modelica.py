@@ -82,6 +82,7 @@ def modelica_text(plant: Plant) -> str:
     # The library's equations are cut off at the bounds of states; those of Modelica have to be as well.
     rows = [_guarded(b, model) for b in s.balances]
     outputs = [s.outputs[k] for k in range(len(model.outputs))]
+    # What several equations use is written once, as a variable of its own.
     printer.count_uses([*(v for b in rows for v in (b.storage, *b.terms.values())), *outputs])
     equations = [line for b in rows for line in _balance(b, model, names, printer)]
     equations += [
@@ -92,16 +93,24 @@ def modelica_text(plant: Plant) -> str:
     for k, name in enumerate(names.late):
         seconds = [d.seconds for d in s.delays if d.column == k]
         if seconds:
+            # Several delays of one input add up.
             late = printer.write(sum(seconds[1:], seconds[0]))
             equations.append(f"  {name} = delay({names.inputs[k]}, {late});")
     head = to_identifier(model.title)
+    sticking = [names.states[k] for k in sorted({d.state for d in s.dry})]
     parts = [f"  {part} = {text};" for part, text in printer.shared]
     lines = [
         *(f"// {to_comment(line)}".rstrip() for line in (*plant.origin(), *map(str, plant.findings))),
         f'model {head} "{_string(model.description or model.title)}"',
         *_declarations(plant, names, printer),
         *(f"  Real {part};" for part, _ in printer.shared),
-        *_start_of_friction(model, names),
+        *(["initial equation"] if sticking else []),
+        # A body that starts at rest slides at once where the push exceeds what friction holds.
+        *(
+            f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else"
+            f" (if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0);"
+            for v in sticking
+        ),
         "equation",
         *parts,
         *equations,
@@ -116,9 +125,11 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
     s = model.system
     state = names.symbols[b.state]
     dry = [d for d in s.dry if d.balance == b.name]
+    # Dry friction stands apart: its force follows from the others while it holds.
     others = {name: term for name, term in b.terms.items() if name not in [d.effect for d in dry]}
     storage = printer.print(b.storage)
     factor = storage.text if storage.binding == Binding.ATOM else f"({storage.text})"
+    # A storage of one is left out.
     left = f"der({state})" if storage.text == "1" else f"{factor} * der({state})"
     total = _sum([printer.print(term) for term in others.values()])
     label = f'"{_string(b.name)}: {_string(", ".join(b.terms))}"'
@@ -142,19 +153,6 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
         f"    reinit({state}, 0);",
         "  end when;",
     ]
-
-
-def _start_of_friction(model: Model, names: ModelicaNames) -> list[str]:
-    bodies = sorted({d.state for d in model.system.dry})
-    if not bodies:
-        return []
-    lines = ["initial equation"]
-    for k in bodies:
-        v = names.states[k]
-        # A body that starts at rest slides at once where the push exceeds what friction holds.
-        pushed = f"if push_{v} > most_{v} then 1 elseif push_{v} < -most_{v} then -1 else 0"
-        lines.append(f"  pre(way_{v}) = if {v} > 0 then 1 elseif {v} < 0 then -1 else ({pushed});")
-    return lines
 
 
 def _guarded(b: Balance, model: Model) -> Balance:
@@ -214,6 +212,7 @@ class ModelicaNames:
         outputs: list[str] = []
         for k, name in enumerate(s.output_names):
             value = s.outputs[k]
+            # A state that is measured as it is needs no second variable.
             same = value.is_symbolic() and value.name() in s.state_names and symbols[value.name()] not in outputs
             is_state.append(same)
             outputs.append(
@@ -241,6 +240,7 @@ def _declarations(plant: Plant, names: ModelicaNames, printer: Printer) -> list[
         if late != name
     ]
     for k, (name, x) in enumerate(zip(names.states, model.all_states, strict=True)):
+        # A measured state is an output of the block by itself.
         prefix = (
             "output "
             if name in [n for n, is_state in zip(names.outputs, names.is_state, strict=True) if is_state]
@@ -251,6 +251,7 @@ def _declarations(plant: Plant, names: ModelicaNames, printer: Printer) -> list[
     for name, o, is_state in zip(names.outputs, model.outputs, names.is_state, strict=True):
         if not is_state:
             lines.append(f'  output Real {name}{_brackets(_unit(o.unit))} "{_string(o.description)}";')
+    # One friction state a body, whatever number of effects rub on it.
     for k in sorted({d.state for d in s.dry}):
         unit = _brackets(_unit(next(b.unit for b in s.balances if b.state == s.state_names[k])))
         lines += [
@@ -264,6 +265,7 @@ def _declarations(plant: Plant, names: ModelicaNames, printer: Printer) -> list[
 
 def _unit(unit: str) -> list[str]:
     """``unit = "N.s/m"`` as Modelica writes units; nothing for one that it cannot write."""
+    # Modelica writes N.m2 where the library writes N*m^2.
     text = format_unit(unit).replace("*", ".").replace("^", "").replace("ohm", "Ohm")
     if text in ("", "-", "1") or re.search(r"\.\d|%|\d\.", text):
         return []

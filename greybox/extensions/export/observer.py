@@ -26,11 +26,11 @@ from greybox.estimation.predictor import (
     restore_integration_options,
 )
 from greybox.estimation.result import Fit
-from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
+from greybox.extensions.export.discrete_step import DiscreteStep, SteppedSignals, make_discrete_step
 from greybox.model.expressions.operations import OPERATIONS
 from greybox.model.model import Model
 from greybox.model.python_text import docstring
-from greybox.model.signals import Input, Output, Parameter, State
+from greybox.model.signals import Input, Output, State
 from greybox.simulation.filtering.kalman_filter import (
     FilterRow,
     Moments,
@@ -47,41 +47,6 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.tape import Tape, read_tape
 
 NONE = np.empty(0, int)
-
-
-class ObserverSignals(NamedTuple):
-    """What an observer has in the place of a model: its inputs are those of the plant and its measurements, its states the plant's and
-    their covariance."""
-
-    title: str
-    name: str
-    description: str
-    inputs: tuple[Input, ...]
-    outputs: tuple[Output, ...]
-    all_states: tuple[State, ...]
-    all_parameters: tuple[Parameter, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class ObserverInterval(DiscreteStep):
-    """One sample of an observer as a discrete step: ``[states; covariance]``, driven by ``[inputs; measurements]``."""
-
-    signals: ObserverSignals | None = None
-
-    @property
-    def measurements(self) -> tuple[str, ...]:
-        """Names of the inputs that are measurements."""
-        return tuple(i.name for i in self.interface.inputs[len(self.model.inputs) :])
-
-    @property
-    def interface(self) -> ObserverSignals:
-        """The signals that code is written for."""
-        assert self.signals is not None
-        return self.signals
-
-    def start_function(self) -> ca.Function:
-        """``p -> state`` at the beginning."""
-        return ca.Function("start", [ca.SX.sym("p", 0)], [ca.SX(ca.DM(self.x0))])
 
 
 class ObserverRun(NamedTuple):
@@ -117,14 +82,14 @@ class Observer:
     dt: float
     noise: Mapping[str, float]
     process_noise: Mapping[str, float]
-    corrected: ObserverInterval
-    predicted: ObserverInterval
+    corrected: DiscreteStep
+    predicted: DiscreteStep
     correct_function: ca.Function
 
     @property
     def advance_function(self) -> ca.Function:
         """``(z, [u; y]) -> z`` one sample later."""
-        z, w = ca.SX.sym("z", len(self.start)), ca.SX.sym("w", len(self.corrected.interface.inputs))
+        z, w = ca.SX.sym("z", len(self.start)), ca.SX.sym("w", len(self.corrected.signals.inputs))
         return ca.Function("advance", [z, w], [self.corrected.step.advance(z, w, w, ca.SX(0, 1), self.dt)])
 
     @property
@@ -162,6 +127,7 @@ class Observer:
         """
         z, corrected, predicted = self.start, [], []
         for u, y in zip(inputs, measured, strict=True):
+            # z is the prediction for this sample: corrected by its measurements for the estimate, moved on for the next one.
             predicted.append(z)
             corrected.append(self.correct(z, u, y))
             z = self.advance(z, u, y)
@@ -228,6 +194,7 @@ def design_observer(
         )
     nx, ny, nu = len(model.all_states), len(outputs), len(model.inputs)
     system, step = interval.model.system, interval.step
+    # The filter's constants: those of the model, then the deviations of its sensors.
     pn = np.append(interval.p, [noise[name] for name in outputs])
     filter_step = make_filter_step(system, step)
     # Constants and noise are numbers from here on: what runs beside a controller has nothing to compute them from.
@@ -247,10 +214,12 @@ def design_observer(
         following = filter_step.advance(following, row(k / n), row((k + 1) / n), q, interval.dt / n)
     correction = _make_correction(step, nx, nu, ny, len(interval.p))
     after = correction(z, u, y, present, ca.DM(interval.p), ca.DM(pn[len(interval.p) :]))
+    # z = [x; P], of the symmetric P the lower triangle column by column.
     start = np.append(interval.x0, to_lower_triangle_array(_first_covariance(interval, initial_std)))
     signals = _name_signals(model)
 
-    def make_interval(state: ca.SX) -> ObserverInterval:
+    def make_interval(state: ca.SX) -> DiscreteStep:
+        # std_i = sqrt(P_ii)
         spread = ca.sqrt(ca.vertcat(*[to_symmetric(state[nx:], nx)[i, i] for i in range(nx)]))
         advance = ca.Function(
             "advance",
@@ -258,8 +227,13 @@ def design_observer(
             [ca.cse(ca.densify(following))],
         )
         read = ca.Function("outputs", [z, w, ca.SX.sym("p", 0)], [ca.cse(ca.densify(ca.vertcat(state[:nx], spread)))])
-        whole = Step(f"Kalman filter, {step.label}", advance, read, _no_coefficients)
-        return ObserverInterval(interval.model, whole, interval.dt, np.empty(0), start, signals)
+        # Constants are numbers in it: there are no coefficients to compute from them.
+        whole = Step(
+            f"Kalman filter, {step.label}", advance, read, lambda p, h, k: (np.zeros((1, 0)), np.zeros((1, 0, len(k))))
+        )
+        begin = ca.Function("start", [ca.SX.sym("p", 0)], [ca.SX(ca.DM(start))])
+        measurements = tuple(i.name for i in signals.inputs[nu:])
+        return DiscreteStep(interval.model, whole, interval.dt, np.empty(0), start, signals, begin, measurements)
 
     correct = ca.Function("correct", [z, w], [ca.cse(ca.densify(after))])
     intensities = {name: float(v) for name, v in model.noise_intensities.items()}
@@ -276,10 +250,6 @@ def _make_correction(step: Step, nx: int, nu: int, ny: int, constants: int) -> c
     return ca.Function("correct", symbols, [ca.vertcat(moments.x, to_lower_triangle(moments.P))])
 
 
-def _no_coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.zeros((1, 0)), np.zeros((1, 0, len(which)))
-
-
 def _find_noise(
     plant: Plant, noise: Mapping[str, float] | None, process_noise: Mapping[str, float] | None
 ) -> tuple[Plant, dict[str, float]]:
@@ -289,10 +259,12 @@ def _find_noise(
     if process_noise is not None:
         _check_names(model, process_noise, [s.name for s in model.all_states], "state")
         return Plant(model.with_process_noise(**process_noise), fit, plant.findings), known
+    # What the model states goes before what records show.
     if any(model.noise_intensities.values()):
         return plant, known
     if fit is not None and fit.traces:
         options: FitOptions = restore_integration_options(fit)
+        # The most likely intensities for the residual of the fit, as a prediction takes them.
         correction = identify_correction(FixedParameterModel(model, known, options), [t.experiment for t in fit.traces])
         if correction.kind is CorrectionKind.ESTIMATED_KALMAN_FILTER:
             return Plant(correction.model, fit, plant.findings), dict(correction.noise) if noise is None else known
@@ -321,16 +293,20 @@ def _first_covariance(interval: DiscreteStep, initial_std: Mapping[str, float] |
     nx = len(names)
     if initial_std is not None:
         _check_names(interval.model, initial_std, names, "state")
+        # Independent of each other; a state that is not named is known exactly.
         return np.diag([initial_std.get(name, 0.0) ** 2 for name in names])
     if step.per_interval:
+        # Q of one interval, exactly: integral of Phi W Phi' over it.
         lower = discretise_process_noise(system)(interval.p, np.array([dt]), NONE)[0][0]
         return to_symmetric_arrays(lower, nx)
     u, q, h = ca.SX.sym("u", step.advance.size1_in(1)), ca.SX.sym("q", step.advance.size1_in(3)), ca.SX.sym("h")
+    # Of a Runge-Kutta step: through the same substeps as the state.
     noise = ca.Function("noise", [system.x, u, q, system.p, h], [compute_interval_noise(step, system, u, q, h)])
     return np.asarray(noise(interval.x0, 0, interval.coefficients(), interval.p, dt))
 
 
-def _name_signals(model: Model) -> ObserverSignals:
+def _name_signals(model: Model) -> SteppedSignals:
+    """Inputs of the plant and its measurements in, states and their covariance kept, estimates and their deviations out."""
     states = list(model.all_states)
     measured = tuple(
         Input(f"measured_{o.name}", o.unit, description=f"measurement of {o.name}, NaN if missing")
@@ -343,7 +319,7 @@ def _name_signals(model: Model) -> ObserverSignals:
         for j, b in enumerate(states)
         for a in states[j:]
     )
-    return ObserverSignals(
+    return SteppedSignals(
         f"{model.title}, observer",
         f"{model.name}_observer",
         f"Kalman filter of {model.title}",
@@ -367,7 +343,7 @@ GATE = "({1} if {0} else 0.0)"
 
 def write_observer_class(observer: Observer) -> str:
     """The text of the file."""
-    signals = observer.corrected.interface
+    signals = observer.corrected.signals
     nx = len(observer.plant.model.all_states)
     state_names = [s.name for s in observer.plant.model.all_states]
     name = to_identifier(signals.name)
@@ -433,6 +409,7 @@ def _write_function(name: str, tape: Tape) -> list[str]:
         node = tape.nodes[k]
         if kind != "node":
             continue
+        # A negative number in brackets: it may stand behind a minus or a power.
         if node.op == ca.OP_CONST:
             texts[k] = f"({node.number!r})" if (node.number or 0.0) < 0 else repr(node.number)
         elif node.op == ca.OP_INPUT:

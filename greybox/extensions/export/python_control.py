@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,14 +14,14 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.texts import to_identifier, to_identifiers
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
+from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (
-    DiscreteStep,
     find_delay_parameters,
     make_discrete_step,
     name_past_inputs,
+    refuse_discontinuous,
 )
 from greybox.model.model import Model
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
@@ -76,6 +76,7 @@ def to_control(
     """
     if form not in FORMS:
         raise ModelError(f"unknown form {form!r}; {nearest(form, FORMS)}")
+    # Options that would change nothing are refused, not ignored.
     given = (("at", at), ("delay", delay), ("minimal", minimal), ("method", method != "zoh"), ("dt", dt is not None))
     if isinstance(plant, Linearisation):
         unused = [name for name, value in given if value and name != "minimal"]
@@ -174,6 +175,7 @@ def to_transfer_function(model: Linearisation, pade: int = 4) -> Any:
     import control
 
     finite = approximate_delays(model, pade) if model.delay.any() else model
+    # Channel by channel: a pole that one channel does not see is cancelled there and stays elsewhere.
     rows = [[extract_channel(finite, o, i) for i in finite.input_names] for o in finite.output_names]
 
     def each(of: str) -> list[list[np.ndarray]]:
@@ -200,19 +202,24 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
 
     The phase of an approximation of order n is right to within a degree up to ``w delay`` of about ``1.6 n - 1``.
     """
+    import control
+    from scipy.signal import tf2ss  # half a second to import
+
     if not 1 <= order <= LARGEST_PADE_ORDER:
         raise ModelError(f"order {order} of a Pade approximation: give 1 to {LARGEST_PADE_ORDER}")
-    unit = _pade(order)
+    # Of a delay of one second; another delay only changes the unit of time.
+    unit = tf2ss(*control.pade(1.0, order))
     A, B, C, D = model.A, model.B.copy(), model.C, model.D.copy()
     names, units, findings = list(model.state_names), list(model.state_units), list(model.findings)
     for j, seconds in enumerate(model.delay):
         if not seconds:
             continue
         # P(s T): time in units of the delay divides A and B by it.
-        a, b, c, d = unit[0] / seconds, unit[1] / seconds, unit[2], unit[3]
+        a, b, c, d = unit[0] / seconds, unit[1] / seconds, unit[2], float(unit[3][0, 0])
         corner = np.zeros((len(a), len(A)))
         # u_late = c x_d + d u enters where u did: B_j c beside A, B_j d in its own column.
         A = np.block([[A, np.outer(B[:, j], c)], [corner, a]])
+        # y = C x + D_j (c x_d + d u)
         C = np.hstack([C, np.outer(D[:, j], c)])
         D[:, j] *= d
         B = np.vstack([B, np.zeros((len(a), B.shape[1]))])
@@ -237,15 +244,6 @@ def approximate_delays(model: Linearisation, order: int) -> Linearisation:
         rates=np.append(model.rates, np.zeros(extra)),
         findings=tuple(findings),
     )
-
-
-def _pade(order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """State space of the Pade approximation of a delay of one second; another delay only changes the unit of time."""
-    import control
-    from scipy.signal import tf2ss  # half a second to import
-
-    a, b, c, d = tf2ss(*control.pade(1.0, order))
-    return a, b, c, float(d[0, 0])
 
 
 # ---- The nonlinear model ----
@@ -278,93 +276,44 @@ def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps
     --------
     >>> system = gb.export.to_nonlinear_system(fit, 1e-3)  # doctest: +SKIP
     """
+    import control
+
     source = to_plant(plant)
-    return (
-        _make_continuous(source)
-        if dt is None
-        else _make_sampled(source, make_discrete_step(source, dt, substeps=substeps))
-    )
+    model, s = source.model, source.model.system
+    nx, nu = s.x.numel(), s.u.numel()
+    # Constants that may be changed, under names that control systems allow: a delay decides how many states there are.
+    named = dict(zip(to_identifiers(s.parameter_names), map(float, source.p), strict=True))
+    late = find_delay_parameters(model)
+    free = {name: v for (name, v), true in zip(named.items(), s.parameter_names, strict=True) if true not in late}
+    step = None if dt is None else make_discrete_step(source, dt, substeps=substeps)
+    if step is None:
+        refuse_discontinuous(model)
 
-
-def find_discontinuous_effects(model: Model) -> list[str]:
-    """Effects of ``model`` that ordinary differential equations cannot hold, each with the reason."""
-    s = model.system
-    return [
-        *(f"{d.effect} (it sticks: the velocity stays at zero for a while)" for d in s.dry),
-        *(f"{u.effect} (its state {s.state_names[u.state]!r} is set, it has no rate)" for u in s.updates),
-        *(f"{d.effect} (it needs earlier values of the input)" for d in s.delays),
-    ]
-
-
-def _make_continuous(plant: Plant) -> Any:
-    import control
-
-    model, s = plant.model, plant.model.system
-    beyond = find_discontinuous_effects(model)
-    if beyond:
-        raise ModelError(
-            f"{model.title} is not an ordinary differential equation: {', '.join(beyond)}; give dt for a sampled system that contains it"
-        )
-    rates, outputs = s.rhs_function, s.output_function
-    parameters, values = _changeable_parameters(plant)
+    def given(x: Any, u: Any, params: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        p = np.array([params.get(name, value) for name, value in named.items()])
+        return np.asarray(x, float).ravel(), np.asarray(u, float).ravel()[:nu], p
 
     def update(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
-        return rates(_as_row(x, s.x.numel()), _as_row(u, s.u.numel()), values(params)).full().ravel()
+        x, u, p = given(x, u, params)
+        if step is None:
+            return s.rhs_function(x[:nx], u, p).full().ravel()
+        after = step.advance(x[:nx], x[nx:], u, p)
+        # The earlier inputs move back by one sample.
+        return np.concatenate([after, u[[step.late_input]], x[nx:-1]]) if step.past else after
 
     def read(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
-        return outputs(_as_row(x, s.x.numel()), _as_row(u, s.u.numel()), values(params)).full().ravel()
+        x, u, p = given(x, u, params)
+        if step is None:
+            return s.output_function(x[:nx], u, p).full().ravel()
+        return step.outputs(x[:nx], x[nx:], u, p)
 
     return control.NonlinearIOSystem(
         update,
         read,
         inputs=to_identifiers(s.input_names),
         outputs=to_identifiers(s.output_names),
-        states=to_identifiers(s.state_names),
-        params=parameters,
+        states=to_identifiers([*s.state_names, *(name_past_inputs(step) if step else [])]),
+        params=free,
         name=to_identifier(model.title),
+        **({"dt": step.dt} if step else {}),
     )
-
-
-def _make_sampled(plant: Plant, step: DiscreteStep) -> Any:
-    import control
-
-    model, s = plant.model, plant.model.system
-    nx, column = s.x.numel(), step.late_input
-    parameters, values = _changeable_parameters(plant)
-
-    def update(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
-        x, u = np.asarray(x, float).ravel(), _as_row(u, s.u.numel())
-        after = step.advance(x[:nx], x[nx:], u, values(params))
-        return np.concatenate([after, u[[column]], x[nx:-1]]) if step.past else after
-
-    def read(t: float, x: Any, u: Any, params: Mapping[str, float]) -> np.ndarray:
-        x = np.asarray(x, float).ravel()
-        return step.outputs(x[:nx], x[nx:], _as_row(u, s.u.numel()), values(params))
-
-    return control.NonlinearIOSystem(
-        update,
-        read,
-        inputs=to_identifiers(s.input_names),
-        outputs=to_identifiers(s.output_names),
-        states=to_identifiers([*s.state_names, *name_past_inputs(step)]),
-        params=parameters,
-        name=to_identifier(model.title),
-        dt=step.dt,
-    )
-
-
-def _as_row(values: Any, size: int) -> np.ndarray:
-    return np.asarray(values, float).ravel()[:size]
-
-
-def _changeable_parameters(plant: Plant) -> tuple[dict[str, float], Callable[[Mapping[str, float]], np.ndarray]]:
-    """The constants that may be changed, under names that control systems allow, and how they become an array again."""
-    names, fixed = plant.model.system.parameter_names, find_delay_parameters(plant.model)
-    parameters = dict(zip(to_identifiers(names), map(float, plant.p), strict=True))
-
-    def values(params: Mapping[str, float]) -> np.ndarray:
-        return np.array([params.get(name, value) for name, value in parameters.items()])
-
-    return {
-        name: value for (name, value), true in zip(parameters.items(), names, strict=True) if true not in fixed
-    }, values

@@ -23,7 +23,7 @@ from greybox.model.equations import equations_text
 from greybox.model.expressions.printer import NUMPY, PYTHON, Printer
 from greybox.model.model import Model
 from greybox.model.python_text import INDENT, balance, call, docstring, items, keywords, literal, signal
-from greybox.model.signals import NamedValues, Parameter, State, names_by_role
+from greybox.model.signals import NamedValues, State, names_by_role
 from greybox.model.system import BoundEffect, named_symbols
 from greybox.model.validation import Rule
 
@@ -73,6 +73,7 @@ def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
         For an equation that cannot be written.
     """
     target = Path(path).with_suffix(".py")
+    # An observer needs no greybox where it runs.
     text = write_observer_class(plant) if isinstance(plant, Observer) else python_text(to_plant(plant))
     return write_file(target, text)
 
@@ -81,20 +82,16 @@ def python_text(plant: Plant) -> str:
     """The text of the file."""
     model, name = plant.model, to_identifier(plant.model.name)
     # The body first: what is imported follows from what it names.
-    text = "\n".join([*_balances(model), "", f"{name} = {_model(plant)}", *_additions(model, name)])
+    printer = Printer(PYTHON, _plant_names(model))
+    balances = model.balances(*_plant_symbols(model))
+    # Counted over all balances: what several of them use is written once, before them.
+    printer.count_uses(value for b in balances for value in (b.storage, *b.terms.values()))
+    rows = items("[", [balance(b, b.state, printer, 2) for b in balances], "]", 1)
+    shared = [f"{INDENT}{part} = {value}" for part, value in printer.shared]
+    equations = ["def balances(x, u, p):", *shared, f"{INDENT}return {rows}", "", ""]
+    text = "\n".join([*equations, f"{name} = {_model(plant)}", *_additions(model, name)])
+    # Only what the text calls is imported.
     imports = [word for word in PUBLIC if f"{word}(" in text]
-    lines = [*_docstring(plant), ""]
-    if "math." in text:
-        lines += ["import math", ""]
-    third_party = ["import casadi as ca"] * ("ca." in text) + ["import numpy as np"] * ("np." in text)
-    lines += [*third_party, *[""] * bool(third_party), f"from greybox import {', '.join(imports)}"]
-    if "Rule(" in text:
-        lines.append("from greybox.model import Rule")
-    return "\n".join([*lines, "", "", text, ""])
-
-
-def _docstring(plant: Plant) -> list[str]:
-    model = plant.model
     title = f"{model.title}: {model.description}" if model.description else model.title
     source = [f"Source: {model.source}"] if model.source else []
     left_out = [
@@ -102,10 +99,15 @@ def _docstring(plant: Plant) -> list[str]:
         for rule in model.rules
         if not _rule(rule, model)
     ]
-    return docstring(
-        f"{title}.",
-        [equations_text(model).splitlines(), source, [*plant.origin(), *map(str, plant.findings), *left_out]],
-    )
+    origin = [*plant.origin(), *map(str, plant.findings), *left_out]
+    lines = [*docstring(f"{title}.", [equations_text(model).splitlines(), source, origin]), ""]
+    if "math." in text:
+        lines += ["import math", ""]
+    third_party = ["import casadi as ca"] * ("ca." in text) + ["import numpy as np"] * ("np." in text)
+    lines += [*third_party, *[""] * bool(third_party), f"from greybox import {', '.join(imports)}"]
+    if "Rule(" in text:
+        lines.append("from greybox.model import Rule")
+    return "\n".join([*lines, "", "", text, ""])
 
 
 def _plant_symbols(model: Model) -> tuple[NamedValues, NamedValues, NamedValues]:
@@ -122,16 +124,6 @@ def _plant_names(model: Model) -> dict[str, str]:
     return {s.name: f"{letter}.{s.name}" for letter, group in groups for s in group}
 
 
-def _balances(model: Model) -> list[str]:
-    stated = model.balances(*_plant_symbols(model))
-    printer = Printer(PYTHON, _plant_names(model))
-    # Counted over all balances: what several of them use is written once, before them.
-    printer.count_uses(value for b in stated for value in (b.storage, *b.terms.values()))
-    rows = [balance(b, b.state, printer, 2) for b in stated]
-    shared = [f"{INDENT}{name} = {text}" for name, text in printer.shared]
-    return ["def balances(x, u, p):", *shared, f"{INDENT}return {items('[', rows, ']', 1)}", ""]
-
-
 def _model(plant: Plant) -> str:
     model = plant.model
     x, u, p = _plant_symbols(model)
@@ -139,16 +131,22 @@ def _model(plant: Plant) -> str:
     def write(value: Any) -> str:
         return Printer(PYTHON, _plant_names(model)).write(value)
 
+    # Functions are called with symbols: what they return is their equation, whatever way they were written.
     states = [signal(s, 2, written=_functions_of(s, lambda f: write(f(p)))) for s in model.states]
     outputs = [
         signal(o, 2, written={"equation": f"lambda x, u, p: {write(o.equation(x, u, p))}"} if o.equation else None)
         for o in model.outputs
     ]
+    # What was estimated says by which fit.
+    stated = {tie.name for tie in model.ties} | {q.name for q in model.parameters if q.fixed or plant.fit is None}
+    parameters = [
+        signal(q if q.name in stated else replace(q, source=plant.provenance(q.name)), 2) for q in model.parameters
+    ]
     lists = {
         "states": states,
         "inputs": [signal(i, 2) for i in model.inputs],
         "outputs": outputs,
-        "parameters": [signal(_with_provenance(plant, q), 2) for q in model.parameters],
+        "parameters": parameters,
     }
     arguments = [literal(model.name), *(f"{key}={items('[', entries, ']', 1)}" for key, entries in lists.items())]
     arguments.append("balances=balances")
@@ -167,13 +165,6 @@ def _functions_of(state: State, write: Callable[[Callable[..., Any]], str]) -> d
     return {name: f"lambda p: {write(function)}" for name, function in functions.items() if callable(function)}
 
 
-def _with_provenance(plant: Plant, q: Parameter) -> Parameter:
-    tied = {tie.name for tie in plant.model.ties}
-    if plant.fit is None or q.fixed or q.name in tied:
-        return q
-    return replace(q, source=plant.provenance(q.name))
-
-
 def _rule(rule: Rule, model: Model) -> str:
     """A rule as the call that makes it; empty for one whose function cannot be written out (it only refuses values)."""
     p = _plant_symbols(model)[2]
@@ -182,6 +173,7 @@ def _rule(rule: Rule, model: Model) -> str:
         margin = Printer(NUMPY, _plant_names(model) | {OUTPUT_VALUE: "value"}).write(
             rule.margin(value, p) if rule.output else rule.margin(p)
         )
+    # A rule may look at numbers (a table, a comparison) that symbols do not have.
     except (GreyboxError, NotImplementedError, RuntimeError, TypeError):
         return ""
     head = "lambda value, p: " if rule.output else "lambda p: "
@@ -191,20 +183,19 @@ def _rule(rule: Rule, model: Model) -> str:
 
 def _additions(model: Model, name: str) -> list[str]:
     """Statements that bring the plant called ``name`` to the model: effects, the values and bounds of their parameters, ties."""
-    catalogued = {
-        b.effect.name: entry for b in model.bound_effects if (entry := _catalogue_entry(b.effect)) is not None
-    }
     lines = []
     wider: dict[str, str] = {}
     bounds: dict[str, str] = {}
     values: dict[str, str] = {}
     fixed: list[str] = []
     for b in model.bound_effects:
-        entry = catalogued.get(b.effect.name)
+        entry = _catalogue_entry(b.effect)
+        # An effect of its own comes with its constants as they stand.
         if entry is None:
             lines.append(f"{name} = {name} + {_effect(b, model)}")
             continue
         lines.append(f"{name} = {name} + {call('effect', [literal(b.effect.name)])}")
+        # Of one of the catalogue only what differs from it is said.
         stated = {q.name: q for q in entry.parameters}
         for inner, outer in zip(b.effect.parameters, b.parameters, strict=True):
             (low, high), value = stated[inner.name].bounds, float(inner.value)
@@ -232,6 +223,7 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
     """The entry of the catalogue that ``effect`` is, values and bounds aside; None if it is another."""
 
     def parts(e: Effect) -> tuple[Any, ...]:
+        # What makes it the same effect: its parts and its functions, not the values of its constants.
         names = [q.name for q in e.parameters], [s.name for s in e.states]
         return e.name, e.site, *names, *(getattr(e, hook) for hook in HOOKS)
 
@@ -243,8 +235,25 @@ def _catalogue_entry(effect: Effect) -> Effect | None:
 
 def _effect(bound: BoundEffect, model: Model) -> str:
     """An effect as the call that makes it, each of its functions written out."""
-    effect, (x, u, p) = bound.effect, _effect_symbols(bound, model)
-    printer = Printer(PYTHON, _effect_names(bound, model))
+    effect = bound.effect
+    # States, inputs and parameters as the effect's functions see them.
+    roles = names_by_role((*model.states, *model.inputs, *model.parameters))
+    x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
+    u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
+    p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
+    x = bound.placed.sees_states(x.replaced({"sensor": ca.SX.sym(SENSOR)}))
+    u = bound.placed.sees_inputs(u)
+    at_rest = {"sensor": ca.SX.sym(SENSOR_AT_REST), "displacement": ca.SX.sym(DISPLACEMENT_AT_REST)}
+    p = bound.placed.sees_parameters(p.replaced(at_rest))
+    # What each symbol is called in them: the effect's own names come first.
+    names = {SENSOR: "x.sensor", SENSOR_AT_REST: "p.sensor", TRANSFORMED: "value"}
+    names[DISPLACEMENT_AT_REST] = "p.displacement"
+    effect_names = {outer: inner for inner, outer in bound.model_names.items()}
+    for letter, group in (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters)):
+        for s in group:
+            name = effect_names.get(s.name, s.name)
+            names[s.name] = f"{letter}.{name}" if name.isidentifier() else f"{letter}[{literal(name)}]"
+    printer = Printer(PYTHON, names)
     value = ca.SX.sym(TRANSFORMED)
     parameters = [
         signal(replace(outer, name=inner.name), 2)
@@ -274,6 +283,7 @@ def _effect(bound: BoundEffect, model: Model) -> str:
 
 def _returned(hook: str, value: Any, printer: Printer) -> str:
     """What a function of an effect returns, as text."""
+    # Dry friction has two levels: while it slides, and at standstill.
     if hook == "dry":
         return f"DryFriction({printer.write(value.sliding)}, {printer.write(value.static)})"
     if hook == "balances":
@@ -282,30 +292,6 @@ def _returned(hook: str, value: Any, printer: Printer) -> str:
         entries = [f"{literal(str(key))}: {_returned(hook, entry, printer)}" for key, entry in value.items()]
         return "{" + ", ".join(entries) + "}"
     return printer.write(value)
-
-
-def _effect_symbols(bound: BoundEffect, model: Model) -> tuple[NamedValues, NamedValues, NamedValues]:
-    """States, inputs and parameters as the effect's functions see them."""
-    roles = names_by_role((*model.states, *model.inputs, *model.parameters))
-    x = NamedValues("state", {s.name: ca.SX.sym(s.name) for s in model.all_states}, roles)
-    u = NamedValues("input", {i.name: ca.SX.sym(i.name) for i in model.inputs}, roles)
-    p = NamedValues("parameter", {q.name: ca.SX.sym(q.name) for q in model.stated_parameters}, roles)
-    x = x.replaced({"sensor": ca.SX.sym(SENSOR)})
-    p = p.replaced({"sensor": ca.SX.sym(SENSOR_AT_REST), "displacement": ca.SX.sym(DISPLACEMENT_AT_REST)})
-    return bound.placed.sees_states(x), bound.placed.sees_inputs(u), bound.placed.sees_parameters(p)
-
-
-def _effect_names(bound: BoundEffect, model: Model) -> dict[str, str]:
-    """What each symbol is called inside the effect's functions: its own names come first."""
-    effect_names = {outer: inner for inner, outer in bound.model_names.items()}
-    groups = (("x", model.all_states), ("u", model.inputs), ("p", model.stated_parameters))
-    names = {SENSOR: "x.sensor", SENSOR_AT_REST: "p.sensor", TRANSFORMED: "value"}
-    names[DISPLACEMENT_AT_REST] = "p.displacement"
-    for letter, group in groups:
-        for s in group:
-            name = effect_names.get(s.name, s.name)
-            names[s.name] = f"{letter}.{name}" if name.isidentifier() else f"{letter}[{literal(name)}]"
-    return names
 
 
 TARGET = ExportTarget("a Python model file", ".py", to_python, options=frozenset(["observer"]))

@@ -18,20 +18,4 @@ if TYPE_CHECKING:
     from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
     from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 
-__getattr__, __all__ = lazy_face(
-    __name__,
-    {
-        "greybox.extensions.fmu.description": ("FmuPlant", "FmuVariable", "read_fmu"),
-        "greybox.extensions.fmu.effects": (
-            "FmuDiscovery",
-            "FmuEffectFit",
-            "PreparedFmu",
-            "compare_fmu",
-            "discover_fmu",
-            "fit_fmu_effects",
-            "prepare_fmu",
-        ),
-        "greybox.extensions.fmu.fit_fmu": ("FmuFit", "fit_fmu"),
-        "greybox.extensions.fmu.simulator": ("FmuRunError", "FmuSimulator"),
-    },
-)
+__getattr__, __all__ = lazy_face(__name__)

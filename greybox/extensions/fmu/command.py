@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,7 +109,6 @@ def _fit(
     from greybox.data.read import read_experiments
     from greybox.extensions.fmu.description import read_fmu
     from greybox.extensions.fmu.fit_fmu import fit_fmu
-    from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT
 
     idle = [
         study.label(name)
@@ -147,7 +145,7 @@ def _fit(
         fixed={name: value for name, value in study.fixed.items() if value is not None},
         noise=dict(study.noise) or None,
         validation=validation,
-        policy=DEFAULT_FMU_FIT if search else replace(DEFAULT_FMU_FIT, shares=(), rounds=0),
+        search=search,
     )
     return result, records, validation, folder
 

@@ -165,22 +165,19 @@ def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = No
             raise ModelError(f"{file.name}: no real variable {name!r}; {nearest(name, list(by_name))}")
     if not measured:
         raise ModelError(f"{file.name}: it has no output; name a variable that is measured (outputs=[...])")
-    settable = [v for v in scalars if _is_settable(v)]
+    # What can be set before a run: parameters, and exact starts of states.
+    settable = [
+        v
+        for v in scalars
+        if (v.causality in ("parameter", "structuralParameter") and v.variability in (None, "fixed", "tunable"))
+        or (v.causality in (None, "local") and v.initial == "exact" and v.variability == "continuous")
+    ]
     groups = ([v for v in scalars if v.causality == "input"], [v for v in scalars if v.name in measured], settable)
     labels = iter(to_identifiers([v.name for group in groups for v in group]))
     inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
     # With its own solver, where it brings one.
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
     return FmuPlant(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
-
-
-def _is_settable(variable: Any) -> bool:
-    """Whether a real variable can be set before a run: a parameter, or an exact start of a state."""
-    if variable.causality in ("parameter", "structuralParameter"):
-        return variable.variability in (None, "fixed", "tunable")
-    return (
-        variable.causality in (None, "local") and variable.initial == "exact" and variable.variability == "continuous"
-    )
 
 
 # Bounds of a variable beyond it are none: tools write the largest number there.
@@ -197,17 +194,12 @@ def _to_variable(variable: Any, label: str) -> FmuVariable:
 
     declared = getattr(variable, "declaredType", None)
     unit = variable.unit or getattr(declared, "unit", None) or "1"
+    try:
+        unit_converter(str(unit), str(unit))
+    except ModelError:  # of a unit that none converts, records are read as plain numbers
+        unit = "1"
     bounds = (number(variable.min, -math.inf), number(variable.max, math.inf))
     is_initial = variable.causality in (None, "local")
     # A start that is not stated counts as zero.
     start, text = number(variable.start, 0.0), variable.description or ""
-    return FmuVariable(variable.name, label, _known_unit(str(unit)), text, start, bounds, is_initial)
-
-
-def _known_unit(unit: str) -> str:
-    """The unit, or "1" where it is none that converts."""
-    try:
-        unit_converter(unit, unit)
-    except ModelError:
-        return "1"
-    return unit
+    return FmuVariable(variable.name, label, str(unit), text, start, bounds, is_initial)

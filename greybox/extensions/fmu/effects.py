@@ -27,11 +27,15 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
 from greybox.extensions.fmu.description import FmuPlant
-from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, choose_sizes, compute_misfits
-from greybox.extensions.fmu.linear_response import estimate_linear_response
-from greybox.extensions.fmu.local_model import LocalModel, build_local_model, collect_runs, extend_record, name_arriving
-from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
-from greybox.extensions.fmu.search import FmuObjective
+from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, FmuObjective, choose_sizes, compute_misfits
+from greybox.extensions.fmu.local_model import (
+    LocalModel,
+    build_local_model,
+    collect_runs,
+    estimate_linear_response,
+    extend_record,
+    name_arriving,
+)
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.model.effect import Effect
 from greybox.model.model import Model
@@ -175,8 +179,6 @@ def prepare_fmu(
     result: FmuFit,
     estimation: Experiment | Sequence[Experiment],
     validation: Experiment | Sequence[Experiment] = (),
-    *,
-    policy: FmuFitPolicy = DEFAULT_FMU_FIT,
 ) -> PreparedFmu:
     """A fitted FMU as a model that can be checked, compared and searched for effects like any other.
 
@@ -186,10 +188,6 @@ def prepare_fmu(
         The fit, see `fit_fmu`.
     estimation, validation
         The records.
-    policy
-        How the FMU is run.
-    response
-        How its answer to the inputs is found.
 
     Returns
     -------
@@ -202,8 +200,8 @@ def prepare_fmu(
         Where the FMU does not run over a validation record.
     """
     records, others = as_records(estimation), as_records(validation)
-    with FmuSimulator(result.plant, policy) as simulator:
-        objective, z = _restore_objective(result, simulator, records, policy)
+    with FmuSimulator(result.plant) as simulator:
+        objective, z = _restore_objective(result, simulator, records)
         longest = max(records, key=lambda record: record.rows)
         answer = estimate_linear_response(simulator, objective.settings(z), longest)
         local = build_local_model(objective, z, answer)
@@ -224,7 +222,6 @@ def fit_fmu_effects(
     *,
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
-    policy: FmuFitPolicy = DEFAULT_FMU_FIT,
 ) -> FmuEffectFit:
     """Fit effects together with the parameters of the FMU, which is run with them.
 
@@ -241,10 +238,6 @@ def fit_fmu_effects(
         Start values of the effects' parameters.
     noise
         Output -> standard deviation of its sensor.
-    policy
-        How the FMU is run.
-    response
-        When both agree.
 
     Returns
     -------
@@ -259,8 +252,8 @@ def fit_fmu_effects(
     result, local, records = prepared.fit, prepared.local, prepared.estimation
     values = dict(start or {})
     std = dict(noise) if noise else None
-    with FmuSimulator(result.plant, policy) as simulator:
-        objective, z = _restore_objective(result, simulator, prepared.records, policy)
+    with FmuSimulator(result.plant) as simulator:
+        objective, z = _restore_objective(result, simulator, prepared.records)
         agrees, rounds = False, 0
         while not agrees and rounds < FMU_RESPONSE_ROUNDS:
             rounds += 1
@@ -301,7 +294,6 @@ def discover_fmu(
     *,
     noise: Mapping[str, float] | None = None,
     effects: Sequence[Effect] | None = None,
-    policy: FmuFitPolicy = DEFAULT_FMU_FIT,
     discovery: DiscoveryPolicy | None = None,
     **options: Any,
 ) -> FmuDiscovery:
@@ -315,10 +307,6 @@ def discover_fmu(
         Output -> standard deviation of its sensor.
     effects
         The only candidates, instead of those of the catalogue.
-    policy
-        How the FMU is run.
-    response
-        When the FMU and its local model agree.
     discovery
         The decision numbers of the search.
     options
@@ -352,7 +340,7 @@ def discover_fmu(
         plain = {q.name for q in about.local.model.parameters}
         start = {name: value for name, value in answer.best.model.values.items() if name not in plain}
         try:
-            return answer, fit_fmu_effects(about, chosen, start=start, noise=noise, policy=policy)
+            return answer, fit_fmu_effects(about, chosen, start=start, noise=noise)
         except FmuRunError:
             return answer, None
 
@@ -432,12 +420,12 @@ def compare_fmu(
 
 
 def _restore_objective(
-    result: FmuFit, simulator: FmuSimulator, records: Sequence[Experiment], policy: FmuFitPolicy
+    result: FmuFit, simulator: FmuSimulator, records: Sequence[Experiment]
 ) -> tuple[FmuObjective, np.ndarray]:
     unknowns = [result.plant.find(name) for name in result.parameters]
     values = np.array([e.value for e in result.parameters.values()])
     sizes = choose_sizes(unknowns, values)
-    return FmuObjective(simulator, unknowns, result.given, records, result.std, policy, sizes), values / sizes
+    return FmuObjective(simulator, unknowns, result.given, records, result.std, sizes), values / sizes
 
 
 def _extend(
@@ -469,32 +457,25 @@ def _apply(
         return tuple(records)
     result = []
     for record, full in zip(records, extended, strict=True):
-        fine = _refine(full, FMU_RESPONSE_REFINED)
-        run = simulate(model, fine)
+        # The record with so many rows for each of its own.
+        parts, steps = FMU_RESPONSE_REFINED, np.append(full.intervals, full.intervals[-1:])
+        time = (full.time[:, None] + steps[:, None] * np.arange(parts) / parts).ravel()
+        held = full.hold == "zero"
+        inputs = {n: np.repeat(v, parts) if held else np.interp(time, full.time, v) for n, v in full.inputs.items()}
+        run = simulate(model, Experiment(full.name, time, inputs, {}, full.hold))
         arriving = {}
         for name in labels:
             values = run.outputs[name_arriving(name)]
             if record.hold == "zero":
                 ends = np.append(values[1:], values[-1:])
                 # At a row of the record a step belongs to the interval that begins there.
-                is_last = np.arange(len(values)) % FMU_RESPONSE_REFINED == FMU_RESPONSE_REFINED - 1
+                is_last = np.arange(len(values)) % parts == parts - 1
                 means = np.where(is_last, values, (values + ends) / 2)
                 arriving[name] = means.reshape(record.rows, -1).mean(axis=1)
             else:
-                arriving[name] = values[::FMU_RESPONSE_REFINED]
+                arriving[name] = values[::parts]
         result.append(replace(record, inputs={**record.inputs, **arriving}))
     return tuple(result)
-
-
-def _refine(record: Experiment, parts: int) -> Experiment:
-    """The record with so many rows for each of its own."""
-    steps = np.append(record.intervals, record.intervals[-1:])
-    time = (record.time[:, None] + steps[:, None] * np.arange(parts) / parts).ravel()
-    if record.hold == "zero":
-        inputs = {name: np.repeat(values, parts) for name, values in record.inputs.items()}
-    else:
-        inputs = {name: np.interp(time, record.time, values) for name, values in record.inputs.items()}
-    return Experiment(record.name, time, inputs, {}, record.hold)
 
 
 def _add(model: Model, effects: Sequence[Effect]) -> Model:

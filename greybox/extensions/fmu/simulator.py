@@ -10,16 +10,17 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from ctypes import c_double
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
+from xml.etree import ElementTree
 
 import numpy as np
 
 from greybox.base.errors import GreyboxError, OutputError, shorten
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuPlant, FmuVariable
-from greybox.extensions.fmu.policy import DEFAULT_FMU_FIT, FmuFitPolicy
-from greybox.extensions.fmu.sensitivities import SensitivityRunner, has_directional_derivatives
 
 
 @contextlib.contextmanager
@@ -66,12 +67,10 @@ class FmuSimulator:
     ----------
     plant
         The FMU.
-    policy
-        How exactly it is solved.
     """
 
-    def __init__(self, plant: FmuPlant, policy: FmuFitPolicy = DEFAULT_FMU_FIT) -> None:
-        self.plant, self.policy = plant, policy
+    def __init__(self, plant: FmuPlant) -> None:
+        self.plant = plant
         self.runs = self.failures = self.rows = 0
         self._folder: str | None = None
         self._description: Any = None
@@ -149,6 +148,17 @@ class FmuSimulator:
     def _simulate(self, experiment: Experiment, time: np.ndarray, step: float, values: Mapping[str, float]) -> Any:
         import fmpy
 
+        table = None
+        if self.plant.inputs:
+            rows = np.column_stack([time, *(experiment.inputs[i.label] for i in self.plant.inputs)])
+            if experiment.hold == "zero" and self.plant.kind == "ModelExchange":
+                # The held value again at the end of its interval: two rows of one time are a step.
+                held = np.empty((2 * len(rows) - 1, rows.shape[1]))
+                held[::2], held[1::2] = rows, rows[:-1]
+                held[1::2, 0] = time[1:]
+                rows = held
+            names = [("time", float), *((i.name, float) for i in self.plant.inputs)]
+            table = np.array([tuple(row) for row in rows], dtype=names)
         with _silence() as lost:
             if self._instance is None:
                 self._instance = fmpy.instantiate_fmu(self._folder, self._description, self.plant.kind)
@@ -170,7 +180,7 @@ class FmuSimulator:
                 record_events=False,
                 fmi_type=self.plant.kind,
                 start_values=dict(values),
-                input=self._write_inputs(experiment, time),
+                input=table,
                 output=[o.name for o in self.plant.outputs],
                 model_description=self._description,
                 fmu_instance=self._instance,
@@ -182,10 +192,26 @@ class FmuSimulator:
 
     @property
     def has_derivatives(self) -> bool:
-        """Whether the FMU has directional derivatives that can be used, and they have not failed so far."""
+        """Whether the FMU has directional derivatives that can be used, and they have not failed so far.
+
+        They can be for model exchange, with nothing that switches, in several instances.
+        """
         if self._may_differentiate is None:
             assert self._folder is not None  # asked inside the context alone
-            self._may_differentiate = has_directional_derivatives(self._folder, self._description, self.plant.kind)
+            description, exchange = self._description, self._description.modelExchange
+            is_usable = (
+                self.plant.kind == "ModelExchange"
+                and exchange is not None
+                and not exchange.canBeInstantiatedOnlyOncePerProcess
+                and description.numberOfContinuousStates
+                and not description.numberOfEventIndicators
+            )
+            # fmpy does not read the attribute of FMI 3, which is a plural.
+            root = ElementTree.parse(Path(self._folder) / "modelDescription.xml").getroot()
+            element = root.find("ModelExchange")
+            names = ("providesDirectionalDerivative", "providesDirectionalDerivatives")
+            is_said = element is not None and any(element.get(name) in ("true", "1") for name in names)
+            self._may_differentiate = bool(is_usable and is_said)
         return self._may_differentiate
 
     def differentiate(
@@ -221,10 +247,8 @@ class FmuSimulator:
         self.runs += 1
         self.rows += experiment.rows * (1 + len(unknowns))
         try:
-            with (
-                _silence() as lost,
-                SensitivityRunner(self._folder, self._description, self.plant, self.policy) as runner,
-            ):
+            runner = SensitivityRunner(self._folder, self._description, self.plant)
+            with _silence() as lost, contextlib.closing(runner):
                 run, slopes = runner.run(experiment, values, unknowns, widths)
             if lost:
                 raise lost[0]
@@ -240,31 +264,16 @@ class FmuSimulator:
             return None
         return slopes
 
-    def _write_inputs(self, experiment: Experiment, time: np.ndarray) -> np.ndarray | None:
-        if not self.plant.inputs:
-            return None
-        columns = [time, *(experiment.inputs[i.label] for i in self.plant.inputs)]
-        table = np.column_stack(columns)
-        if experiment.hold == "zero" and self.plant.kind == "ModelExchange":
-            # The held value again at the end of its interval: two rows of one time are a step.
-            held = np.empty((2 * len(table) - 1, table.shape[1]))
-            held[::2], held[1::2] = table, table[:-1]
-            held[1::2, 0] = time[1:]
-            table = held
-        names = [("time", float), *((i.name, float) for i in self.plant.inputs)]
-        return np.array([tuple(row) for row in table], dtype=names)
-
     def _follow_inputs(self, experiment: Experiment, time: np.ndarray) -> None:
         """Set the inputs wherever the solver asks for rates: by itself fmpy holds them over each of its steps."""
         instance, kind = self._instance, type(self._instance)
         known = {v.name: v.valueReference for v in self._description.modelVariables}
         references = [known[i.name] for i in self.plant.inputs]
         columns = [experiment.inputs[i.label] for i in self.plant.inputs]
-        write = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
 
         def set_time(at: float) -> Any:
             result = kind.setTime(instance, at)
-            write(references, [float(np.interp(at, time, column)) for column in columns])
+            _set(instance, references, [float(np.interp(at, time, column)) for column in columns])
             return result
 
         instance.setTime = set_time
@@ -274,3 +283,179 @@ class FmuSimulator:
             with contextlib.suppress(Exception), _silence():
                 self._instance.freeInstance()
             self._instance = None
+
+
+# Slopes of an FMU's outputs with respect to its parameters from its own directional derivatives.
+#
+# For model exchange alone: the states are integrated together with their sensitivities, ``S' = (df/dx) S + df/dp``. What the FMU has no
+# directional derivative for (most have none with respect to parameters) is a difference of rates between two instances at the same state,
+# which no solver scatters.
+
+# Runge-Kutta steps between two rows of a run with sensitivities.
+SENSITIVITY_STEPS = 4
+
+
+class SensitivityRunner:
+    """Runs an FMU with its sensitivities; `close` frees its instances.
+
+    Parameters
+    ----------
+    folder
+        The unpacked FMU.
+    description
+        As fmpy reads it.
+    plant
+        The FMU.
+    """
+
+    def __init__(self, folder: str, description: Any, plant: FmuPlant) -> None:
+        self.folder, self.description, self.plant = folder, description, plant
+        by_name = {v.name: v for v in description.modelVariables}
+        # Of each rate the state that it belongs to, as itself or as its number in the list.
+        derived = [d.variable.derivative for d in description.derivatives]
+        states = [description.modelVariables[s - 1] if isinstance(s, int) else s for s in derived]
+        self.states = [int(s.valueReference) for s in states]
+        self.rates = [d.variable.valueReference for d in description.derivatives]
+        self.inputs = [by_name[i.name].valueReference for i in plant.inputs]
+        self.outputs = [by_name[o.name].valueReference for o in plant.outputs]
+        # The instance at the values of the run, and one for each unknown, moved by its width.
+        self.base: Any = None
+        self.moved: list[tuple[Any, float]] = []
+        self._instances: list[Any] = []
+
+    def close(self) -> None:
+        """Free every instance."""
+        for instance in self._instances:
+            with contextlib.suppress(Exception):
+                instance.terminate()
+            with contextlib.suppress(Exception):
+                instance.freeInstance()
+        self._instances.clear()
+
+    def run(
+        self, record: Experiment, settings: Mapping[str, float], unknowns: Sequence[FmuVariable], widths: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) over a record, and their slopes (N, ny, n) with respect to the unknowns in their units.
+
+        Parameters
+        ----------
+        record
+            Its inputs drive the FMU.
+        settings
+            Variable -> value before the run, the unknowns among them.
+        unknowns
+            Parameters and initial states.
+        widths
+            Steps (n,) of differences, for what has no directional derivative.
+
+        Raises
+        ------
+        Exception
+            What the FMU or the library raises.
+        """
+        self.base = self._start(settings)
+        self.moved = [
+            (self._start({**settings, v.name: settings[v.name] + w}), w) for v, w in zip(unknowns, widths, strict=True)
+        ]
+        time = record.time - record.time[0]
+        u = np.column_stack([record.inputs[i.label] for i in self.plant.inputs] or [np.empty((record.rows, 0))])
+        x = self._read(self.base, "getContinuousStates")
+        # S(0) = dx(0)/dp: an instance that begins with the parameter moved shows it.
+        S = np.column_stack([(self._read(m, "getContinuousStates") - x) / w for m, w in self.moved])
+        outputs, slopes = [], []
+        for k in range(record.rows):
+            self._place(time[k], x, u[k])
+            y = _get(self.base, self.outputs)
+            outputs.append(y)
+            # dy/dp = (dg/dx) S + dg/dp, the latter at the same state
+            along = [
+                self._along_states(self.outputs, S[:, j]) + (_get(m, self.outputs) - y) / w
+                for j, (m, w) in enumerate(self.moved)
+            ]
+            slopes.append(np.column_stack(along))
+            if k + 1 == record.rows:
+                break
+            h, rise = (time[k + 1] - time[k]) / SENSITIVITY_STEPS, u[k + 1] - u[k]
+            for j in range(SENSITIVITY_STEPS):
+                # The inputs at the beginning, the middle and the end of the step: held, or linear between the rows.
+                shares = (
+                    (0.0, 0.0, 0.0) if record.hold == "zero" else [(j + c) / SENSITIVITY_STEPS for c in (0, 0.5, 1)]
+                )
+                x, S = self._step(time[k] + h * j, h, x, S, [u[k] + rise * share for share in shares])
+        return np.array(outputs), np.array(slopes)
+
+    def _step(
+        self, t: float, h: float, x: np.ndarray, S: np.ndarray, u: Sequence[np.ndarray]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """One step of the classical Runge-Kutta method for states and sensitivities."""
+
+        def rates(at: float, state: np.ndarray, along: np.ndarray, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            self._place(at, state, drive)
+            # FMI 2 names it so, FMI 3 the other way.
+            name = "getDerivatives" if hasattr(self.base, "getDerivatives") else "getContinuousStateDerivatives"
+            f = self._read(self.base, name)
+            columns = [self._along_states(self.rates, along[:, j]) for j in range(len(self.moved))]
+            # df/dp at the same state: no solver lies between the two rates, so that the difference may be small.
+            by_parameter = [(self._read(m, name) - f) / w for m, w in self.moved]
+            # S' = (df/dx) S + df/dp
+            return f, np.column_stack(columns) + np.column_stack(by_parameter)
+
+        f1, s1 = rates(t, x, S, u[0])
+        f2, s2 = rates(t + h / 2, x + h / 2 * f1, S + h / 2 * s1, u[1])
+        f3, s3 = rates(t + h / 2, x + h / 2 * f2, S + h / 2 * s2, u[1])
+        f4, s4 = rates(t + h, x + h * f3, S + h * s3, u[2])
+        return x + h / 6 * (f1 + 2 * f2 + 2 * f3 + f4), S + h / 6 * (s1 + 2 * s2 + 2 * s3 + s4)
+
+    def _along_states(self, unknowns: Sequence[int], seed: np.ndarray) -> np.ndarray:
+        """Directional derivative of ``unknowns`` along the states."""
+        if not seed.any():
+            return np.zeros(len(unknowns))
+        return np.array(self.base.getDirectionalDerivative(list(unknowns), self.states, seed.tolist()))
+
+    def _place(self, t: float, x: np.ndarray, u: np.ndarray) -> None:
+        """Bring every instance to this time and state, with these inputs."""
+        for instance in (self.base, *(m for m, _ in self.moved)):
+            instance.setTime(float(t))
+            instance.setContinuousStates((c_double * len(x))(*x), len(x))
+            if self.inputs:
+                _set(instance, self.inputs, u.tolist())
+
+    def _read(self, instance: Any, name: str) -> np.ndarray:
+        """States or rates by the function of this name."""
+        values = (c_double * len(self.states))()
+        getattr(instance, name)(values, len(self.states))
+        return np.array(values)
+
+    def _start(self, settings: Mapping[str, float]) -> Any:
+        """An instance in continuous-time mode with these values."""
+        import fmpy
+        from fmpy.simulation import apply_start_values, settable_in_initialization_mode, settable_in_instantiated
+
+        instance = fmpy.instantiate_fmu(self.folder, self.description, "ModelExchange")
+        self._instances.append(instance)
+        is_second = self.description.fmiVersion.startswith("2")
+        if is_second:
+            instance.setupExperiment(startTime=0.0)
+        left = apply_start_values(instance, self.description, dict(settings), settable=settable_in_instantiated)
+        instance.enterInitializationMode()
+        apply_start_values(instance, self.description, left, settable=settable_in_initialization_mode)
+        instance.exitInitializationMode()
+        again = True
+        # Event iteration of FMI: until the FMU has settled its discrete states.
+        while again:
+            again = bool((instance.newDiscreteStates() if is_second else instance.updateDiscreteStates())[0])
+        instance.enterContinuousTimeMode()
+        return instance
+
+
+# FMI 2 names these functions so, FMI 3 by the type.
+
+
+def _get(instance: Any, references: Sequence[int]) -> np.ndarray:
+    read = instance.getReal if hasattr(instance, "getReal") else instance.getFloat64
+    return np.array(list(read(references)))
+
+
+def _set(instance: Any, references: Sequence[int], values: Sequence[float]) -> None:
+    write = instance.setReal if hasattr(instance, "setReal") else instance.setFloat64
+    write(references, values)

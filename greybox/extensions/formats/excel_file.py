@@ -57,27 +57,23 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
     timed = [sheet for sheet in sheets if sheet.clock]
     if len(timed) > 1:
-        return _to_channels(timed, policy)
+        # Each sheet with a clock of its own: its columns are channels, stamped in seconds.
+        channels: list[Channel] = []
+        samples: list[Samples] = []
+        for sheet in timed:
+            time, unit = sheet.columns[str(sheet.clock)], parse_header(str(sheet.clock), 0).unit
+            known = np.isfinite(time)
+            seconds = np.asarray(convert(time[known], unit, "s")) if unit else time[known]
+            for header, values in sheet.columns.items():
+                if header != sheet.clock:
+                    column = parse_header(header, 0)
+                    channels.append(Channel(column.name, column.unit, sheet.name, sheet.name, int(known.sum())))
+                    samples.append(Samples(seconds, values[known]))
+        return ChannelTable.from_channels(channels, lambda wanted: {k: samples[k] for k in wanted}, policy)
+    # One sheet: the one with a clock, or the first that has numbers.
     columns = (timed or sheets)[0].columns
     infos = {header: ArrayInfo(values.shape) for header, values in columns.items()}
     return ArrayTable.from_infos(infos, lambda names: {name: columns[name] for name in names}, policy)
-
-
-def _to_channels(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:
-    channels: list[Channel] = []
-    samples: list[Samples] = []
-    for sheet in sheets:
-        clock = str(sheet.clock)
-        time = sheet.columns[clock]
-        unit = parse_header(clock, 0).unit
-        known = np.isfinite(time)
-        seconds = np.asarray(convert(time[known], unit, "s")) if unit else time[known]
-        for header, values in sheet.columns.items():
-            if header != clock:
-                column = parse_header(header, 0)
-                channels.append(Channel(column.name, column.unit, sheet.name, sheet.name, int(known.sum())))
-                samples.append(Samples(seconds, values[known]))
-    return ChannelTable.from_channels(channels, lambda wanted: {k: samples[k] for k in wanted}, policy)
 
 
 def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
@@ -88,24 +84,23 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
         # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
         if texts and texts == sum(cell is not None for cell in row):
-            head = row if head is None or texts > sum(c is not None for c in head) else _join_units(head, row)
+            if head is None or texts > sum(c is not None for c in head):
+                head = row
+                continue
+            units = [*row, *[None] * (len(head) - len(row))]
+            head = [
+                f"{name} [{str(unit).strip('[]() ')}]" if name is not None and unit is not None else name
+                for name, unit in zip(head, units, strict=False)
+            ]
         elif head is not None and any(_to_number(cell) is not None for cell in row):
             return _read_block(page.title, head, row, rows, policy)
     return None
 
 
-def _join_units(head: Sequence[Any], units: Sequence[Any]) -> Sequence[Any]:
-    """Headers with the row of units below them."""
-    padded = [*units, *[None] * (len(head) - len(units))]
-    return [
-        f"{name} [{str(unit).strip('[]() ')}]" if name is not None and unit is not None else name
-        for name, unit in zip(head, padded, strict=False)
-    ]
-
-
 def _read_block(
     title: str, head: Sequence[Any], first: Sequence[Any], rows: Iterator[Sequence[Any]], policy: ReadingPolicy
 ) -> _Sheet:
+    # A column without a header holds remarks, sums or nothing.
     named = {k: str(cell).strip() for k, cell in enumerate(head) if cell is not None and str(cell).strip()}
     check_width(len(named), policy)
     cells: dict[int, list[float]] = {k: [] for k in named}
@@ -113,10 +108,12 @@ def _read_block(
     count = 0
     while row is not None and any(cell is not None for cell in row):
         count += 1
+        # Checked on the way: nobody knows beforehand how long a sheet is.
         if count % policy.rows_per_chunk == 0:
             check_size(count, len(named), policy)
         for k, column in cells.items():
             cell = row[k] if k < len(row) else None
+            # An empty cell is a gap; a text among numbers is a mistake that is named.
             number = float("nan") if cell is None or cell == "" else _to_number(cell)
             if number is None:
                 raise DataError(

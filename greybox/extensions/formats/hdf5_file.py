@@ -35,6 +35,7 @@ def read_hdf5(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     infos: dict[str, ArrayInfo] = {}
     places: dict[str, tuple[str, bool]] = {}
     with h5py.File(path, "r") as file:
+        # MATLAB 7.3 marks every variable with its class.
         by_matlab = "MATLAB_class" in {key for _, _, data in _walk(h5py, file, "", 1) for key in data.attrs}
         for name, place, data in _walk(h5py, file, "", policy.deepest_nesting):
             shape = tuple(int(n) for n in data.shape or ())
@@ -66,12 +67,14 @@ def read_hdf5_file(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayT
         check_width(len(sets), policy)
         clocks = {data.parent.name: data for _, _, data in sets if _is_time(data.name)}
         for _, place, data in sets:
+            # A clock is no signal; a table has no one stamp for each number.
             stamps = None if _is_time(place) or data.ndim != 1 else _read_stamps(data, clocks)
             if stamps is None:
                 continue
             group = data.parent.name.strip("/").replace("/", ".") or "the file"
             unit = _attribute(data, "unit", "units")
             name = place.rpartition("/")[2]
+            # The attribute goes before the unit in the name.
             header = parse_header(name, 0)
             channels.append(
                 Channel(
@@ -131,6 +134,7 @@ def _read_stamps(data: Any, clocks: Mapping[str, Any]) -> _StampSource | None:
         step, rate = _attribute(node, "dt", "sampling_time"), _attribute(node, "sampling_rate", "sample_rate", "fs")
         start = _attribute(node, "t0", "start_time")
         if isinstance(step, float) or isinstance(rate, float):
+            # A step in seconds, or its inverse as a rate.
             seconds = step if isinstance(step, float) else 1 / rate if rate else 0.0
             if seconds > 0:
                 return _StampSource("", "", start if isinstance(start, float) else 0.0, float(seconds))
@@ -173,6 +177,7 @@ def _describe_content(data: Any) -> str:
         return "numbers of another file"
     if "MATLAB_empty" in data.attrs:
         return "nothing"
+    # Complex numbers, texts and references are listed, not read.
     return "" if data.dtype.kind in "biuf" else str(data.dtype)
 
 

@@ -123,6 +123,7 @@ def _list_variables(file: BinaryIO, order: str, end: int) -> Iterator[MatVariabl
             raise ValueError(f"it is cut short: {size} bytes should follow byte {place + 8} of {end}")
         if kind not in (MATRIX, COMPRESSED):
             raise ValueError(f"it is damaged at byte {place}: no variable begins there")
+        # Its head alone: the numbers stay in the file until they are wanted.
         start = file.read(min(size, BYTES_OF_HEAD))
         if kind == COMPRESSED:
             head = _strip_tag(memoryview(zlib.decompressobj().decompress(start, BYTES_OF_HEAD)), order, whole=False)
@@ -138,6 +139,7 @@ def _unpack(file: BinaryIO, variable: MatVariable, order: str, most: int) -> byt
     file.seek(variable.place)
     if variable.compressed:
         unpack = zlib.decompressobj()
+        # One byte more than is allowed, beside the tag of eight: so it shows that there is too much.
         content = unpack.decompress(file.read(variable.size), most + 9)
         too_much = len(content) > most + 8
         content = content if too_much else bytes(_strip_tag(memoryview(content), order))
@@ -182,6 +184,7 @@ def _read_head(data: memoryview, order: str) -> _Head:
     _, flags, place = _next_element(data, 0, order)
     if len(flags) != 8:
         raise ValueError("a variable is damaged: it has no class")
+    # The class is the lowest byte of the flags, what it holds besides the next one.
     (word,) = struct.unpack(f"{order}I", flags[:4])
     kind, is_complex = word & 0xFF, bool((word >> 8) & COMPLEX)
     shape: tuple[int, ...] = ()
@@ -198,10 +201,12 @@ def _read_numbers(data: memoryview, head: _Head, order: str) -> np.ndarray:
     kind, content, _ = _next_element(data, head.content, order)
     if kind not in STORED_AS:
         raise ValueError(f"variable {head.name!r} is damaged: numbers of type {kind}")
+    # Stored in the smallest type that holds them, whatever the class.
     values = np.frombuffer(content, dtype=np.dtype(f"{order}{STORED_AS[kind]}"))
     # In Python's integers: the product of damaged dimensions overflows.
     if len(values) != int(np.prod(head.shape, dtype=object)):
         raise ValueError(f"variable {head.name!r} is damaged: {len(values)} numbers for {head.shape}")
+    # MATLAB stores column by column.
     return values.reshape(head.shape, order="F")
 
 
@@ -236,10 +241,12 @@ def _list_inner(data: memoryview, head: _Head, name: str, order: str) -> Iterato
     length = struct.unpack(f"{order}i", width)[0] if len(width) == 4 else 0
     if length < 1:
         raise ValueError(f"struct {name!r} is damaged: it has no field names")
+    # Names of one length each, filled up with zeros.
     fields = [
         bytes(names[k : k + length]).split(b"\0")[0].decode("latin-1")
         for k in range(0, len(names) - length + 1, length)
     ]
+    # The fields of the first struct, then those of the next.
     for k in range(count if fields else 0):
         for field in fields:
             kind, content, place = _next_element(data, place, order)
@@ -260,10 +267,8 @@ def read_mat(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     if is_hdf5(path) or head[124:126] in (VERSION_7_3, VERSION_7_3[::-1]):
         return read_hdf5(path, policy)
     # Version 4 has no header: its first number is below 5000, and so has a zero byte.
-    return _read_mat4(path, policy) if 0 in head[:4] else read_mat5(path, policy)
-
-
-def _read_mat4(path: Path, policy: ReadingPolicy) -> ArrayTable:
+    if 0 not in head[:4]:
+        return read_mat5(path, policy)
     from scipy.io import loadmat, whosmat
 
     infos = {

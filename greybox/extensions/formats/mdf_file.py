@@ -37,13 +37,16 @@ def read_mdf(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTable
             head = group.channel_group
             name = str(getattr(head, "acq_name", "") or getattr(head, "comment", "") or f"group {g + 1}")
             source = getattr(head, "acq_source", None)
+            # Groups of one source of acquisition share its clock.
             clock = str(getattr(source, "name", "") or getattr(head, "acq_name", "") or "the file")
             master = file.masters_db.get(g)
             for c, channel in enumerate(group.channels):
+                # Stamps are no signals.
                 if c == master or channel.channel_type in MASTERS:
                     continue
                 kind = getattr(channel, "data_type", None)
                 conversion = channel.conversion
+                # A number of type 0 leaves the values as they are; scaled integers are samples of something continuous.
                 scaled = conversion is not None and bool(getattr(conversion, "conversion_type", 0))
                 rows = int(getattr(head, "cycles_nr", 0))
                 holds = "" if kind in NUMBERS else "text or bytes"

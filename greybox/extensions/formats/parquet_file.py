@@ -75,12 +75,14 @@ def _read_info(file: IO[bytes], size: int) -> ArrayInfo:
     """Shape and type of an array from its header; ``size``: bytes of the member."""
     if file.read(len(np.lib.format.MAGIC_PREFIX)) != np.lib.format.MAGIC_PREFIX:
         raise DataError("a member is no array; write it with numpy.savez(file, time=..., u=...)")
+    # Two bytes after the mark: the version of the header that follows.
     version = tuple(file.read(2))
     if version not in HEADERS:
         return ArrayInfo((), "an array of another format")
     shape, _, dtype = HEADERS[version](file)
     if dtype.hasobject:
         return ArrayInfo(shape, "Python objects")
+    # Checked before it is read: a damaged shape would ask for any amount of memory.
     if int(np.prod(shape, dtype=object)) * dtype.itemsize > size:
         raise DataError(f"an array claims the shape {shape}, which its {size} bytes cannot hold; write the file again")
     holds = {"U": "text", "S": "text"}.get(dtype.kind, str(dtype))

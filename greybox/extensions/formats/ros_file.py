@@ -77,6 +77,7 @@ def read_mcap(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
         summary = make_reader(file, validate_crcs=True).get_summary()
     if summary is None or summary.statistics is None:
         raise DataError("it has no summary, so the recording was cut short; repair it with mcap recover")
+    # The largest chunk is unpacked as a whole.
     unpacked = max((index.uncompressed_size for index in summary.chunk_indexes), default=0)
     if unpacked > policy.largest_unpacked:
         raise DataError(
@@ -114,6 +115,7 @@ def _make_decoder(channel: Any, schema: Any) -> Callable[[bytes], Any] | None:
 
     ros1 = channel.message_encoding == "ros1"
     store = get_typestore(Stores.EMPTY)
+    # ROS 1 leaves out the folder in the middle, and rosbags asks for it.
     package, _, kind = schema.name.partition("/")
     name = schema.name if "/msg/" in schema.name else f"{package}/msg/{kind}"
     store.register(get_types_from_msg(schema.data.decode(), name))
@@ -149,6 +151,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
     start = origin or 0
 
     def load(wanted: Sequence[int]) -> Mapping[int, Samples]:
+        # Each topic is read once, for all its signals.
         topics = list(dict.fromkeys(places[k][0] for k in wanted))
         check_size(sum(counts[topic] for topic in topics), 2, policy)
         shortest: dict[str, int] = {}
@@ -158,6 +161,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
         for message in iterate(topics):
             content = message.decode()
             made = _find_stamp(content) if stamped[message.topic] else message.recorded
+            # A header that was left empty for once: the recorder's stamp stands in.
             made = message.recorded if made is None else made
             stamps[message.topic].append(made)
             # Least delay from the stamp to the recorder: what is more than that was spent waiting in the network,
@@ -165,6 +169,7 @@ def _to_table(counts: Mapping[str, int], iterate: Messages, policy: ReadingPolic
             shortest[message.topic] = min(shortest.get(message.topic, message.recorded - made), message.recorded - made)
             numbers = dict(_list_numbers(content, "", policy))
             for k in by_topic[message.topic]:
+                # An array may be shorter in this message than it was in the first.
                 values[k].append(float(numbers.get(places[k][1], np.nan)))
         # Differences in whole nanoseconds: as doubles, stamps since 1970 are exact to a quarter of a microsecond
         # only.

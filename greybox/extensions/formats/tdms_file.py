@@ -43,12 +43,14 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
             for channel in group.channels():
                 if clock is not None and channel.name == clock.name:
                     continue
+                # A channel without stamps is no signal over time.
                 stamps = _read_stamps(channel, clock)
                 if stamps is None:
                     continue
                 header = parse_header(channel.name, 0)
                 unit = str(channel.properties.get("unit_string", "") or header.unit).strip()
                 kind = np.dtype(channel.dtype).kind if channel.dtype is not None else "O"
+                # Numbers are read, stamps and texts are listed with what they hold.
                 holds = "" if kind in "biuf" else "text or stamps"
                 starts.setdefault(group.name, stamps.start)
                 name = header.name if header.unit else channel.name
@@ -74,10 +76,18 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                 group, name, stamps = places[k]
                 values = np.asarray(file[group][name][:], dtype=np.float64)
                 if stamps.channel:
-                    time = _to_seconds(file[group][stamps.channel])
+                    clock = file[group][stamps.channel]
+                    time = clock[:]
+                    if time.dtype.kind == "M":  # dates, to the microsecond as TDMS counts
+                        time = np.asarray(time.astype("datetime64[us]").astype(np.int64) * 1e-6)
+                    else:
+                        clock_unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
+                        time = np.asarray(time, dtype=np.float64)
+                        time = np.asarray(convert(time, clock_unit, "s")) if clock_unit else time
                     time = time - origin if np.isfinite(stamps.start) else time
                 else:
                     begin = stamps.start - origin if np.isfinite(stamps.start) else 0.0
+                    # t = start + offset + k increment
                     time = begin + stamps.offset + stamps.increment * np.arange(len(values))
                 result[k] = Samples(time, values)
         return result
@@ -103,15 +113,6 @@ def _read_stamps(channel: Any, clock: Any) -> _Stamps | None:
 def _to_epoch(stamp: Any) -> float:
     """Seconds since 1970; TDMS counts in microseconds at the finest."""
     return float(np.datetime64(stamp).astype("datetime64[us]").astype(np.int64)) * 1e-6
-
-
-def _to_seconds(clock: Any) -> np.ndarray:
-    values = clock[:]
-    if values.dtype.kind == "M":
-        return np.asarray(values.astype("datetime64[us]").astype(np.int64) * 1e-6)
-    unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
-    time = np.asarray(values, dtype=np.float64)
-    return np.asarray(convert(time, unit, "s")) if unit else time
 
 
 TDMS = FileFormat("TDMS", (".tdms",), read_tdms, "export it as CSV", (("nptdms", "tdms"),))

@@ -43,6 +43,9 @@ class Record:
     rows_per_sample: int = 1
     """How many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``."""
 
+    spread: np.ndarray | None = None
+    """Standard deviation of the noise of each sample over that of its output (samples, ny); None where it is the same in all rows."""
+
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
             kind = np.int32 if name == "row" else np.float64
@@ -74,7 +77,18 @@ class Record:
 
     def first(self, rows: int) -> Record:
         """The beginning of the record."""
-        return replace(self, u=self.u[:rows], y=self.y[:rows], h=self.h[: rows - 1], row=self.row[: rows - 1])
+        return self.cut(0, rows)
+
+    def cut(self, first: int, end: int) -> Record:
+        """Rows ``first`` up to but without ``end``, both of them samples where there are rows between these."""
+        rows, intervals = slice(first, end), slice(first, end - 1)
+        spread = None
+        if self.spread is not None:
+            per = self.rows_per_sample
+            spread = self.spread[first // per : -(-end // per)]
+        return replace(
+            self, u=self.u[rows], y=self.y[rows], h=self.h[intervals], row=self.row[intervals], spread=spread
+        )
 
     def samples(self, values: np.ndarray) -> np.ndarray:
         """Of an array with one entry for each row (N, ...) the entries that are samples."""

@@ -11,10 +11,8 @@ import greybox as gb
 from greybox.base.errors import DataError
 from greybox.base.json_file import ResultKind
 from greybox.estimation.result_parts import to_json_data
-from greybox.extensions.changes.chart import chart_changes
-from greybox.extensions.changes.findings import ChangeCode
-from greybox.extensions.changes.population import survey_population
-from greybox.extensions.changes.result import ChangeVerdict, change_data
+from greybox.extensions.changes.result import ChangeCode, ChangeVerdict, change_data
+from greybox.extensions.changes.survey import chart_changes, survey_population
 from greybox.model.effects.catalogue import effect
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine

@@ -9,8 +9,7 @@ import greybox as gb
 from fits.change_study import QUICK, coast_down, coasting
 from greybox.extensions.changes.constants import SCATTER_PIECES, ConstantsEstimate, cut_records, join_estimates
 from greybox.extensions.changes.detect import is_alike, match_repeats
-from greybox.extensions.changes.findings import ChangeCode
-from greybox.extensions.changes.result import ChangeVerdict
+from greybox.extensions.changes.result import ChangeCode, ChangeVerdict
 from tests.support.first_order import first_order
 
 

@@ -31,7 +31,7 @@ from greybox.extensions.design.campaign import (
     choose_shares,
     run_campaign,
 )
-from greybox.extensions.design.policy import CAMPAIGN_POLICY, DesignPolicy
+from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
 from greybox.show.pages.report import build_page
 from tests.support.result_schema import strict_offences
@@ -40,8 +40,13 @@ PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
 POLICY = DesignPolicy()
 QUICK = replace(
     POLICY,
-    search=replace(POLICY.search, bands=2, iterations=5, rounds=1, starts=1, refined_scenarios=1, crest_iterations=40),
-    margin=replace(POLICY.margin, samples=2),
+    bands=2,
+    iterations=5,
+    rounds=1,
+    starts=1,
+    refined_scenarios=1,
+    crest_iterations=40,
+    scenarios=2,
 )
 MASS = gb.Model(
     "mass",
@@ -168,7 +173,7 @@ RIGS = [
 
 
 def test_what_is_wrong_with_a_rig_is_said_in_one_sentence(tmp_path) -> None:
-    impatient = replace(CAMPAIGN_POLICY, rig=replace(CAMPAIGN_POLICY.rig, timeout=-19.5))
+    impatient = replace(CAMPAIGN_POLICY, rig_timeout=-19.5)
     run_campaign(PLAN, tmp_path)
     for command, message in RIGS:
         hangs = "hang" in command
@@ -218,12 +223,12 @@ def test_a_rig_that_outlives_its_campaign_keeps_the_folder(tmp_path) -> None:
     command = f"{sys.executable} -c {shlex.quote(program)} {{input}}"
     script = f"""
 import os, pathlib
-from greybox.extensions.design.policy import CAMPAIGN_POLICY
+from greybox.extensions.design.problem import CAMPAIGN_POLICY
 from greybox.extensions.design.rig import run_rig
 from greybox.base.files import hold_file
 os.chdir({str(tmp_path)!r})
 with hold_file("campaign.lock") as held:
-    run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig, held)
+    run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig_timeout, held)
 """
     campaign = subprocess.Popen([sys.executable, "-c", script])
     note, deadline = tmp_path / "pid", time.monotonic() + 60

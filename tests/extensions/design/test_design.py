@@ -11,19 +11,18 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.json_file import ResultKind
+from greybox.data.noise.noise_model import DETECTION_RATIO
 from greybox.data.signals import SignalLimit
 from greybox.estimation.result_parts import to_json_data
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import (
-    GOAL_DETECTION_RATIO,
     HiddenEffect,
     make_detection,
     make_discrimination,
     make_precision,
 )
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem, GoalName
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem, GoalName
 from greybox.extensions.design.result import design_data
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
@@ -33,8 +32,13 @@ REST = gb.FitOptions(at_rest=True)
 POLICY = DesignPolicy()
 QUICK = replace(
     POLICY,
-    search=replace(POLICY.search, bands=2, iterations=6, rounds=2, starts=1, refined_scenarios=1, crest_iterations=40),
-    margin=replace(POLICY.margin, samples=2),
+    bands=2,
+    iterations=6,
+    rounds=2,
+    starts=1,
+    refined_scenarios=1,
+    crest_iterations=40,
+    scenarios=2,
 )
 PLANT = oscillator("rig", 1.0, 25.0, 500.0, 1.0)
 ASKED = {"duration": 8.0, "sampling_time": 0.05, "noise": {"x": 1e-3}, "options": REST, "policy": QUICK}
@@ -140,7 +144,7 @@ def test_small_amounts_are_seen() -> None:
     truth = extended.start(**{name: 2 * found_amount.after})
     record = gb.simulate(truth, plan.experiment).record({"x": 1e-3}, np.random.default_rng(3))
     fit = gb.fit(truth, record, noise={"x": 1e-3}, options=REST)
-    assert GOAL_DETECTION_RATIO * fit.parameters[name].std == pytest.approx(found_amount.after, rel=0.3)
+    assert DETECTION_RATIO * fit.parameters[name].std == pytest.approx(found_amount.after, rel=0.3)
 
 
 GOALS = {

@@ -13,9 +13,8 @@ from greybox.base.errors import DataError
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.inputs import compress_multisine, crest_factor
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem
-from greybox.extensions.design.sampling_times import choose_sampling_times, weigh_optimally
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
+from greybox.extensions.design.search import choose_sampling_times, weigh_optimally
 from tests.support.first_order import box_lucas, first_order, rooney_biegler
 
 REST = gb.FitOptions(at_rest=True)
@@ -80,9 +79,7 @@ def test_the_best_power_spectrum_of_a_first_order_lag_is_one_line() -> None:
 def test_a_refined_input_of_a_first_order_lag_is_as_good_as_the_best_of_all_binary_ones() -> None:
     """The determinant within 2 % of the best of 2^14 inputs that are tried one by one."""
     rows, step, gain, lag = 14, 0.2, 2.0, 0.5
-    play = replace(POLICY.play, soft_start=0.0, rest_share=0.0)
-    search = replace(POLICY.search, starts=4, refined_scenarios=0)
-    policy = replace(POLICY, play=play, search=search, least_rows=8, margin=replace(POLICY.margin, samples=0))
+    policy = replace(POLICY, soft_start=0.0, rest_share=0.0, starts=4, refined_scenarios=0, least_rows=8, scenarios=0)
     asked = {"limits": {"u": (-1, 1)}, "duration": rows * step, "sampling_time": step, "noise": {"y": 0.01}}
     design = gb.design(first_order(gain, lag), **asked, options=REST, policy=policy)
 

@@ -13,8 +13,7 @@ from greybox.extensions.design.goals import make_precision
 from greybox.extensions.design.inputs import Multisine, play
 from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
 from greybox.extensions.design.plant import list_plants
-from greybox.extensions.design.policy import DesignPolicy
-from greybox.extensions.design.problem import DesignProblem
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 from greybox.extensions.design.refinement import InputRefinement, refine
 from tests.support.oscillator import oscillator
 
@@ -24,7 +23,7 @@ LIMITS = {"u": SignalLimit(-2, 2, rate=20.0), "x": SignalLimit(-0.1, 0.15), "v":
 
 
 def question(hold: str = "zero", **shares: float) -> DesignProblem:
-    policy = replace(POLICY, search=replace(POLICY.search, iterations=40, refined_scenarios=2))
+    policy = replace(POLICY, iterations=40, refined_scenarios=2)
     rest = gb.FitOptions(at_rest=True)
     return DesignProblem(
         (PLANT,), LIMITS, 8.0, 0.05, {"x": 1e-3}, options=rest, policy=policy, shares=shares, hold=hold

@@ -95,7 +95,7 @@ def test_the_c_code_is_the_same_filter(case, tmp_path):
     command = [*find_compiler().command, "-std=c99", "-O1", "-Wall", "-pedantic", "-Werror", "-shared", "-fPIC"]
     subprocess.run([*command, "-o", str(tmp_path / "observer.so"), str(source), "-lm"], check=True)
     library = ctypes.CDLL(str(tmp_path / "observer.so"))
-    name, nx = observer.corrected.interface.name, own.predicted.shape[1]
+    name, nx = observer.corrected.signals.name, own.predicted.shape[1]
     state, shown = (ctypes.c_double * 64)(), (ctypes.c_double * 16)()
     getattr(library, f"{name}_start")(state)
     predicted, corrected = [], []

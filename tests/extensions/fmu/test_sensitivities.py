@@ -82,7 +82,7 @@ def test_where_there_are_none_differences_take_their_place(tmp_path):
 
 
 def test_derivatives_that_fail_are_not_asked_for_again(tmp_path, monkeypatch):
-    from greybox.extensions.fmu.sensitivities import SensitivityRunner
+    from greybox.extensions.fmu.simulator import SensitivityRunner
 
     plant = read_fmu(build_reference_fmu(VAN_DER_POL, tmp_path, "2.0", "ModelExchange"))
     record = Experiment("r", TIME, {}, {"x0": van_der_pol_slopes(1.4)[0]})

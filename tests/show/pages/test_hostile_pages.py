@@ -16,7 +16,7 @@ from greybox.comparison.compare import compare
 from greybox.data.signals import SignalLimit
 from greybox.estimation.check import check
 from greybox.extensions.design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep
-from greybox.extensions.design.findings import CampaignCode
+from greybox.extensions.design.problem import CampaignCode
 from greybox.extensions.export.page import Export
 from greybox.show.pages.html import mathml, render_page, write_page
 from greybox.show.pages.page import Page

@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from greybox.base.findings import Check, Finding, Severity
-from greybox.extensions.changes.findings import ChangeCode, ChangeRule
-from greybox.extensions.changes.result import ConstantChange, PopulationConstant
+from greybox.extensions.changes.result import ChangeCode, ChangeRule, ConstantChange, PopulationConstant
 from greybox.extensions.changes.sentences import (
     constant_row,
     is_determined,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from greybox.base.findings import Finding
-from greybox.extensions.design.findings import CampaignCode, DesignCode
+from greybox.extensions.design.problem import CampaignCode, DesignCode
 from greybox.extensions.design.result import Alternative, AlternativeKind
 from greybox.extensions.design.sentences import gain_text, name_alternative
 from greybox.show.sentences.registry import sentence
