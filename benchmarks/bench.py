@@ -22,6 +22,7 @@ import numpy as np
 from benchmarks import ours, peers
 from benchmarks.problems import CASES, Case, actuator
 from benchmarks.report import page
+from greybox.estimation.options import FitOptions
 
 ROUNDS = 5
 SLOT = 0.3  # CPU seconds of one timing, at least
@@ -194,7 +195,7 @@ def _order(names: list[str], k: int) -> list[str]:
 
 def _rk4(case: Case):
     return ours.prepare_problem(
-        case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps
+        case.start, case.experiment, case.noise, FitOptions(at_rest=True, method="rk4", substeps=case.substeps)
     )
 
 

@@ -16,11 +16,10 @@ import numpy as np
 from benchmarks.problems import Case
 from greybox.estimation.fit import fit
 from greybox.estimation.multistart import draw_starts
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.estimation.transcription.solution import Solution
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.records import to_record
@@ -43,10 +42,7 @@ def options(case: Case) -> FitOptions:
 
 def prepared(case: Case, model=None) -> EstimationProblem:
     """The laid out problem."""
-    chosen = options(case)
-    return prepare_problem(
-        model or case.start, case.experiment, case.noise, at_rest=True, method=chosen.method, substeps=chosen.substeps
-    )
+    return prepare_problem(model or case.start, case.experiment, case.noise, options(case))
 
 
 def simulation(case: Case) -> Callable[[], float]:

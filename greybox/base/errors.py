@@ -81,8 +81,12 @@ def shorten(text: str, length: int = 60) -> str:
     return words if len(words) <= length else f"{words[: length - 3]}..."
 
 
-def nearest(name: str, known: Iterable[str], most: int = 30) -> str:
-    """Remedy for an unknown name: the closest known names, and all of them unless there are more than ``most``.
+# Known names up to this number are all listed.
+MOST_LISTED = 30
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Remedy for an unknown name: the closest known names, and all of them unless there are too many.
 
     >>> nearest("Kff", ["Kf", "M"])
     "did you mean 'Kf'? (known: Kf, M)"
@@ -95,7 +99,7 @@ def nearest(name: str, known: Iterable[str], most: int = 30) -> str:
     listing = ", ".join(names) if names else "none"
     if not close:
         return f"known: {listing}"
-    beside = f"known: {listing}" if len(names) <= most else f"{len(names)} are known"
+    beside = f"known: {listing}" if len(names) <= MOST_LISTED else f"{len(names)} are known"
     return f"did you mean {' or '.join(repr(c) for c in close)}? ({beside})"
 
 

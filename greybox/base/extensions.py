@@ -1,4 +1,4 @@
-"""Extensions: what this package and others add to the core, found through entry points.
+"""Extensions: what this package and others add to the core, found through entry points; and versions.
 
 A package adds a kind of file, an export target, a kind of plant, a command or an effect by an entry point in one of five groups. The
 core names no extension; it asks for what is there. An entry that cannot be loaded is kept with its reason and hurts nothing else.
@@ -6,11 +6,12 @@ core names no extension; it asks for what is there. An entry that cannot be load
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
 from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
@@ -65,7 +66,15 @@ def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
     for entry in _sorted_entries(kind):
         taken = next((e for e in result if e.name == entry.name and not e.failure), None)
         reason = f"{taken.distribution} has the name {entry.name!r} already" if taken else ""
-        result.append(_load(kind, entry, reason))
+        of = _distribution(entry), entry.dist.version if entry.dist else ""
+        entered = Extension(kind, entry.name, entry.value, *of, failure=reason)
+        try:
+            entered = entered if reason else replace(entered, value=entry.load())
+        except Exception as error:  # a stranger's module may raise anything while it is imported
+            if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
+                raise
+            entered = replace(entered, failure=f"{type(error).__name__}: {error}")
+        result.append(entered)
     return tuple(result)
 
 
@@ -97,9 +106,7 @@ def describe_failures(kind: ExtensionKind) -> str:
     return f"; not loaded: {', '.join(failed)}" if failed else ""
 
 
-@cache
-def _entries() -> Any:
-    return entry_points()  # reads the metadata of every installed distribution, once
+_entries = cache(entry_points)  # reads the metadata of every installed distribution, once
 
 
 def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
@@ -107,20 +114,30 @@ def _sorted_entries(kind: ExtensionKind) -> list[EntryPoint]:
     return sorted(_entries().select(group=f"greybox.{kind}"), key=lambda entry: _distribution(entry) != OWN)
 
 
-def _load(kind: ExtensionKind, entry: EntryPoint, reason: str) -> Extension:
-    entered = Extension(
-        kind, entry.name, entry.value, _distribution(entry), entry.dist.version if entry.dist else "", failure=reason
-    )
-    if reason:
-        return entered
-    try:
-        value = entry.load()
-    except Exception as error:  # a stranger's module may raise anything while it is imported
-        if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
-            raise
-        return replace(entered, failure=f"{type(error).__name__}: {error}")
-    return replace(entered, value=value)
-
-
 def _distribution(entry: EntryPoint) -> str:
     return entry.dist.name if entry.dist else ""
+
+
+# Which programs computed a result.
+
+
+def read_versions() -> dict[str, str]:
+    """Versions of what computed a result."""
+    import casadi  # slow to import, and a command's help needs neither
+    import numpy
+
+    return {
+        "greybox": read_greybox_version(),
+        "casadi": casadi.__version__,
+        "numpy": numpy.__version__,
+        "python": platform.python_version(),
+    }
+
+
+@cache
+def read_greybox_version(without: str = "not installed") -> str:
+    """Of the installed package, from its files, read once; ``without`` where it was not installed."""
+    try:
+        return version(OWN)
+    except PackageNotFoundError:
+        return without

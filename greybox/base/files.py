@@ -1,4 +1,4 @@
-"""Writing files: whole, or not at all. Every file that the library writes goes through `write_file` or `append_line`.
+"""Writing files: whole, or not at all; journals line by line. Every file goes through `write_file` or `append_line`.
 
 A result replaces the one before it only when all of it is on the disk. A full disk, a folder that cannot be written, a killed
 process or a power cut leave the file as it was.
@@ -8,22 +8,29 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import secrets
 import stat
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
-from typing import IO, BinaryIO
+from typing import IO, Any, BinaryIO, Generic, TypeVar
 
-from greybox.base.errors import OutputError
+from greybox.base.errors import DataError, OutputError
+from greybox.base.findings import Finding, Severity
 
 if sys.platform != "win32":
     import fcntl
 
 PART = ".greybox-{}.part"
 """Name of a file that is being written, in the folder of the one it will replace; short enough beside any name."""
+
+# A part that nobody has written to for so long belongs to a process that was killed.
+LEFTOVER_SECONDS = 3600.0
 
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
 """Permissions of a file for one user."""
@@ -62,7 +69,7 @@ def write_file(
     part: Path | None = None
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
-        mode = _mode_of(final)
+        mode = final.stat().st_mode if final.exists() else None
         if mode is not None and not stat.S_ISREG(mode):
             if stat.S_ISDIR(mode):
                 raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
@@ -71,7 +78,11 @@ def write_file(
             return target
         if mode is not None and not os.access(final, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
-        _remove_leftovers(final.parent)
+        # What killed processes left behind.
+        with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
+            for old in final.parent.glob(PART.format("*")):
+                if time.time() - old.stat().st_mtime > LEFTOVER_SECONDS:
+                    old.unlink()
         part = final.parent / PART.format(secrets.token_hex(8))
         with open(part, "xb") as file:
             if private or mode is not None:
@@ -80,9 +91,24 @@ def write_file(
             _fill(file, content)
             file.flush()
             os.fsync(file.fileno())
-        _replace(part, final)
+        # On Windows another program may hold the old file for a moment.
+        for pause in (0.05, 0.2, 1.0, 0.0) if sys.platform == "win32" else (0.0,):
+            try:
+                os.replace(part, final)
+                break
+            except PermissionError:
+                if not pause:
+                    raise
+                time.sleep(pause)
         part = None
-        _sync_folder(final.parent)
+        # The renaming itself goes to the disk as well, where the system can.
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):  # some file systems refuse to sync a folder
+                descriptor = os.open(final.parent, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
     except OSError as error:
         if isinstance(error, BrokenPipeError):  # the reader of the pipe has gone, which is no fault of the file
             raise
@@ -125,19 +151,6 @@ def append_line(path: str | os.PathLike[str], line: str) -> None:
                 raise
     except OSError as error:
         raise OutputError(error.errno, error.strerror or str(error), str(target)) from error
-
-
-@contextlib.contextmanager
-def open_locked(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A file that is there, for reading and cutting off, while nobody adds a line to it. Raises OSError."""
-    with open(path, "r+b") as file, locked(file):
-        yield file
-
-
-def cut_file(file: BinaryIO, size: int) -> None:
-    """Cut an open file off after its first ``size`` bytes. Raises OSError."""
-    file.truncate(size)
-    os.fsync(file.fileno())
 
 
 @contextlib.contextmanager
@@ -200,44 +213,83 @@ def _fill(file: BinaryIO, content: str | bytes | Iterable[str] | Callable[[Binar
             file.write(part.encode())
 
 
-def _mode_of(path: Path) -> int | None:
-    """Kind and permissions of a file, None where there is none."""
+class JournalCode(StrEnum):
+    """Codes of the findings of a journal."""
+
+    LAST_LINE_CUT = "journal_last_line_cut"
+    LINES_SKIPPED = "journal_lines_skipped"
+
+
+# A journal: what is finished, one JSON object a line, kept on the disk as it comes so that an interrupted run goes on.
+#
+# Several processes may add to one journal; each line is written under a lock that a dead process does not keep. A run that was
+# killed, or a disk that was full, can leave a last line that is cut short: it is cut off when the journal is opened. Other lines
+# that are no entries are skipped. Both are said.
+
+Entry = TypeVar("Entry")
+
+
+@dataclass(frozen=True)
+class JournalContent(Generic[Entry]):
+    """The entries of a journal, and what a reader should know about lines that are none."""
+
+    entries: tuple[Entry, ...]
+    findings: tuple[Finding, ...] = ()
+
+
+def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> JournalContent[Entry]:
+    """The entries of a journal; a last line that was cut short is cut off. No entries where there is no file yet.
+
+    Parameters
+    ----------
+    path
+        The file.
+    parse
+        Makes an entry of a JSON object; raises ValueError, KeyError, TypeError or another ordinary exception where it is none.
+
+    Raises
+    ------
+    DataError
+        If the file cannot be read, or is no journal: it has lines and none is an entry.
+    """
+    if not path.exists():
+        return JournalContent(())
+    if not path.is_file():
+        raise DataError(f"{path}: not a file; delete it, or give another folder")
+    entries: list[Entry] = []
+    broken: dict[int, str] = {}
+    findings: list[Finding] = []
     try:
-        return path.stat().st_mode
-    except FileNotFoundError:
-        return None
+        # Nobody adds a line while the file is read, and a last one that was cut short cut off.
+        with open(path, "r+b") as file, locked(file):
+            *lines, tail = file.read().split(b"\n")
+            end = file.tell() - len(tail)
+            for number, line in enumerate([*lines, tail], 1):
+                if not line.strip():
+                    continue
+                try:
+                    data = json.loads(line.decode())
+                    if not isinstance(data, dict):
+                        raise TypeError("not a JSON object")
+                    entries.append(parse(data))
+                except Exception as error:  # of the decoder, of a number with thousands of digits, of a missing key ...
+                    broken[number] = f"{type(error).__name__}: {error}"[:100]
+            if len(lines) + 1 in broken and tail.startswith(b"{"):
+                del broken[len(lines) + 1]
+                file.truncate(end)
+                os.fsync(file.fileno())
+                findings.append(Finding(JournalCode.LAST_LINE_CUT, Severity.WARNING, path.name))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror}); give another folder") from error
+    if broken and not entries:
+        number, reason = next(iter(broken.items()))
+        raise DataError(f"{path}: line {number} is not a journal entry ({reason}); delete the file to start again")
+    if broken:
+        values = {"lines": list(broken)[:5], "count": len(broken)}
+        findings.append(Finding(JournalCode.LINES_SKIPPED, Severity.WARNING, path.name, values))
+    return JournalContent(tuple(entries), tuple(findings))
 
 
-def _replace(part: Path, final: Path) -> None:
-    """Rename; on Windows another program may hold the old file for a moment."""
-    for pause in (0.05, 0.2, 1.0) if sys.platform == "win32" else ():
-        try:
-            os.replace(part, final)
-            return
-        except PermissionError:
-            time.sleep(pause)
-    os.replace(part, final)
-
-
-# A part that nobody has written to for so long belongs to a process that was killed.
-LEFTOVER_SECONDS = 3600.0
-
-
-def _remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left behind in ``folder``."""
-    with contextlib.suppress(OSError):  # not there, not ours, or gone meanwhile
-        for old in folder.glob(PART.format("*")):
-            if time.time() - old.stat().st_mtime > LEFTOVER_SECONDS:
-                old.unlink()
-
-
-def _sync_folder(folder: Path) -> None:
-    """Put the renaming itself on the disk, where the system can."""
-    if sys.platform == "win32":
-        return
-    with contextlib.suppress(OSError):  # some file systems refuse to sync a folder
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def add_entry(path: Path, entry: Mapping[str, Any]) -> None:
+    """Add one entry, on the disk when this returns. Raises OutputError."""
+    append_line(path, json.dumps(entry))

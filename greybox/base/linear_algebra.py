@@ -76,18 +76,19 @@ class ScaledDecomposition:
     @property
     def is_certain(self) -> bool:
         """Whether no value lies between rounding and information."""
-        return self._count_above(self.tolerance.certain) == self._count_above(self.tolerance.rounding)
+        return _count_above(self.values, self.tolerance.certain) == _count_above(self.values, self.tolerance.rounding)
 
     @property
     def gap(self) -> float:
         """The last value that counts over the first that does not."""
+        # A wide gap says that the rank does not hang on the tolerance.
         last = self.values[self.rank - 1] if self.rank else 1.0
         following = self.values[self.rank] if self.rank < len(self.values) else 0.0
         return float(last / max(following, np.finfo(float).eps))
 
     def without_doubtful(self) -> Self:
         """The same where only what is certain counts."""
-        return replace(self, rank=self._count_above(self.tolerance.certain))
+        return replace(self, rank=_count_above(self.values, self.tolerance.certain))
 
     @property
     def strong(self) -> np.ndarray:
@@ -114,9 +115,6 @@ class ScaledDecomposition:
         """Orthonormal basis (n, rank) of the directions that count: the complement of ``null_basis``."""
         return orthonormalise(self.strong * self.scale[:, None])
 
-    def _count_above(self, share: float) -> int:
-        return _count_above(self.values, share)
-
 
 @dataclass(frozen=True, eq=False)
 class SymmetricDecomposition(ScaledDecomposition):
@@ -125,12 +123,14 @@ class SymmetricDecomposition(ScaledDecomposition):
     @cached_property
     def pseudo_inverse(self) -> np.ndarray:
         """Inverse (n, n) along the directions that count, zero along the others."""
+        # A = D V L V' D: the pseudo-inverse is D^-1 V L^-1 V' D^-1, as a product of one matrix with itself symmetric to the last digit.
         half = self.strong / np.sqrt(self.values[: self.rank]) / self.scale[:, None]
         return np.asarray(half @ half.T)
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """``pseudo_inverse @ right`` without squaring the scale."""
         scaled = (right.T / self.scale).T
+        # D^-1 V L^-1 V' D^-1 b, from the right.
         along = self.strong.T @ scaled
         return np.asarray(((self.strong @ (along.T / self.values[: self.rank]).T).T / self.scale).T)
 
@@ -164,6 +164,7 @@ def decompose_symmetric(matrix: np.ndarray, tolerance: RankTolerance = INFORMATI
     diagonal = np.diag(matrix)
     informed = diagonal > TINY
     scale = np.sqrt(np.where(informed, diagonal, 1.0))
+    # A unit diagonal: then the size of an eigenvalue does not depend on the units of the unknowns.
     scaled = np.where(informed[:, None] & informed, matrix / scale / scale[:, None], 0.0)
     values, vectors = np.linalg.eigh(scaled)
     values, vectors = values[::-1], vectors[:, ::-1]
@@ -185,9 +186,9 @@ def decompose_columns(
     return ColumnDecomposition(scale, values, right.T, tolerance, rank, left[:rows])
 
 
-def pseudo_inverse(matrix: np.ndarray, tolerance: RankTolerance = INFORMATION_RANK) -> np.ndarray:
+def pseudo_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a positive semidefinite matrix (n, n), zero along directions that hold no information."""
-    return decompose_symmetric(matrix, tolerance).pseudo_inverse
+    return decompose_symmetric(matrix).pseudo_inverse
 
 
 def eliminate(information: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -198,6 +199,7 @@ def eliminate(information: np.ndarray, kept: np.ndarray, others: np.ndarray) -> 
     result = np.zeros((len(kept), len(information)))
     result[np.arange(len(kept)), kept] = 1.0
     if len(others):
+        # -B C^+, with C the block of the others and B that between them.
         result[:, others] = -information[np.ix_(kept, others)] @ pseudo_inverse(information[np.ix_(others, others)])
     return result
 

@@ -1,4 +1,4 @@
-"""How long the text of a unit may be."""
+"""Units: their value in SI, their text read and written, and data from one into another."""
 
 from __future__ import annotations
 
@@ -92,12 +92,20 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
         text = text.replace(special, plain)
     if text in ("", "-"):
         return 1.0, {}
-    longest = LONGEST_UNIT
-    shown = unit if len(unit) <= longest else f"{unit[:longest]}..."
+    shown = unit if len(unit) <= LONGEST_UNIT else f"{unit[:LONGEST_UNIT]}..."
     try:
-        if len(text) > longest:
+        if len(text) > LONGEST_UNIT:
             raise ValueError("too long")
-        tokens = _tokens(text)
+        # Tokens in reverse order, so that the next one is popped from the end.
+        tokens, position = [], 0
+        while position < len(text):
+            match = TOKEN.match(text, position)
+            if not match and not text[position].isspace():
+                raise ValueError(text[position])
+            if match:
+                tokens.append(match.group())
+            position = match.end() if match else position + 1
+        tokens.reverse()
         factor, powers = _product(tokens)
         if tokens or not (0 < factor < math.inf and all(map(math.isfinite, powers.values()))):
             raise ValueError(tokens[-1] if tokens else factor)
@@ -108,20 +116,6 @@ def parse_powers(unit: str) -> tuple[float, Powers]:
     return factor, {symbol: exponent for symbol, exponent in powers.items() if exponent}
 
 
-def _tokens(text: str) -> list[str]:
-    """Tokens in reverse order, so that the next one is popped from the end."""
-    tokens = []
-    position = 0
-    while position < len(text):
-        match = TOKEN.match(text, position)
-        if not match and not text[position].isspace():
-            raise ValueError(text[position])
-        if match:
-            tokens.append(match.group())
-        position = match.end() if match else position + 1
-    return tokens[::-1]
-
-
 def _product(tokens: list[str]) -> tuple[float, Powers]:
     factor, powers = _power(tokens)
     while tokens and tokens[-1] != ")":
@@ -129,6 +123,7 @@ def _product(tokens: list[str]) -> tuple[float, Powers]:
         if tokens[-1] in ("*", "/"):
             sign = -1.0 if tokens.pop() == "/" else 1.0
         more, others = _power(tokens)
+        # Left to right: a/b*c is (a/b) c.
         factor *= more**sign
         for symbol, exponent in others.items():
             powers[symbol] = round(powers.get(symbol, 0.0) + sign * exponent, 9)
@@ -351,37 +346,30 @@ def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
     >>> float(unit_converter("kPa", "Pa")(2.0))
     2000.0
     """
+    unlike = UnitError(
+        f"{source or '1'} cannot be converted to {target or '1'}: they measure different things;"
+        " correct one of the two units"
+    )
     if has_zero_point(source) or has_zero_point(target):
-        return _by_pint(source, target)
-    first, second = parse_unit(source), parse_unit(target)
-    if first.dimensions != second.dimensions:
-        raise _unlike(source, target)
-    ratio = first.factor / second.factor
+        import pint
+
+        known = registry()
+        first, second = ("*".join(parse_powers(u)[1]) for u in (source, target))
+        try:
+            known.Quantity(1.0, first).to(second)
+        except pint.DimensionalityError:
+            raise unlike from None
+        return lambda values: np.asarray(known.Quantity(np.asarray(values, dtype=float), first).to(second).magnitude)
+    given, wanted = parse_unit(source), parse_unit(target)
+    if given.dimensions != wanted.dimensions:
+        raise unlike
+    ratio = given.factor / wanted.factor
     return lambda values: np.asarray(values, dtype=float) * ratio
 
 
 def convert(values: Any, source: str, target: str) -> np.ndarray:
     """``values`` in the unit ``source`` as an array in the unit ``target``; errors as for `unit_converter`."""
     return unit_converter(source, target)(values)
-
-
-def _by_pint(source: str, target: str) -> Callable[[Any], np.ndarray]:
-    import pint
-
-    known = registry()
-    first, second = ("*".join(parse_powers(u)[1]) for u in (source, target))
-    try:
-        known.Quantity(1.0, first).to(second)
-    except pint.DimensionalityError:
-        raise _unlike(source, target) from None
-    return lambda values: np.asarray(known.Quantity(np.asarray(values, dtype=float), first).to(second).magnitude)
-
-
-def _unlike(source: str, target: str) -> UnitError:
-    return UnitError(
-        f"{source or '1'} cannot be converted to {target or '1'}: they measure different things;"
-        " correct one of the two units"
-    )
 
 
 # What a person calls a unit.
@@ -429,14 +417,15 @@ def _words(dimensions: Dimensions) -> Powers:
     for text in NAMES:
         if parse_unit(text).dimensions == dimensions:
             return parse_powers(text)[1]
+
     # Else the shortest product of base units and at most one derived unit.
+    def length(powers: Powers) -> float:
+        broken = sum(not e.is_integer() for symbol, e in powers.items() if symbol in BASE.values())
+        return sum(map(abs, powers.values())) + 0.5 * len(powers) + 2.0 * broken
+
     best = dict(dimensions)
     for symbol, exponent in product(DERIVED, (1.0, -1.0, 2.0, -2.0, 0.5, -0.5)):
         powers = {symbol: exponent} | dict(add_exponents(dimensions, KNOWN[symbol].dimensions, -exponent))
-        best = min(best, powers, key=_length)
+        # Fewer and plainer powers read better: a derived unit takes several base units with it.
+        best = min(best, powers, key=length)
     return best
-
-
-def _length(powers: Powers) -> float:
-    broken = sum(not e.is_integer() for symbol, e in powers.items() if symbol in BASE.values())
-    return sum(map(abs, powers.values())) + 0.5 * len(powers) + 2.0 * broken

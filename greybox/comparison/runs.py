@@ -14,6 +14,7 @@ from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.result import BlackBoxModel, ComparisonRun
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
+from greybox.estimation.optimum import has_free_run
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import Predictor, predictor
 from greybox.estimation.result import Fit
@@ -109,7 +110,7 @@ def run_grey_box(
     (or ``skip``, or 50) rows. Predictions, also ``steps`` samples ahead, are those of ``filter_predictor`` (`choose_predictor`);
     without it an autoregression forecasts the free-run error, as the fit's own residual suggests.
     """
-    fitted_traces = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and has_free_runs(model) else {}
+    fitted_traces = {t.fingerprint: t for t in model.traces} if isinstance(model, Fit) and has_free_run(model) else {}
     plant = model.model if isinstance(model, Fit) else model
     noise = model.noise.std if isinstance(model, Fit) else None
     # By the content of the record, not its name: a record that the fit knows keeps the initial state of that fit.
@@ -142,12 +143,6 @@ def choose_predictor(model: Model | Fit, rows: int) -> Predictor | None:
         return None
     # Corrections are learnt on the estimation records: the one judged has no part in it.
     return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= FILTERED_ROWS else None
-
-
-def has_free_runs(fit: Fit) -> bool:
-    """Whether the traces of ``fit`` are free runs over whole records: not those of arcs or segments."""
-    statistics = fit.solver.statistics
-    return bool(statistics.get("free_run", True)) and statistics.get("transcription") != "arcs"
 
 
 def estimate_residual_colours(fit: Fit) -> dict[str, AutoRegression]:

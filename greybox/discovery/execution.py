@@ -16,8 +16,8 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from greybox.base.errors import FitError, GreyboxError
+from greybox.base.files import add_entry, read_journal
 from greybox.base.findings import Finding
-from greybox.base.journal import add_entry, read_journal
 from greybox.base.json_file import ResultKind, find_offence
 from greybox.base.parallel.jobs import JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, note_interrupts, open_local_pool

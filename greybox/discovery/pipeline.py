@@ -813,7 +813,7 @@ def _under_less_noise(final: FinalModel) -> CandidateFit:
     structure = measure_structure(final.scores, candidate, 1.0, most_correlation=0.0)
     factor = max(1 - structure**2, LEAST_NOISE_SHARE) ** 0.5
     noise = replace(problem.noise, std=factor * problem.noise.std)
-    return replace(candidate, problem=problem.with_noise(noise), cost=candidate.cost / factor**2)
+    return replace(candidate, problem=replace(problem, noise=noise), cost=candidate.cost / factor**2)
 
 
 # Effects that are not established for which an experiment is asked, those that take the largest share of the error first.

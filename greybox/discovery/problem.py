@@ -10,21 +10,19 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from greybox.base.extensions import read_versions
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
 from greybox.discovery.policy import SearchBudget
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import FitOptions
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Transcription
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.estimation.transcription.solution import Solution
-from greybox.estimation.transcription.solve import solve
-from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
 
 StartValues = Mapping[str, float]
@@ -213,19 +211,11 @@ class DiscoveryProblem:
         A sample has ``most_substeps`` at most (0: as many as the options of the fits allow).
         """
         known = self.noise if model is self.model or isinstance(self.noise, NoiseModel) else self._baseline_noise
-        policy = self.options.policy
+        options = self.options.integration
         if most_substeps:
-            policy = replace(policy, discretisation=replace(policy.discretisation, max_substeps=most_substeps))
-        return prepare_problem(
-            model,
-            experiments or self.experiments,
-            known,
-            at_rest=self.options.at_rest,
-            method=self.options.method,
-            substeps=self.options.substeps,
-            quiet=self.quiet,
-            policy=policy,
-        )
+            coarse = replace(options.policy.discretisation, max_substeps=most_substeps)
+            options = replace(options, policy=replace(options.policy, discretisation=coarse))
+        return prepare_problem(model, experiments or self.experiments, known, options, quiet=self.quiet)
 
     @cached_property
     def _most_substeps(self) -> int:

@@ -183,7 +183,7 @@ def _cost_of_rival(
         is_new = output.name in measured and output.name not in problem.noise_std
         if is_new:  # how good that sensor would be is not known
             std[j] = NEW_SENSOR_NOISE * max(float(np.abs(record.outputs[output.name]).max()), TINY)
-    estimation = estimation.with_noise(replace(estimation.noise, std=std))
+    estimation = replace(estimation, noise=replace(estimation.noise, std=std))
     e = estimation.shooting(estimation.variables).evaluate(estimation.variables.here)
     if not (np.isfinite(e.cost) and e.is_finite):
         return np.inf

@@ -51,10 +51,9 @@ from greybox.discovery.surrogate_effects import (
     make_tone_effect,
 )
 from greybox.estimation.fit import fit as estimate
-from greybox.estimation.initial_states import FIRST_ROWS
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.select import select_transcription
-from greybox.estimation.validate import validate
+from greybox.estimation.validate import FIRST_ROWS, validate
 from greybox.model.model import Model
 
 

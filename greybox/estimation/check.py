@@ -99,7 +99,19 @@ class ModelCheck(Printable):
     @property
     def roles(self) -> dict[str, dict[str, str]]:
         """``states``, ``inputs`` and ``parameters`` of the plant that have a role, by name."""
-        return _list_roles(self.model)
+        model = self.model
+        groups: dict[str, Sequence[State | Input | Parameter]] = {
+            "states": model.states,
+            "inputs": model.inputs,
+            "parameters": model.parameters,
+        }
+        roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
+        # A body's velocity and displacement are found by their balances.
+        by_balance = {
+            name: role for site in reversed(model.sites) for role, name in site.states.items() if name and role != STORE
+        }
+        states = by_balance | roles["states"]
+        return roles | {"states": {s.name: states[s.name] for s in model.states if s.name in states}}
 
     @property
     def failure(self) -> Finding | None:
@@ -217,25 +229,30 @@ def check(
     """
     options = options or FitOptions()
     group = as_records(experiments)
-    _check_outputs(model, outputs)
+    known = [o.name for o in model.outputs]
+    unknown = [name for name in outputs or () if name not in known]
+    if unknown:
+        raise ModelError(f"model {model.title!r} has no output {unknown[0]!r}; {nearest(unknown[0], known)}")
     assumed = None
     if not group:
         record, assumed = simulate_generic_record(model)
         group = (record,)
     if outputs is not None:
-        group = tuple(_select_outputs(e, outputs) for e in group)
+        blind = next((e for e in group if not set(outputs) & set(e.outputs)), None)
+        if blind:
+            raise DataError(
+                f"experiment {blind.name!r} has none of the outputs {', '.join(outputs)};"
+                f" it has {', '.join(blind.outputs) or 'none'}"
+            )
+        group = tuple(e.with_outputs({n: y for n, y in e.outputs.items() if n in outputs}) for e in group)
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
-    problem = prepare_problem(
-        model,
-        group,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        policy=options.policy,
-    )
+    problem = prepare_problem(model, group, noise, options.integration)
     measured = list_measured_outputs(problem)
-    structure, doubt = _analyse_structure(model, measured, options.at_rest)
+    structure, doubt = None, ""
+    try:
+        structure = analyse_structural_identifiability(model, measured, at_rest=options.at_rest)
+    except DataError as error:  # of a model that overflows; the records are still looked at
+        doubt = str(error)
     return ModelCheck(
         model,
         model.system.linear,
@@ -254,47 +271,6 @@ def check(
         tuple(find_placements(model, all_effects())),
         options,
     )
-
-
-def _list_roles(model: Model) -> dict[str, dict[str, str]]:
-    """The role of each state, input and parameter of the plant; a body's velocity and displacement are found by their balances."""
-    groups: dict[str, Sequence[State | Input | Parameter]] = {
-        "states": model.states,
-        "inputs": model.inputs,
-        "parameters": model.parameters,
-    }
-    roles = {group: {item.name: item.role for item in items if item.role} for group, items in groups.items()}
-    for site in model.sites:
-        roles["states"] = {name: role for role, name in site.states.items() if name and role != STORE} | roles["states"]
-    roles["states"] = {s.name: roles["states"][s.name] for s in model.states if s.name in roles["states"]}
-    return roles
-
-
-def _analyse_structure(
-    model: Model, measured: Sequence[str], at_rest: bool
-) -> tuple[StructuralIdentifiability | None, str]:
-    """The structural result, or why there is none: of a model that overflows, and the records are still looked at."""
-    try:
-        return analyse_structural_identifiability(model, measured, at_rest=at_rest), ""
-    except DataError as error:
-        return None, str(error)
-
-
-def _check_outputs(model: Model, outputs: Sequence[str] | None) -> None:
-    known = [o.name for o in model.outputs]
-    for name in outputs or ():
-        if name not in known:
-            raise ModelError(f"model {model.title!r} has no output {name!r}; {nearest(name, known)}")
-
-
-def _select_outputs(experiment: Experiment, outputs: Sequence[str]) -> Experiment:
-    kept = {name: values for name, values in experiment.outputs.items() if name in outputs}
-    if not kept:
-        raise DataError(
-            f"experiment {experiment.name!r} has none of the outputs {', '.join(outputs)};"
-            f" it has {', '.join(experiment.outputs) or 'none'}"
-        )
-    return experiment.with_outputs(kept)
 
 
 def _to_plain(value: Any) -> Any:

@@ -10,8 +10,7 @@ from scipy.special import ndtri, stdtrit
 
 from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
 from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, RANK_CUTOFF, TINY
-from greybox.estimation.objective import ResidualRows
-from greybox.estimation.objective_search import LikelihoodMaximum
+from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
@@ -187,8 +186,18 @@ def estimate_likelihood_covariance(
     # The expected information is a product and has no negative curvature: it says which directions are open, the
     # differences do not.
     decomposition = decompose_symmetric(_reduce_information(expected, wanted, first_states))
-    inverse = _invert_within(_reduce_information(whole, wanted, first_states), decomposition)
-    if inverse is None:
+    # Differences leave a little curvature along directions that have none: the inverse is zero along the weak ones.
+    observed, basis = (
+        _reduce_information(whole, wanted, first_states),
+        decomposition.strong / decomposition.scale[:, None],
+    )
+    values, vectors = np.full(1, np.nan), basis
+    if np.isfinite(observed).all():
+        values, vectors = np.linalg.eigh(_symmetrise(basis.T @ observed @ basis))
+    if values.min(initial=1.0) > 0:
+        strong = basis @ vectors
+        inverse = (strong / values) @ strong.T
+    else:
         kind, whole, inverse = IntervalKind.EXPECTED_INFORMATION, expected, decomposition.pseudo_inverse
     spread = inverse
     if colour.coloured:
@@ -321,21 +330,6 @@ def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.
     if not np.isfinite(information).all():
         return np.full((len(wanted), len(wanted)), np.nan)
     return _symmetrise(eliminate(information, wanted, others) @ information[:, wanted])
-
-
-def _invert_within(information: np.ndarray, expected: SymmetricDecomposition) -> np.ndarray | None:
-    """The inverse of an information, zero along the weak directions of the expected one; None where it is not positive definite.
-
-    Differences leave a little curvature along directions that have none: which these are, the exact expected information says.
-    """
-    if not np.isfinite(information).all():
-        return None
-    basis = expected.strong / expected.scale[:, None]
-    values, vectors = np.linalg.eigh(_symmetrise(basis.T @ information @ basis))
-    if values.min(initial=1.0) <= 0:
-        return None
-    strong = basis @ vectors
-    return (strong / values) @ strong.T
 
 
 def _symmetrise(matrix: np.ndarray) -> np.ndarray:

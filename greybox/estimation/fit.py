@@ -9,6 +9,7 @@ from functools import reduce
 import numpy as np
 
 from greybox.base.errors import FitError, ModelError, nearest
+from greybox.base.extensions import read_versions
 from greybox.base.findings import Finding, Severity
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
@@ -20,9 +21,9 @@ from greybox.estimation.covariance import (
     to_model_covariance,
     to_tied_estimates,
 )
-from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit_issues import (
     LAST_DIGIT,
+    EstimationCode,
     add_record_findings,
     find_fit_issues,
     find_option_issues,
@@ -32,8 +33,8 @@ from greybox.estimation.fit_issues import (
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import Optimum, PredictionOptimum, SimulationOptimum
-from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
-from greybox.estimation.policy import NOISE_RATIO
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
+from greybox.estimation.parameter_constancy import NOISE_RATIO
 from greybox.estimation.prediction_error import (
     estimate_by_prediction_error,
     likelihood_ratio_tests,
@@ -50,11 +51,13 @@ from greybox.estimation.result_parts import (
     SolverReport,
     StartResult,
 )
-from greybox.estimation.starts import draw_starts
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.solution import FitProgressCallback, make_strategy
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgressCallback,
+    make_strategy,
+    prepare_problem,
+)
 from greybox.estimation.validate import validate
-from greybox.estimation.versions import read_versions
 from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
@@ -172,19 +175,21 @@ def fit(
             model, experiments, noise, options, report, quiet=quiet, initial=initial
         )
         tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
-        optimum = PredictionOptimum(model, estimate.solution, options.policy, tests, maximum=estimate.optimum)
+        optimum = PredictionOptimum(model, estimate.solution, tests, maximum=estimate.optimum)
     else:
-        problem = prepare_estimation(model, experiments, noise, options, quiet=quiet, initial=initial)
+        problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
         begun = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
         if begun is None:
-            solution = estimate_by_simulation_error(problem, options, colour, report)
-            begun = SimulationOptimum(model, solution, options.policy)
+            begun = SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
         optimum = begun
-        # A search that goes on from where another one ended is not to end elsewhere.
-        if not initial and _is_lost(optimum):
-            optimum, starts, notices = _try_other_starts(optimum, problem, experiments, options, colour, report)
+        # Another start may do better where a search explains nothing, or stands where it began. One that goes on from where another
+        # ended is not to end elsewhere.
+        can_move = model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial
+        gave_up = can_move and begun.status is TerminationStatus.ITERATION_LIMIT
+        if gave_up or (can_move and (explains_nothing(begun) or stands_where_it_began(begun))):
+            optimum, starts, notices = _try_other_starts(begun, problem, experiments, options, colour, report)
     result = assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
@@ -225,8 +230,8 @@ def _begin_with_effects(
         plain = reduce(Model.without, (e.name for e in fresh), model)
     except ModelError:  # a tie or a schedule of the user's needs them
         return None
-    of_plain = prepare_estimation(plain, experiments, problem.noise, options)
-    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report), options.policy)
+    of_plain = prepare_problem(plain, experiments, problem.noise, options)
+    smaller = SimulationOptimum(plain, estimate_by_simulation_error(of_plain, options, colour, report))
     if not np.isfinite(smaller.evaluation.cost):
         return None
     _, states = smaller.problem.shooting(smaller.variables).simulate(smaller.variables.here)[0]
@@ -239,14 +244,14 @@ def _begin_with_effects(
     fitted = {name: smaller.fitted_model.values[name] for name in (q.name for q in plain.free_parameters)}
     # Its best point is that of the whole model, whose effects are neutral.
     if smaller.status is TerminationStatus.INTERRUPTED:
-        began_at = prepare_estimation(model.start(**fitted), experiments, problem.noise, near, initial=initial)
+        began_at = prepare_problem(model.start(**fitted), experiments, problem.noise, near, initial=initial)
         evaluation = began_at.shooting().evaluate(began_at.variables.here)
         ended = replace(
             smaller.search, problem=began_at, variables=began_at.variables, evaluation=evaluation, joined=None
         )
-        return SimulationOptimum(model, ended, options.policy)
+        return SimulationOptimum(model, ended)
 
-    begun = prepare_estimation(model, experiments, problem.noise, near, initial=initial)
+    begun = prepare_problem(model, experiments, problem.noise, near, initial=initial)
     begins: list[dict[str, float]] = [fitted]
     searched = 0
     # One effect after the other, each beside the best of those before it.
@@ -266,20 +271,11 @@ def _begin_with_effects(
         # The optimum without the effects is searched from only where no other start does better.
         if begin is fitted and any(_compute_ratio(end, std) <= _compute_ratio(smaller, std) for end in ends):
             continue
-        other = prepare_estimation(model.start(**begin), experiments, problem.noise, near, initial=initial)
-        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report), options.policy))
+        other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
+        ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
         if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=lambda end: _compute_ratio(end, std))
-
-
-def _is_lost(optimum: SimulationOptimum) -> bool:
-    """Whether another start may do better: the search explains nothing, or stands where it began."""
-    if not optimum.model.free_parameters or optimum.status is TerminationStatus.INTERRUPTED:
-        return False
-    if optimum.status is TerminationStatus.ITERATION_LIMIT:
-        return True
-    return explains_nothing(optimum) or stands_where_it_began(optimum)
 
 
 def explains_nothing(optimum: SimulationOptimum) -> bool:
@@ -300,9 +296,8 @@ def is_at_noise(optimum: SimulationOptimum) -> bool:
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     """Whether a search got stuck without having moved any free constant in its digits."""
     end, begin = optimum.fitted_model.values, optimum.model.values
-    digit = LAST_DIGIT
     return optimum.status is TerminationStatus.STUCK and all(
-        abs(end[q.name] - begin[q.name]) <= digit * abs(begin[q.name]) for q in optimum.model.free_parameters
+        abs(end[q.name] - begin[q.name]) <= LAST_DIGIT * abs(begin[q.name]) for q in optimum.model.free_parameters
     )
 
 
@@ -329,9 +324,9 @@ def _try_other_starts(
     order = [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]
     ends = [({q.name: q.value for q in model.free_parameters}, first)]
     for k in order:
-        other = prepare_estimation(model.start(**drawn[k]), experiments, problem.noise, options)
+        other = prepare_problem(model.start(**drawn[k]), experiments, problem.noise, options)
         solution = estimate_by_simulation_error(other, options, colour, report)
-        ends.append((drawn[k], SimulationOptimum(model, solution, options.policy)))
+        ends.append((drawn[k], SimulationOptimum(model, solution)))
         if solution.status is TerminationStatus.INTERRUPTED:
             break
     # Under the noise that was known before any of them: a level that each learns from its own residual makes all alike.
@@ -371,6 +366,31 @@ def _try_other_starts(
     return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
 
 
+def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
+    """Start values about the model's own: each free constant log-uniform between value / factor and value x factor, within its bounds.
+
+    A constant at zero has no size to vary: it is uniform within its bounds, and stays where they are open. Raises ModelError
+    for a factor of one or less.
+    """
+    if not factor > 1:
+        raise ModelError(f"factor {factor:g} of the random starts: it must be greater than one; 3 is usual")
+    rng = np.random.default_rng(seed)
+    drawn = []
+    for _ in range(max(starts, 0)):
+        begin = {}
+        for q in model.free_parameters:
+            (low, high), share = q.bounds, rng.uniform()
+            if q.value == 0:
+                begin[q.name] = float(low + share * (high - low)) if np.isfinite(low) and np.isfinite(high) else 0.0
+                continue
+            smaller, larger = sorted((q.value / factor, q.value * factor))
+            a, b, sign = max(smaller, low), min(larger, high), np.sign(q.value)
+            # Uniform in the logarithm, from a to b: a factor up is as likely as one down.
+            begin[q.name] = float(np.clip(sign * np.exp(np.log(sign * a) + share * np.log(b / a)), low, high))
+        drawn.append(begin)
+    return drawn
+
+
 def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:
     """Rms of the misfits of all outputs over the noise ``std``; infinite where there is no run."""
     if not np.isfinite(end.evaluation.cost) or not end.misfit:
@@ -388,7 +408,13 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     priors = check_priors(variables, covariance)
     per_experiment, tied = to_experiment_estimates(variables, covariance), to_tied_estimates(variables, covariance)
     robust = summarise_outliers(problem, optimum.runs)
-    free, matrix = _to_named_covariance(optimum)
+    # The parameters that were free in the order of the model, and their covariance; NaN for an intensity that became zero.
+    everything = model.all_parameters
+    fitted = [everything[k].name for k in locate_fitted(variables)]
+    zero = [test.name for test in optimum.tests if test.value == 0]
+    free = tuple(q.name for q in everything if q.name in (*fitted, *zero))
+    matrix, places = np.full((len(free), len(free)), np.nan), [free.index(name) for name in fitted]
+    matrix[np.ix_(places, places)] = to_model_covariance(variables, covariance.covariance)
     findings = (
         *find_fit_issues(optimum, parameters),
         *find_option_issues(problem, tied, per_experiment, priors, robust),
@@ -447,15 +473,3 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         prediction=prediction.report() if prediction else PredictionReport(),
         findings=add_record_findings(findings, problem.experiments),
     )
-
-
-def _to_named_covariance(optimum: Optimum) -> tuple[tuple[str, ...], np.ndarray]:
-    """The parameters that were free in the order of the model, and their covariance; NaN for an intensity that became zero."""
-    everything, variables = optimum.model.all_parameters, optimum.variables
-    estimated = [everything[k].name for k in locate_fitted(variables)]
-    zero = [test.name for test in optimum.tests if test.value == 0]
-    free = tuple(q.name for q in everything if q.name in (*estimated, *zero))
-    matrix = np.full((len(free), len(free)), np.nan)
-    places = [free.index(name) for name in estimated]
-    matrix[np.ix_(places, places)] = to_model_covariance(variables, optimum.covariance.covariance)
-    return free, matrix

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
 
@@ -15,17 +15,62 @@ from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance
-from greybox.estimation.findings import EstimationCode
 from greybox.estimation.noise_loop import compute_noise_ratios
+from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
-from greybox.estimation.parameter_constancy import ParameterShift
-from greybox.estimation.policy import NOISE_RATIO, EstimationPolicy
-from greybox.estimation.prediction_error import ProcessNoiseTest
+from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model.expressions.text import expression_text
 from greybox.model.model import Model
+
+
+class EstimationCode(StrEnum):
+    """Codes of what a fit finds about itself, its records and its options."""
+
+    # What the status says beside its name.
+    MISFIT_RATIO = "misfit_ratio"
+    PREDICTION_RATIO = "prediction_ratio"
+    FILTER_NOT_FINITE = "filter_not_finite"
+    TERM_NOT_FINITE = "term_not_finite"
+    STATES_DIVERGE = "states_diverge"
+    SENSITIVITY_NOT_FINITE = "sensitivity_not_finite"
+    # What the constants and the residual say.
+    MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
+    DIRECTION_UNDETERMINED = "direction_undetermined"
+    STOPPED_BY_BOUND = "stopped_by_bound"
+    NARROWED_BY_BOUND = "narrowed_by_bound"
+    PARAMETER_UNDETERMINED = "parameter_undetermined"
+    NOTHING_TO_EXPLAIN = "nothing_to_explain"
+    MISFIT_ABOVE_NOISE = "misfit_above_noise"
+    MISFIT_ABOVE_DIFFERENCE_NOISE = "misfit_above_difference_noise"
+    PARAMETER_NOT_CONSTANT = "parameter_not_constant"
+    RESIDUAL_CORRELATED = "residual_correlated"
+    INNOVATIONS_CORRELATED = "innovations_correlated"
+    INTEGRATION_TOO_COARSE = "integration_too_coarse"
+    RELATION_NOT_MET = "relation_not_met"
+    STEP_MOVES_PARAMETERS = "step_moves_parameters"
+    VALIDATION_ERROR_LARGER = "validation_error_larger"
+    # What was asked for.
+    PRIOR_CONFLICT = "prior_conflict"
+    HELD_BY_PRIOR = "held_by_prior"
+    TIED_OUTSIDE_BOUNDS = "tied_outside_bounds"
+    MEAN_OF_EXPERIMENTS = "mean_of_experiments"
+    ROBUST_LOSS_OUTLIERS = "robust_loss_outliers"
+    TOO_MANY_OUTLIERS = "too_many_outliers"
+    CONSTANT_OUTPUT_EXCLUDED = "constant_output_excluded"
+    # Process noise.
+    PROCESS_NOISE_ZERO = "process_noise_zero"
+    PROCESS_NOISE_NOT_SIGNIFICANT = "process_noise_not_significant"
+    PROCESS_NOISE_SIGNIFICANT = "process_noise_significant"
+    NOISE_COLOUR_IGNORED = "noise_colour_ignored"
+    # Several starts.
+    STARTS = "starts"
+    STARTS_NOT_BEGUN = "starts_not_begun"
+    OTHER_START_TAKEN = "other_start_taken"
+    NO_START_HELPS = "no_start_helps"
+
 
 # Where a simulation broke: which term of which balance, when, and at which states.
 
@@ -62,9 +107,16 @@ def locate_simulation_failure(
         "time": float(problem.experiments[experiment].time[last]),
         "row": last + 1,
     }
+    # The states, and those at which an RK4 step asks for their rates: k2 and k3 half a step on, k4 a whole one.
     h = float(record.h[min(last, len(record.h) - 1)]) if len(record.h) else 0.0
-    for at in _points(model, x, u, p, h):
-        quantity = _first_not_finite(model, at, u, p)
+    points = [x]
+    for share in (0.5, 0.5, 1.0):
+        at = x + share * h * np.asarray(model.system.rhs_function(points[-1], u, p)).ravel()
+        if not np.isfinite(at).all():
+            break
+        points.append(at)
+    for at in points:
+        quantity = find_first_not_finite(model, at, u, p)
         if quantity:
             values = {**place, **quantity, "point": _name_point(model, at, u)}
             return Finding(EstimationCode.TERM_NOT_FINITE, Severity.ERROR, quantity["name"], values)
@@ -72,19 +124,7 @@ def locate_simulation_failure(
     return Finding(EstimationCode.STATES_DIVERGE, Severity.ERROR, largest, {**place, "point": _name_point(model, x, u)})
 
 
-def _points(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, h: float) -> Iterator[np.ndarray]:
-    """The states, and those at which an RK4 step of length ``h`` asks for their rates."""
-    yield x
-    rate = model.system.rhs_function
-    at = x
-    for share in (0.5, 0.5, 1.0):
-        at = x + share * h * np.asarray(rate(at, u, p)).ravel()
-        if not np.isfinite(at).all():
-            return
-        yield at
-
-
-def _first_not_finite(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> dict[str, str]:
+def find_first_not_finite(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray) -> dict[str, str]:
     """The first quantity of the equations that is not finite: its kind, name, balance, formula, value and unit; empty if none is."""
     system = model.system
     for name, value in zip(system.state_names, x, strict=True):
@@ -93,19 +133,22 @@ def _first_not_finite(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray)
     bounds = np.array([s.bounds for s in model.all_states], float)
     inside = np.clip(x, bounds[:, 0] + STATE_BOUND_MARGIN, bounds[:, 1] - STATE_BOUND_MARGIN)
     quantities: list[tuple[QuantityKind, str, str, ca.SX, str]] = []
-    for balance in system.balances:
-        quantities += [
-            (QuantityKind.TERM, name, balance.name, ca.SX(term), balance.unit) for name, term in balance.terms.items()
-        ]
-        quantities.append((QuantityKind.STORAGE, balance.name, balance.name, 1 / ca.SX(balance.storage), ""))
-    quantities += [
-        (QuantityKind.OUTPUT, name, "", system.outputs[j], model.outputs[j].unit)
-        for j, name in enumerate(system.output_names)
-    ]
-    values = _evaluate(model, [formula for _, _, _, formula, _ in quantities], inside, u, p)
-    for (kind, name, balance_name, formula, unit), value in zip(quantities, values, strict=True):
+    for b in system.balances:
+        quantities += [(QuantityKind.TERM, name, b.name, ca.SX(term), b.unit) for name, term in b.terms.items()]
+        quantities.append((QuantityKind.STORAGE, b.name, b.name, 1 / ca.SX(b.storage), ""))
+    for j, name in enumerate(system.output_names):
+        quantities.append((QuantityKind.OUTPUT, name, "", system.outputs[j], model.outputs[j].unit))
+    arguments = [system.x, system.u, system.p]
+    formulas = ca.vertcat(*(formula for _, _, _, formula, _ in quantities))
+    names = {s.name() for group in arguments for s in ca.symvar(ca.SX(group))}
+    # An input of the past is as good as zero here.
+    past = [s for s in ca.symvar(formulas) if s.name() not in names]
+    if past:
+        formulas = ca.substitute(formulas, ca.vertcat(*past), ca.SX.zeros(len(past)))
+    values = np.asarray(ca.Function("terms", arguments, [ca.densify(formulas)])(inside, u, p)).ravel()
+    for (kind, name, balance, formula, unit), value in zip(quantities, values, strict=True):
         if not np.isfinite(value):
-            return _describe_quantity(kind, name, balance_name, expression_text(formula), float(value), unit)
+            return _describe_quantity(kind, name, balance, expression_text(formula), float(value), unit)
     return {}
 
 
@@ -113,25 +156,8 @@ def _describe_quantity(
     kind: QuantityKind, name: str, balance: str, formula: str, value: float, unit: str
 ) -> dict[str, str]:
     # JSON has no infinities: the value is text.
-    return {
-        "kind": str(kind),
-        "name": name,
-        "balance": balance,
-        "formula": formula,
-        "value": f"{value:g}",
-        "unit": unit,
-    }
-
-
-def _evaluate(model: Model, formulas: list[ca.SX], x: np.ndarray, u: np.ndarray, p: np.ndarray) -> np.ndarray:
-    system = model.system
-    known = [system.x, system.u, system.p]
-    whole = ca.vertcat(*formulas)
-    names = {s.name() for group in known for s in ca.symvar(ca.SX(group))}
-    other = [s for s in ca.symvar(whole) if s.name() not in names]  # an input of the past: as good as zero here
-    if other:
-        whole = ca.substitute(whole, ca.vertcat(*other), ca.SX.zeros(len(other)))
-    return np.asarray(ca.Function("terms", known, [ca.densify(whole)])(x, u, p)).ravel()
+    value_text = f"{value:g}"
+    return {"kind": str(kind), "name": name, "balance": balance, "formula": formula, "value": value_text, "unit": unit}
 
 
 def _name_point(model: Model, x: np.ndarray, u: np.ndarray) -> list[dict[str, str]]:
@@ -170,12 +196,24 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 
+def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
+    return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
+
+
+# A model that follows less than this per cent of an output (best fit) ...
+FOLLOWED_PERCENT = 50.0
+# ... with a misfit so many times the noise describes another plant.
+FAR_NOISE_RATIO = 3.0
 # Parameters that are not constant are listed up to this number.
 LISTED_SHIFTS = 3
 # Integration error over the noise ...
 INTEGRATION_ERROR = 0.1
 # ... and over the misfit.
 INTEGRATION_SHARE = 0.01
+# Share of a standard deviation that half the integration step may shift a parameter.
+STEP_SHIFT = 0.1
+# Nobody asks for more digits of a parameter than this share of its value.
+LAST_DIGIT = 1e-06
 
 
 def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tuple[Finding, ...]:
@@ -184,34 +222,67 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     A free run is held against the noise; a prediction corrects what it lacks, so its process noise is judged instead.
     """
     predicts = isinstance(optimum, PredictionOptimum)
-    covariance, misfit = optimum.covariance, optimum.misfit
+    covariance, problem, variables = optimum.covariance, optimum.problem, optimum.variables
+    free_run = {} if predicts else optimum.misfit
+    result: list[Finding] = []
+
+    def warn(code: EstimationCode, severity: Severity = Severity.WARNING, **values: Any) -> None:
+        result.append(Finding(code, severity, "", values))
+
+    # A model that follows little of an output describes another plant: then its constants mean nothing.
+    best_fit = {n: m.best_fit_percent for n, m in free_run.items()}
+    lost = {n: max(best_fit[n], 0.0) for n, m in free_run.items() if m.noise_ratio > FAR_NOISE_RATIO}
+    lost = {n: followed for n, followed in lost.items() if best_fit[n] < FOLLOWED_PERCENT}
+    if lost:
+        warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, best_fit=lost)
+    # What the data leave open, and what only looks determined.
+    for direction in covariance.open_directions:
+        warn(EstimationCode.DIRECTION_UNDETERMINED, direction=dict(direction))
     tested = [test.name for test in optimum.tests]
     zero = [test.name for test in optimum.tests if test.value == 0]
     at_bound = [n for n, e in estimates.items() if e.at_bound and n not in zero]
     wide = [n for n, e in estimates.items() if e.std is not None and not (e.at_bound or e.determined or n in tested)]
-    result = [] if predicts else _find_other_plant(misfit)
-    result += _find_undetermined_directions(covariance)
     result += _list_parameters(EstimationCode.STOPPED_BY_BOUND, at_bound)
     result += _find_narrowed(covariance, at_bound)
     result += _list_parameters(EstimationCode.PARAMETER_UNDETERMINED, wide)
-    result += [] if predicts else _find_nothing_to_explain(optimum.problem, misfit)
-    result += [] if predicts else _find_excess_misfit(optimum.problem, misfit, optimum.policy)
-    result += _find_shifts(optimum.parameter_shifts, LISTED_SHIFTS)
+    # Nothing to explain: every output is at its noise already with a constant in the place of the model.
+    at_noise = all(
+        m.noise_ratio <= NOISE_RATIO and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
+        for n, m in free_run.items()
+    )
+    if free_run and at_noise and not any(percent > 0 for percent in best_fit.values()):
+        warn(EstimationCode.NOTHING_TO_EXPLAIN, best_fit=best_fit)
+    # Misfit above the noise; what it means depends on how the noise is known.
+    louder = {n: ratio for n, ratio in compute_noise_ratios(problem, free_run).items() if ratio > NOISE_RATIO}
+    certain = any(ratio > find_certain_ratio(problem.noise, n) for n, ratio in louder.items())
+    if louder:
+        code = EstimationCode.MISFIT_ABOVE_NOISE if certain else EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE
+        warn(code, ratios=louder)
+    if optimum.parameter_shifts:
+        shifts = [{**vars(s), "parts": list(s.parts)} for s in optimum.parameter_shifts[:LISTED_SHIFTS]]
+        warn(EstimationCode.PARAMETER_NOT_CONSTANT, shifts=shifts)
     result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
     result += _find_correlation(optimum)
     if predicts and optimum.solution.problem.noise.coloured:
-        result.append(Finding(EstimationCode.NOISE_COLOUR_IGNORED))
+        warn(EstimationCode.NOISE_COLOUR_IGNORED, Severity.NOTE)
     result += _find_unmet_relations(optimum)
-    outputs = [o.name for o in optimum.problem.model.outputs]
+    # The integration step: what it leaves in the outputs, and by how much half of it moves parameters.
+    outputs = [o.name for o in problem.model.outputs]
     error = dict(zip(outputs, optimum.solution.integration_error, strict=True))
     coarse = [
-        n for n, m in misfit.items() if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * m.noise_ratio
+        n for n, m in free_run.items() if error[n] > INTEGRATION_ERROR and error[n] > INTEGRATION_SHARE * m.noise_ratio
     ]
-    if coarse and not predicts:
-        result.append(Finding(EstimationCode.INTEGRATION_TOO_COARSE, Severity.WARNING, "", {"outputs": coarse}))
-    moved = _find_moved_by_step(optimum.variables, covariance, optimum.step_shift)
-    if moved:
-        result.append(Finding(EstimationCode.STEP_MOVES_PARAMETERS, Severity.WARNING, "", {"shifts": moved}))
+    if coarse:
+        warn(EstimationCode.INTEGRATION_TOO_COARSE, outputs=coarse)
+    deviations, shift = np.sqrt(np.diag(covariance.covariance)), optimum.step_shift
+    known = np.isfinite(deviations) & np.isfinite(shift)
+    change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
+    moved = known & (shift > STEP_SHIFT) & (change > LAST_DIGIT * np.abs(variables.base))
+    if moved.any():
+        warn(
+            EstimationCode.STEP_MOVES_PARAMETERS,
+            shifts={variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)},
+        )
     return tuple(result)
 
 
@@ -362,45 +433,6 @@ def find_driven_balances(model: Model, name: str) -> dict[str, tuple[str, str, f
     return driven
 
 
-def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
-    return [Finding(code, severity, "", {"parameters": list(names)})] if names else []
-
-
-# A model that follows less than this per cent of an output (best fit) ...
-FOLLOWED_PERCENT = 50.0
-# ... with a misfit so many times the noise describes another plant.
-FAR_NOISE_RATIO = 3.0
-
-
-def _find_other_plant(misfit: Mapping[str, Misfit]) -> list[Finding]:
-    """Outputs of which the model follows little: then its constants mean nothing."""
-    lost = {
-        n: max(m.best_fit_percent, 0.0)
-        for n, m in misfit.items()
-        if m.best_fit_percent < FOLLOWED_PERCENT and m.noise_ratio > FAR_NOISE_RATIO
-    }
-    return [Finding(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, "", {"best_fit": lost})] if lost else []
-
-
-def _find_undetermined_directions(covariance: ParameterCovariance) -> list[Finding]:
-    return [
-        Finding(EstimationCode.DIRECTION_UNDETERMINED, Severity.WARNING, "", {"direction": dict(direction)})
-        for direction in covariance.open_directions
-    ]
-
-
-def _find_nothing_to_explain(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> list[Finding]:
-    """Records whose every output is at its noise already with a constant in the place of the model."""
-    best_fit = {n: m.best_fit_percent for n, m in misfit.items()}
-    at_noise = all(
-        m.noise_ratio <= NOISE_RATIO and problem.noise.sources.get(n) is not NoiseSource.RESIDUAL
-        for n, m in misfit.items()
-    )
-    is_useless = bool(misfit) and at_noise and not any(percent > 0 for percent in best_fit.values())
-    values = {"best_fit": best_fit}
-    return [Finding(EstimationCode.NOTHING_TO_EXPLAIN, Severity.WARNING, "", values)] if is_useless else []
-
-
 def _find_narrowed(covariance: ParameterCovariance, at_bound: Sequence[str]) -> list[Finding]:
     """Constants whose intervals hold only if others are exactly at their bounds, by these others."""
     groups: dict[tuple[str, ...], dict[str, float | None]] = {}
@@ -413,53 +445,6 @@ def _find_narrowed(covariance: ParameterCovariance, at_bound: Sequence[str]) -> 
         Finding(EstimationCode.NARROWED_BY_BOUND, Severity.WARNING, ", ".join(bounds), {"growth": growth})
         for bounds, growth in groups.items()
     ]
-
-
-def _find_excess_misfit(
-    problem: EstimationProblem, misfit: Mapping[str, Misfit], policy: EstimationPolicy
-) -> list[Finding]:
-    """Misfit above the noise; what it means depends on how the noise is known."""
-    ratios = compute_noise_ratios(problem, misfit)
-    louder = {n: ratio for n, ratio in ratios.items() if ratio > NOISE_RATIO}
-    if not louder:
-        return []
-    uncertain = all(ratio <= policy.excess.certain_ratio(problem.noise, n) for n, ratio in louder.items())
-    code = EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE if uncertain else EstimationCode.MISFIT_ABOVE_NOISE
-    return [Finding(code, Severity.WARNING, "", {"ratios": louder})]
-
-
-def _find_shifts(shifts: Sequence[ParameterShift], listed: int) -> list[Finding]:
-    if not shifts:
-        return []
-    values: list[dict[str, Any]] = [
-        {
-            "name": s.name,
-            "unit": s.unit,
-            "before": s.before,
-            "after": s.after,
-            "deviations": s.deviations,
-            "parts": list(s.parts),
-        }
-        for s in shifts[:listed]
-    ]
-    return [Finding(EstimationCode.PARAMETER_NOT_CONSTANT, Severity.WARNING, "", {"shifts": values})]
-
-
-# Share of a standard deviation that half the integration step may shift a parameter.
-STEP_SHIFT = 0.1
-# Nobody asks for more digits of a parameter than this share of its value.
-LAST_DIGIT = 1e-06
-
-
-def _find_moved_by_step(
-    variables: DecisionVector, covariance: ParameterCovariance, shift: np.ndarray
-) -> dict[str, float]:
-    """Parameters that half the step moves by too much of their standard deviation, and by how much of it."""
-    deviations = np.sqrt(np.diag(covariance.covariance))
-    known = np.isfinite(deviations) & np.isfinite(shift)
-    change = np.where(known, shift, 0.0) * np.where(known, deviations, 0.0)
-    moved = known & (shift > STEP_SHIFT) & (change > LAST_DIGIT * np.abs(variables.base))
-    return {variables.names[k]: float(shift[k]) for k in np.flatnonzero(moved)}
 
 
 def _judge_process_noise(optimum: Optimum, test: ProcessNoiseTest, estimate: Estimate) -> Finding:

@@ -1,37 +1,122 @@
-"""The same fit from many random starts: how many of them end at the best optimum says how far it can be trusted."""
+"""The same fit from many random starts, kept in a journal: how many end at the best optimum says how far it can be trusted."""
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 
 from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
+from greybox.base.extensions import read_versions
+from greybox.base.files import add_entry, read_journal
 from greybox.base.findings import Finding, Severity
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel
-from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit import fit
+from greybox.estimation.fit import draw_starts, fit
+from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import ColourTreatment, FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
-from greybox.estimation.starts import (
-    StartJournal,
-    draw_starts,
-    group_by_optimum,
-    hash_start,
-    summarise_starts,
-)
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
+
+
+@dataclass
+class StartJournal:
+    """Where starts ended, one JSON object a line, by a hash of model, records, noise, options, versions and start.
+
+    Raises
+    ------
+    DataError
+        If the file is no journal.
+    """
+
+    path: Path
+    known: dict[str, JobResult] = field(init=False)
+
+    def __post_init__(self) -> None:
+        def parse(data: Mapping[str, Any]) -> tuple[str, JobResult]:
+            values = {str(name): float(value) for name, value in data["values"].items()}
+            ratio = float("inf") if data["ratio"] is None else float(data["ratio"])
+            return str(data["key"]), JobResult((values, ratio, str(data["status"])), "", float(data["seconds"]))
+
+        self.known = dict(read_journal(self.path, parse).entries)
+
+    def add(self, key: str, result: JobResult) -> None:
+        """Keep one more, on the disk when this returns. Raises OutputError."""
+        values, ratio, status = result.value
+        # JSON has no infinity: null is a start without a run.
+        number = ratio if abs(ratio) < float("inf") else None
+        add_entry(
+            self.path, {"key": key, "values": values, "ratio": number, "status": status, "seconds": result.seconds}
+        )
+
+
+def hash_start(
+    model: Model,
+    experiments: Sequence[Experiment],
+    noise: NoiseModel,
+    options: FitOptions,
+    begin: Mapping[str, float],
+) -> str:
+    """The hash by which a start is known: equal if everything that decides its end is."""
+    system = model.system
+    identity = [
+        str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
+        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
+        [(tie.name, tie.formula) for tie in model.ties],
+        [(s.name, s.bounds) for s in model.all_states],
+        [e.hold for e in model.effects],
+        [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
+        noise.std.tolist(),
+        [c.reflection for c in noise.colour],
+        repr(options),
+        sorted(begin.items()),
+        sorted(read_versions().items()),
+    ]
+    return hashlib.sha256(repr(identity).encode(errors="backslashreplace")).hexdigest()[:32]
+
+
+# Two ends are the same optimum where their costs differ by at most this share of the smaller one ...
+MULTISTART_SAME_COST = 0.01
+# ... or their misfits over noise by this.
+SAME_NOISE_RATIO = 0.001
+
+
+def group_by_optimum(start_results: Sequence[StartResult]) -> list[list[StartResult]]:
+    """Results at the same optimum, best first; starts without a result are left out."""
+    groups: list[list[StartResult]] = []
+    for result in sorted((r for r in start_results if r.values), key=lambda r: r.noise_ratio):
+        best, ratio = groups[-1][0].noise_ratio if groups else 0.0, result.noise_ratio
+        is_same = ratio**2 <= (1 + MULTISTART_SAME_COST) * best**2 or ratio - best <= SAME_NOISE_RATIO
+        if groups and is_same:
+            groups[-1].append(result)
+        else:
+            groups.append([result])
+    return groups
+
+
+def summarise_starts(start_results: Sequence[StartResult]) -> Finding:
+    """How many starts ended at each optimum, the best first, and how many have no result."""
+    groups = group_by_optimum(start_results)
+    values = {
+        "counts": [len(group) for group in groups],
+        "ratios": [group[0].noise_ratio for group in groups],
+        "without_result": sum(not result.values for result in start_results),
+    }
+    return Finding(EstimationCode.STARTS, Severity.NOTE, "", values)
 
 
 @dataclass(frozen=True)
@@ -137,7 +222,7 @@ def multistart(
             " without its process noise"
         )
     group = as_records(experiments)
-    known_noise = prepare_estimation(
+    known_noise = prepare_problem(
         model, group, noise, options, quiet=quiet
     ).noise  # once; refuses here what no start can use
     begins = [{q.name: q.value for q in model.free_parameters}, *draw_starts(model, starts - 1, seed, factor)]
@@ -211,7 +296,7 @@ def multistart(
 def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, float], float, str]:
     """One start, where it runs: the values it ended with, misfit over noise, status."""
     model, experiments, noise, options = common
-    solution = solve(prepare_estimation(model.start(**begin), experiments, noise, options), options)
+    solution = solve(prepare_problem(model.start(**begin), experiments, noise, options), options)
     if solution.status is TerminationStatus.INTERRUPTED:  # the search hears Ctrl-C itself
         raise KeyboardInterrupt
     evaluation, status = solution.evaluation, str(solution.status)
@@ -219,4 +304,5 @@ def _fit_from(common: tuple, begin: Mapping[str, float]) -> tuple[dict[str, floa
         return {}, np.inf, status
     values = dict(zip(model.values, solution.variables.fixed, strict=True))
     free = {q.name: float(values[q.name]) for q in model.free_parameters}
+    # Misfit over noise: chi-square over its residuals, and its root.
     return free, float(np.sqrt(evaluation.cost / max(evaluation.count, 1))), status

@@ -1,4 +1,4 @@
-"""Estimation by simulation error: the noise model and the solution in turn, until both stand still.
+"""Estimation by simulation error: a solution by the transcription that suits, and the noise model in turn with it until both stand still.
 
 The noise that a solution is weighed with may have to be learnt from its own residual: the level of an output that nothing else tells,
 the scale of the bulk of a residual with outliers (a robust loss), the colour where that is asked for. Each changes the weights, and the
@@ -12,18 +12,68 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.base.errors import ModelError
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import Termination
-from greybox.estimation.options import ColourTreatment, FitOptions
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy
+from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, Transcription
 from greybox.estimation.result_parts import Misfit, RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.simulation_error import LossKind
-from greybox.estimation.transcription.solution import FitProgressCallback, Runs, Solution
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.collocation import solve_collocation
+from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
+from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
+from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.single_shooting import solve_single_shooting
+
+__all__ = ["Solution", "solve"]
+
+
+def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
+    """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.
+
+    Raises ModelError for a transcription that the model does not allow.
+    """
+    choice = select_transcription(problem, options)
+    if choice.transcription is Transcription.SINGLE:
+        solution = solve_single_shooting(choice.problem, options, report)
+        return replace(solution, strategy=choice.to_strategy(**solution.strategy.values))
+    if choice.transcription is Transcription.ARCS:
+        return solve_multiple_shooting(choice, options, report)
+    is_multiple = choice.transcription is Transcription.MULTIPLE
+    solution = (solve_multiple_shooting if is_multiple else solve_collocation)(choice, options, report)
+    return finish_by_simulation_error(solution, options, report)
+
+
+# A free run follows the joined one if its cost is at most so many times as large ...
+COST_RATIO = 1.1
+# ... or larger by this misfit over noise squared for each sample.
+PERFECT_NOISE_RATIO = 0.001
+
+
+def finish_by_simulation_error(solution: Solution, options: FitOptions, report: FitProgressCallback | None) -> Solution:
+    """``solution``, found with white noise and least squares; carried on by a free run where its problem asks for more.
+
+    Where the free run does not follow it (an unstable plant) the noise's colour is left to the intervals, and the strategy says so;
+    anything else is refused with ModelError.
+    """
+    problem = solution.at_optimum
+    if problem.is_plain_squares or not solution.status.success:
+        return solution
+    # Whether a free run from the optimum follows the joined one: then it can go on with the cost as asked for.
+    cost = problem.with_plain_squares().shooting().evaluate(problem.variables.here).cost
+    if cost <= COST_RATIO * solution.evaluation.cost + PERFECT_NOISE_RATIO**2 * solution.evaluation.count:
+        finished = solve_single_shooting(problem, replace(options, progressive=False), report).with_work_of(solution)
+        return replace(finished, strategy=solution.strategy).with_strategy(completion=str(Completion.FREE_RUN))
+    if problem.with_white_noise().is_plain_squares:
+        white = replace(solution, problem=solution.problem.with_white_noise())
+        return white.with_strategy(completion=str(Completion.WHITE_NOISE))
+    title = "multiple shooting" if solution.transcription == Transcription.MULTIPLE else "collocation"
+    raise ModelError(
+        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, and a free run does not"
+        " follow this plant: leave the loss out"
+    )
 
 
 def estimate_by_simulation_error(
@@ -34,13 +84,13 @@ def estimate_by_simulation_error(
 ) -> Solution:
     """The solution of ``problem`` under a noise model that agrees with its residual.
 
-    A failed solution ends the loop, and so do the rounds of `NoiseLoopPolicy`. The last solution gets its last digits by Gauss-Newton
+    A failed solution ends the loop, and so does `EstimationPolicy.noise_rounds`. The last solution gets its last digits by Gauss-Newton
     steps.
     """
     if colour == ColourTreatment.WHITE:
         problem = problem.with_white_noise()
     solution = solve(problem, options, report)
-    for _ in range(options.policy.noise_loop.rounds):
+    for _ in range(options.policy.noise_rounds):
         wanted = update_noise(solution, options, colour) if solution.status.success else None
         if wanted is None:
             break
@@ -78,11 +128,12 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     if problem.noise.common:  # of all of them together
         shared = np.isin(np.arange(len(untold)), problem.noise.sharing)
         counts, squares = (np.where(shared, each[shared].sum(), each) for each in (counts, squares))
+    # Unbiased: the unknowns have taken their share of the residual, N / (N - p) gives it back.
     size = np.sqrt(squares / counts * evaluation.count / max(evaluation.count - solution.unknowns, 1))
     ratio = np.where(untold & (size > 0), np.maximum(size, options.policy.noise.min_relative_level), 1.0)
     if is_settled(ratio):
         return None
-    return problem.with_noise(replace(problem.noise, std=problem.noise.std * ratio))
+    return replace(problem, noise=replace(problem.noise, std=problem.noise.std * ratio))
 
 
 def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem | None:
@@ -95,9 +146,10 @@ def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem |
     loss, before = options.to_loss(), solution.problem.loss
     if loss is None:
         return None
+    # Of the bulk, which outliers do not enlarge: 1.48 times the median size.
     scale = estimate_bulk_scale(solution)
     if before is None and loss.kind != LossKind.HUBER:
-        loss = replace(loss, kind=LossKind.HUBER, threshold=loss.policy.huber_threshold)
+        loss = replace(loss, kind=LossKind.HUBER, threshold=options.policy.huber_threshold)
     elif before is not None and before.kind == loss.kind and is_settled(scale / before.scale):
         return None
     return replace(solution.problem, loss=replace(loss, scale=scale))
@@ -112,7 +164,7 @@ def _update_colour(solution: Solution, options: FitOptions) -> EstimationProblem
     )
     if all(a.order == b.order for a, b in zip(models, noise.colour, strict=True)):
         return None
-    return solution.problem.with_noise(replace(noise, colour=models))
+    return replace(solution.problem, noise=replace(noise, colour=models))
 
 
 # The level of a noise, or the scale of a robust loss, stands still when it changes by less than this share from round to round.
@@ -128,6 +180,10 @@ def is_settled(ratio: np.ndarray) -> bool:
 POLISHING_STEPS = 3
 # The same with a robust loss, where each step of reweighted least squares is nearer by about the same share.
 ROBUST_POLISHING_STEPS = 30
+# They end where the next one would move the parameters by a millionth of their standard deviations.
+LAST_DIGITS = TerminationPolicy(negligible_decrease=1e-12, perfect_noise_ratio=0.0, little_gain=0.0)
+# Undamped, so that they go to the end along sloppy directions as well; the first that gains nothing is the last.
+POLISHING = GaussNewtonPolicy(initial_damping=0.0, max_rejections=1)
 
 
 def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
@@ -136,7 +192,7 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     The search ends where nothing is left to gain statistically; these give the parameters their last digits. With a robust loss they are
     steps of reweighted least squares, each nearer by about the same share: there are more of them.
     """
-    problem, policy = solution.problem, options.policy.noise_loop
+    problem = solution.problem
     if solution.joined or not solution.status.success:
         return solution
     objective = SimulationErrorObjective(solution.at_optimum)
@@ -149,8 +205,8 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=solution.evaluation,
         iterations=POLISHING_STEPS if problem.loss is None else ROBUST_POLISHING_STEPS,
-        termination_test=Termination(policy.last_digits, low, high, objective.squares).test,
-        policy=replace(options.policy.minimisation, damped=policy.polishing),
+        termination_test=Termination(LAST_DIGITS, low, high, objective.squares).test,
+        policy=replace(options.policy.minimisation, damped=POLISHING),
     )
     if not outcome.evaluations:
         return solution

@@ -1,4 +1,4 @@
-"""Where an estimation ended: runs, residuals with their slopes, covariance and tests at the optimum, each computed once.
+"""Where an estimation ended: runs, residuals with their slopes, covariance and tests, each computed once; or restored from a fit.
 
 `SimulationOptimum` is the end of an estimation by simulation error, `PredictionOptimum` of one by prediction error. `assemble_fit` makes
 a `greybox.result.Fit` of either.
@@ -13,21 +13,26 @@ from functools import cached_property
 
 import numpy as np
 
-from greybox.data.noise.noise_model import AutoRegression, NoiseSource
+from greybox.base.errors import FitError
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
-from greybox.estimation.objective import Objective, ResidualRows, SimulationErrorObjective
-from greybox.estimation.objective_search import LikelihoodMaximum
+from greybox.estimation.objective import (
+    LikelihoodMaximum,
+    Objective,
+    PredictionErrorObjective,
+    ProcessNoiseTest,
+    ResidualRows,
+    SimulationErrorObjective,
+)
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.parameter_constancy import ConstancyInput, ParameterShift, expect_noise, find_parameter_shifts
-from greybox.estimation.policy import EstimationPolicy
-from greybox.estimation.prediction_error import ProcessNoiseTest
+from greybox.estimation.options import FitOptions, RobustLoss
+from greybox.estimation.parameter_constancy import ParameterShift, expect_noise, find_parameter_shifts
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, PredictionReport, Trace
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution, prepare_problem
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.estimation.transcription.solution import Runs, Solution
 from greybox.model.model import Model
 
 # The model beside the data: traces of each record and misfit of each output.
@@ -81,6 +86,7 @@ def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float
     del error  # a long record is in memory a few times only
     measured = [_select_measured(t.measured[output], t.measured[output], skip) for t in seen]
     spread = float(np.linalg.norm(_join([values - values.mean() if len(values) else values for values in measured])))
+    # NRMSE fit: 100 (1 - |y - yhat| / |y - mean(y)|), each record about its mean.
     best_fit = 100 * (1 - size / spread) if spread > 0 else np.nan
     return Misfit(rmse, unit, best_fit, rmse / noise, samples)
 
@@ -104,11 +110,6 @@ def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, M
     return {name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
 
 
-def to_noise_by_output(problem: EstimationProblem, measured: Mapping[str, Misfit]) -> dict[str, float]:
-    """Noise of the outputs that were measured."""
-    return {o.name: float(problem.noise.std[j]) for j, o in enumerate(problem.model.outputs) if o.name in measured}
-
-
 @dataclass(frozen=True, eq=False)
 class Optimum(ABC):
     """The end of an estimation of ``model``.
@@ -118,7 +119,6 @@ class Optimum(ABC):
 
     model: Model
     solution: Solution
-    policy: EstimationPolicy
 
     tests: Sequence[ProcessNoiseTest] = ()
     """Of the intensities of process noise."""
@@ -216,6 +216,7 @@ class Optimum(ABC):
         if not (np.isfinite(finer.cost) and np.isfinite(self.evaluation.cost)):
             return np.full(variables.size, np.nan)
         bounds = variables.bounds()
+        # The steps to the optimum at half the step and at the whole one: their difference is that of the optima.
         return finer.bounded_step(*bounds) - self.evaluation.bounded_step(*bounds)
 
     @cached_property
@@ -229,8 +230,8 @@ class Optimum(ABC):
             for record, (y, _) in zip(problem.records, self.runs, strict=True)
         ]
         names = [e.name for e in problem.experiments]
-        tested = ConstancyInput(self.variables, names, outputs, self._expected_noise, problem.model.noise_parameters)
-        return find_parameter_shifts(tested, self.residuals.rows)
+        excluded, rows = problem.model.noise_parameters, self.residuals.rows
+        return find_parameter_shifts(self.variables, rows, self._expected_noise, outputs, names, excluded)
 
     @property
     def _expected_noise(self) -> ResidualColour:
@@ -296,7 +297,7 @@ class SimulationOptimum(Optimum):
     @property
     def _expected_noise(self) -> ResidualColour:
         """As the noise is known where the residual clearly exceeds it."""
-        return expect_noise(self.colour, self._linearised[1], self.problem.noise, self.policy)
+        return expect_noise(self.colour, self._linearised[1], self.problem.noise)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -322,7 +323,7 @@ class PredictionOptimum(Optimum):
             sources={**problem.noise.sources, **dict.fromkeys(estimated, NoiseSource.INNOVATIONS)},
             colour=tuple(AutoRegression() for _ in std),
         )
-        return problem.with_noise(noise)
+        return replace(problem, noise=noise)
 
     @property
     def objective(self) -> Objective:
@@ -343,7 +344,7 @@ class PredictionOptimum(Optimum):
     def colour(self) -> ResidualColour:
         """Colour and variance of the innovations."""
         rows = self.residuals.rows if self.residuals else ()
-        return estimate_residual_colour(rows, 0, True, noise_policy=self.policy.noise)
+        return estimate_residual_colour(rows, 0, True, noise_policy=self.solution.problem.policy.noise)
 
     @cached_property
     def covariance(self) -> ParameterCovariance:
@@ -375,3 +376,95 @@ class PredictionOptimum(Optimum):
             self.one_step,
             likelihood if np.isfinite(likelihood) else None,
         )
+
+
+def restore_options(fit: Fit) -> FitOptions:
+    """The options of ``fit`` for a search that begins next to its optimum, with the step it ended with."""
+    options = FitOptions.from_data(fit.provenance.options)
+    return replace(
+        options,
+        progressive=False,
+        method=str(fit.solver.statistics.get("method", options.method)),
+        substeps=int(fit.solver.statistics.get("substeps", options.substeps)),
+        transcription="single",
+        arc_length=0.0,
+        hessian="gauss-newton",
+    )
+
+
+def has_free_run(fit: Fit) -> bool:
+    """Whether the run of ``fit`` is a free one from each record's initial state, and not arcs or the segments of an unstable plant."""
+    return fit.solver.statistics.get("transcription", "single") != "arcs" and bool(
+        fit.solver.statistics.get("free_run", True)
+    )
+
+
+def restore_problem(fit: Fit) -> EstimationProblem:
+    """The problem of ``fit`` with its records, its noise, its loss and its initial states, at its optimum.
+
+    An intensity of process noise that became zero stays there.
+
+    Raises FitError for a fit that did not succeed, that was saved without its inputs, or whose run is neither a free one (but arcs, or
+    the segments of an unstable plant) nor a prediction.
+    """
+    if not fit.success:
+        raise FitError(
+            f"fit of {fit.model.title}: {fit.solver.status_message}; intervals need a fit that has succeeded"
+        )
+    if any(i.name not in t.inputs for t in fit.traces for i in fit.model.inputs):
+        raise FitError(f"fit of {fit.model.title}: saved without the inputs of its records; fit again")
+    if not (has_free_run(fit) or fit.prediction.process_noise):
+        raise FitError(
+            f"fit of {fit.model.title}: its simulation is not a free run ({fit.solver.statistics['transcription']}), which"
+            " this result needs; use the intervals of the fit itself, or fit by single shooting if the plant is stable"
+        )
+    without = [name for name in fit.model.noise_parameters if fit.model.values[name] == 0]
+    problem = prepare_problem(
+        fit.model.fix(*without), [t.experiment for t in fit.traces], restore_noise(fit), restore_options(fit)
+    )
+    # Parameters that each experiment has for itself go by their labels, ``B (day 1)``.
+    per_experiment = {
+        f"{name} ({title})": estimate.value
+        for name, estimates in fit.constraints.per_experiment.items()
+        for title, estimate in estimates.items()
+    }
+    variables = problem.variables.with_values(per_experiment)
+    start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
+    variables = replace(variables, initial=replace(variables.initial, guess=start))
+    return replace(problem, loss=restore_loss(fit), variables=variables)
+
+
+def restore_objective(fit: Fit) -> Objective:
+    """What ``fit`` minimised, at its optimum; raises as `restore_problem`."""
+    problem = restore_problem(fit)
+    if fit.prediction.process_noise:
+        return PredictionErrorObjective.of(problem)
+    return SimulationErrorObjective(problem)
+
+
+def restore_residuals(fit: Fit) -> tuple[Objective, ResidualRows]:
+    """What ``fit`` minimised, and its residuals or innovations with their slopes. Raises FitError where they are not finite."""
+    objective = restore_objective(fit)
+    residuals = objective.linearise()
+    if residuals is None:
+        raise FitError(f"fit of {fit.model.title}: its filter is not finite at the fitted parameters; fit again")
+    return objective, residuals
+
+
+def restore_loss(fit: Fit) -> RobustLoss | None:
+    """The robust loss of ``fit`` with its scales; None for least squares."""
+    loss = FitOptions.from_data(fit.provenance.options).to_loss()
+    scale = np.array([fit.robust.scale.get(o.name, 1.0) for o in fit.model.outputs])
+    return None if loss is None else replace(loss, scale=scale)
+
+
+def restore_noise(fit: Fit) -> NoiseModel:
+    """The noise that ``fit`` was weighted with."""
+    outputs = fit.model.outputs
+    std = np.array([fit.noise.std.get(o.name, 1.0) for o in outputs])
+    colour = tuple(AutoRegression(tuple(fit.noise.colour.get(o.name, ()))) for o in outputs)
+    options = FitOptions.from_data(fit.provenance.options)
+    known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
+    return NoiseModel(
+        tuple(o.name for o in outputs), std, fit.noise.sources, colour, known, fit.noise.bounds, options.common_noise
+    )

@@ -1,22 +1,211 @@
-"""What can be chosen about a fit."""
+"""What can be chosen about a fit: options, what a large residual costs, and the numbers that steer decisions.
+
+A decision number changes by ``replace``: ``FitOptions(policy=EstimationPolicy(noise_rounds=3))``. The result keeps it with the options.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
 from typing import Any
 
-from greybox.base.errors import ModelError
-from greybox.data.experiment import Experiment
-from greybox.data.noise.noise_model import NoiseModel
-from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
+import numpy as np
+
+from greybox.base.errors import ModelError, nearest
+from greybox.base.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
+from greybox.data.noise.policy import NoisePolicy
+from greybox.estimation.optim.minimisation import MinimisationPolicy
 from greybox.estimation.result_parts import to_json_data
-from greybox.estimation.transcription.options import SolverOptions
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.estimation.transcription.simulation_error import RobustLoss, parse_loss
-from greybox.model.model import Model
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy
+
+# What a large residual costs: least squares, or a robust loss that outliers cannot pull (Huber 1964; Student's t).
+
+
+class LossKind(StrEnum):
+    """What a residual costs."""
+
+    SQUARES = "squares"
+    HUBER = "huber"
+    STUDENT = "student"
+
+
+# A residual that counts less than this share of its least-squares weight is an outlier.
+OUTLIER_WEIGHT = 0.35
+# The mean curvature of a loss does not fall below this, however many residuals are outliers.
+LEAST_CURVATURE = 0.05
+
+
+@dataclass(frozen=True)
+class RobustLoss:
+    """``cost = sum s^2 rho(r / s)`` of the residuals ``r`` in units of their noise, ``s`` (ny,) being their ``scale`` in that unit.
+
+    ``huber`` with threshold ``k``: ``rho(t) = t^2`` up to ``k`` and ``2 k |t| - k^2`` beyond, where a residual pulls no more than one of
+    ``k``. ``student`` with ``k`` degrees of freedom: ``rho(t) = (k + 1) log(1 + t^2 / k)``, the likelihood of Student's distribution,
+    where a residual far out pulls less and less. For small residuals both are least squares (but for a factor).
+    """
+
+    kind: str
+    threshold: float
+    scale: np.ndarray = field(default_factory=lambda: np.ones(1))
+
+    def __str__(self) -> str:
+        unit = " noise standard deviations" if self.kind == LossKind.HUBER else " degrees of freedom"
+        return f"{self.kind}, {self.threshold:g}{unit}"
+
+    def terms(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """For residuals (N, ny): cost ``rho``, half its slope ``psi``, weight ``psi / r`` and half its curvature; NaN stays NaN."""
+        t, k = r / self.scale, self.threshold
+        if self.kind == LossKind.HUBER:
+            # t^2 up to k, a straight line of the same slope beyond; written so that NaN counts as inside and stays.
+            inside = ~(np.abs(t) > k)
+            size = np.where(inside, 1.0, np.abs(t))
+            rho = np.where(inside, t**2, 2 * k * size - k**2)
+            weight = np.where(inside, 1.0, k / size)
+            curvature = np.where(inside, 1.0, 0.0)
+        else:
+            # rho = (k + 1) ln(1 + t^2 / k), half its slope over t, and half its second derivative.
+            rho = (k + 1) * np.log1p(t**2 / k)
+            weight = (k + 1) / (k + t**2)
+            curvature = (k + 1) * (k - t**2) / (k + t**2) ** 2
+        # cost = s^2 rho(r / s), so that psi = W r and the curvature is free of s.
+        return self.scale**2 * rho, weight * r, weight, curvature
+
+    def mean_curvature(self, r: np.ndarray) -> np.ndarray:
+        """The mean of ``rho'' / 2`` over the residuals (N, ny) of each output: what the loss leaves of the information."""
+        is_measured = np.isfinite(r)
+        total = np.where(is_measured, self.terms(np.where(is_measured, r, 0.0))[3], 0.0).sum(axis=0)
+        return np.maximum(total / np.maximum(is_measured.sum(axis=0), 1), LEAST_CURVATURE)
+
+    def least(self) -> np.ndarray:
+        """Mean of ``psi^2`` over that of the curvature (ny,) for normal noise of variance one: 1 for least squares, less otherwise."""
+        t = np.linspace(-NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_POINTS)
+        # E[psi^2] / E[psi']: the integrals over the normal density as sums, whose common step cancels.
+        w = np.exp(-(t**2) / 2)
+        _, psi, _, curvature = self.terms(np.repeat(t[:, None], len(self.scale), axis=1))
+        return (w @ psi**2) / (w @ curvature)
+
+    def outliers(self, r: np.ndarray) -> np.ndarray:
+        """Which residuals (N, ny) count for much less than they would in least squares."""
+        is_measured = np.isfinite(r)
+        weight = self.terms(np.where(is_measured, r, 0.0))[2]
+        return is_measured & (weight < OUTLIER_WEIGHT * self.terms(np.zeros_like(r))[2])
+
+
+# Degrees of freedom: tails heavier than those of any sensor that is in order.
+STUDENT_FREEDOM = 4.0
+
+
+# Threshold of Huber's loss where none is given, in noise standard deviations: 95 % of the efficiency of least squares on normal noise
+# (Huber 1981).
+HUBER_THRESHOLD = 1.345
+
+
+def parse_loss(text: str, huber_threshold: float = HUBER_THRESHOLD) -> RobustLoss | None:
+    """``huber``, ``student``, or either with its threshold, ``huber:2``; None for ``squares``. Raises ModelError for other text."""
+    kind, colon, value = text.partition(":")
+    kinds = [str(known) for known in LossKind]
+    if kind not in kinds:
+        raise ModelError(f"unknown loss {kind!r}; {nearest(kind, kinds)}")
+    if kind == LossKind.SQUARES and not colon:
+        return None
+    try:
+        usual = STUDENT_FREEDOM if kind == LossKind.STUDENT else huber_threshold
+        threshold = float(value) if colon else usual
+    except ValueError:
+        threshold = math.nan
+    if kind == LossKind.SQUARES or not (math.isfinite(threshold) and threshold > 0):
+        raise ModelError(
+            f"loss {text!r}: write huber:K with the threshold K in noise standard deviations, student:K with K degrees of freedom,"
+            " K above zero, or squares"
+        )
+    return RobustLoss(kind, threshold)
+
+
+# The numbers that somebody turns. Every other one is a constant above the function that it steers.
+
+
+@dataclass(frozen=True)
+class StepRefinementPolicy:
+    """How small the integration step has to be at the optimum."""
+
+    halvings: int = 4
+    """Times the step is halved at most."""
+
+    max_substeps: int = 16_000
+    """Substeps of a sample from which a step is made no finer."""
+
+
+@dataclass(frozen=True)
+class TranscriptionPolicy:
+    """Which transcription suits a model and its record, and how long its segments are."""
+
+    max_error_growth: float = 20.0
+    """Factor by which errors may grow over the record. Beyond it a free run loses the constants."""
+
+    max_segments: int = 50
+    """Segments of a record, unless the growth of errors asks for more."""
+
+    usual_rows: int = 20
+    """Fewest samples of a segment, unless the growth of errors asks for shorter ones."""
+
+
+@dataclass(frozen=True)
+class EstimationPolicy:
+    """All decision numbers of an estimation, those of the steps it is made of included; see the class of each group."""
+
+    noise: NoisePolicy = field(default_factory=NoisePolicy)
+    discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
+    transcription: TranscriptionPolicy = field(default_factory=TranscriptionPolicy)
+    minimisation: MinimisationPolicy = field(default_factory=MinimisationPolicy)
+    step_refinement: StepRefinementPolicy = field(default_factory=StepRefinementPolicy)
+
+    huber_threshold: float = HUBER_THRESHOLD
+    """What Huber's loss takes for an outlier where the options do not say."""
+
+    noise_rounds: int = 8
+    """Solutions under a new noise model at most. Most fits need none, one with a robust loss three or four."""
+
+    @classmethod
+    def from_data(cls, data: Mapping[str, Any]) -> EstimationPolicy:
+        """The policy that a result has stored; what an older result lacks is the default, what this version lacks is left out."""
+        return replace(DEFAULT_POLICY, **_restore_fields(DEFAULT_POLICY, data))
+
+
+def _restore_fields(default: Any, data: Mapping[str, Any]) -> dict[str, Any]:
+    """What stored ``data`` say of the fields of ``default``, groups within groups included."""
+    restored: dict[str, Any] = {}
+    for name in (f.name for f in fields(default) if f.name in data):
+        usual, value = getattr(default, name), data[name]
+        if is_dataclass(usual) and not isinstance(usual, type):
+            restored[name] = replace(usual, **_restore_fields(usual, value))
+        else:
+            restored[name] = tuple(value) if isinstance(value, list) else value
+    return restored
+
+
+DEFAULT_POLICY = EstimationPolicy()
+"""What every estimation uses unless it is given another policy."""
+
+
+class Transcription(StrEnum):
+    """How records become an optimisation problem."""
+
+    AUTOMATIC = "automatic"
+    SINGLE = "single"
+    MULTIPLE = "multiple"
+    COLLOCATION_RADAU = "collocation-radau"
+    COLLOCATION_LEGENDRE = "collocation-legendre"
+    ARCS = "arcs"
+
+
+class Hessian(StrEnum):
+    """Curvature that a fit by collocation uses."""
+
+    GAUSS_NEWTON = "gauss-newton"
+    EXACT = "exact"
 
 
 class ColourTreatment(StrEnum):
@@ -28,7 +217,7 @@ class ColourTreatment(StrEnum):
 
 
 @dataclass(frozen=True)
-class FitOptions(SolverOptions):
+class FitOptions:
     """Choices of a fit, kept with its result.
 
     Parameters
@@ -59,7 +248,7 @@ class FitOptions(SolverOptions):
         Curvature that collocation uses: ``gauss-newton`` or ``exact``.
     loss
         ``squares``, or a robust one that outliers cannot pull: ``huber`` or ``student``, with a threshold if need be (``huber:2`` noise
-        standard deviations, ``student:3`` degrees of freedom), see `greybox.transcription.loss.Loss`.
+        standard deviations, ``student:3`` degrees of freedom), see `RobustLoss`.
     per_experiment
         Parameters of which each experiment has a value of its own.
     common_noise
@@ -68,7 +257,7 @@ class FitOptions(SolverOptions):
     other_starts
         How many other starts are searched where the fit from the model's own explains nothing; 0 for none.
     policy
-        The numbers that steer decisions, see `greybox.estimation.policy.EstimationPolicy`.
+        The numbers that steer decisions, see `EstimationPolicy`.
 
     Raises
     ------
@@ -81,6 +270,15 @@ class FitOptions(SolverOptions):
     'automatic'
     """
 
+    method: str = "automatic"
+    substeps: int = 0
+    progressive: bool = True
+    iterations: int = 200
+    tolerance: float = 1e-12
+    thorough: bool = True
+    transcription: str = "automatic"
+    arc_length: float = 0.0
+    hessian: str = "gauss-newton"
     policy: EstimationPolicy = DEFAULT_POLICY
     at_rest: bool = False
     loss: str = "squares"
@@ -99,7 +297,25 @@ class FitOptions(SolverOptions):
             raise ModelError(
                 f"other_starts {self.other_starts}: give how many other starts are searched, or 0 for none"
             )
-        super().__post_init__()
+        if self.transcription not in list(Transcription):
+            raise ModelError(
+                f"unknown transcription {self.transcription!r}; {nearest(self.transcription, list(map(str, Transcription)))}"
+            )
+        if self.hessian not in list(Hessian):
+            raise ModelError(f"unknown Hessian {self.hessian!r}; {nearest(self.hessian, list(map(str, Hessian)))}")
+        if not (math.isfinite(self.arc_length) and self.arc_length >= 0):
+            raise ModelError(f"arc_length {self.arc_length} s: give a positive number of seconds, or 0 for no arcs")
+        if self.arc_length and self.transcription not in ("automatic", "arcs"):
+            raise ModelError(
+                f"arc_length {self.arc_length:g} s: transcription {self.transcription!r} has no arcs; leave out one of the two"
+            )
+        if self.transcription == "arcs" and not self.arc_length:
+            raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
+        if self.hessian == "exact" and not self.transcription.startswith("collocation"):
+            raise ModelError(
+                f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"
+                " 'collocation-legendre', or 'gauss-newton'"
+            )
 
     @classmethod
     def from_data(cls, data: Mapping[str, Any]) -> FitOptions:
@@ -113,13 +329,18 @@ class FitOptions(SolverOptions):
         return {**to_json_data(choices), "policy": _to_policy_data(self.policy)}
 
     @property
+    def integration(self) -> FitOptions:
+        """The same choices of how a model is integrated and how records begin; all others are the usual ones."""
+        return FitOptions(at_rest=self.at_rest, method=self.method, substeps=self.substeps, policy=self.policy)
+
+    @property
     def robust(self) -> bool:
         """Whether the loss is a robust one."""
         return self.to_loss() is not None
 
     def to_loss(self) -> RobustLoss | None:
         """The robust loss; None for least squares. Raises ModelError for text that names none."""
-        return parse_loss(self.loss, self.policy.transcription.robust_loss)
+        return parse_loss(self.loss, self.policy.huber_threshold)
 
 
 @lru_cache(maxsize=8)
@@ -136,29 +357,3 @@ def resolve_options(options: Any) -> FitOptions:
         shown = ", ".join(f"{k}={v!r}" for k, v in options.items()) if isinstance(options, dict) else "at_rest=True"
         raise ModelError(f"options: {options!r} is not a FitOptions; write options=FitOptions({shown})")
     return options
-
-
-def prepare_estimation(
-    model: Model,
-    experiments: Experiment | Sequence[Experiment],
-    noise: Mapping[str, float] | NoiseModel | None,
-    options: FitOptions,
-    *,
-    quiet: Experiment | Sequence[Experiment] = (),
-    initial: Sequence[Mapping[str, float]] = (),
-) -> EstimationProblem:
-    """`prepare_problem` as ``options`` say."""
-    return prepare_problem(
-        model,
-        experiments,
-        noise,
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        quiet=quiet,
-        per_experiment=options.per_experiment,
-        robust=options.robust,
-        common_noise=options.common_noise,
-        initial=initial,
-        policy=options.policy,
-    )

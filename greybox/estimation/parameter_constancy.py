@@ -12,11 +12,10 @@ from scipy.special import ndtri
 
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.base.numerics import ROWS_AT_A_TIME
-from greybox.data.noise.noise_model import AutoRegression, NoiseModel
-from greybox.estimation.policy import EstimationPolicy
+from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
-from greybox.estimation.transcription.solution import Runs
+from greybox.estimation.transcription.problem import Runs
 
 
 class PartKind(StrEnum):
@@ -61,55 +60,69 @@ class ParameterShift:
     parts: tuple[str, str]
 
 
-@dataclass(frozen=True)
-class ConstancyInput:
-    """What is tested: the parameters, the ``names`` of their experiments, the model's outputs (N, ny) in each, and ``colour`` and
-    variance of what noise alone leaves in the weighted residual. ``excluded``: parameters that are not tested.
-    """
-
-    variables: DecisionVector
-    names: Sequence[str]
-    outputs: Sequence[np.ndarray]
-    colour: ResidualColour
-    excluded: Sequence[str] = ()
-
-
 # Standard deviations apart from which a shift counts.
 CONSTANCY_LEAST_DEVIATIONS = 3.0
 # Rate of false alarms over all comparisons of a fit.
 CONSTANCY_FALSE_ALARM_RATE = 0.01
 
 
-def find_parameter_shifts(tested: ConstancyInput, rows: Runs) -> list[ParameterShift]:
+def find_parameter_shifts(
+    variables: DecisionVector,
+    rows: Runs,
+    colour: ResidualColour,
+    outputs: Sequence[np.ndarray],
+    names: Sequence[str],
+    excluded: Sequence[str] = (),
+) -> list[ParameterShift]:
     """Parameters that differ too far between experiments, halves of the records, or small and large motion; the farthest first.
+
+    ``rows``: weighted residuals and slopes of each experiment, by their ``names``; ``colour`` and variance are those that noise alone
+    leaves in them. ``outputs`` (N, ny): those of the model. ``excluded``: parameters that are not tested.
 
     Each part has its own parameters and initial states, one Gauss-Newton step from the common optimum (a score test of constancy). The
     standard deviation of a shift is the one that noise leaves: where the residual clearly exceeds the noise, of the noise alone;
     else of the residual with its colour. A parameter that each experiment has for itself may differ, and is not tested.
     """
-    variables = tested.variables
-    inside = np.flatnonzero(
-        ~variables.active & (variables.owner == SHARED) & ~np.isin(variables.names, tested.excluded)
-    )
+    inside = np.flatnonzero(~variables.active & (variables.owner == SHARED) & ~np.isin(variables.names, excluded))
     if not len(inside):
         return []
+    count = str(len(rows))
+    experiments = [
+        DataPart(PartKind.EXPERIMENT, repr(name), {e: np.ones(len(rows[e][0]), bool)}) for e, name in enumerate(names)
+    ]
+    first = {e: np.arange(len(r)) < len(r) // 2 for e, (r, _) in enumerate(rows)}
+    halves = [
+        DataPart(PartKind.FIRST_HALF, count, first),
+        DataPart(PartKind.SECOND_HALF, count, {e: ~mask for e, mask in first.items()}),
+    ]
     groups = [
-        [
-            (part.label, *step)
-            for part in parts
-            if (step := _step_to_optimum(variables, rows, part, tested.colour, inside))
-        ]
-        for parts in (_split_by_experiment(tested, rows), _split_in_halves(rows), _split_by_motion(tested))
+        [(part.label, *step) for part in parts if (step := _step_to_optimum(variables, rows, part, colour, inside))]
+        for parts in (experiments if len(rows) > 1 else [], halves, _split_by_motion(outputs, colour))
     ]
     comparisons = max(sum(len(inside) * len(g) * (len(g) - 1) // 2 for g in groups), 1)
+    # Bonferroni: the rate of false alarms is shared by all comparisons, on two sides.
     threshold = max(CONSTANCY_LEAST_DEVIATIONS, float(-ndtri(CONSTANCY_FALSE_ALARM_RATE / comparisons / 2)))
     farthest: dict[int, ParameterShift] = {}
     for (one, step_a, variance_a), (other, step_b, variance_b) in (pair for g in groups for pair in combinations(g, 2)):
         with np.errstate(divide="ignore", invalid="ignore"):
+            # The parts are independent: their variances add up.
             deviations = np.abs(step_b - step_a) / np.sqrt(variance_a + variance_b)
         for k in map(int, np.flatnonzero(deviations > threshold)):
             if k not in farthest or deviations[k] > farthest[k].deviations:
-                farthest[k] = _to_shift(variables, inside[k], step_a[k], step_b[k], float(deviations[k]), (one, other))
+                # Steps in z as values of the parameter, within its bounds.
+                quantity, value, steps = (
+                    variables.quantities[inside[k]],
+                    float(variables.base[inside[k]]),
+                    (step_a[k], step_b[k]),
+                )
+                if variables.logarithmic[inside[k]]:
+                    ends = [value * float(np.exp(np.clip(step, -50, 50))) for step in steps]
+                else:
+                    ends = [value + float(variables.scale[inside[k]]) * step for step in steps]
+                low, high = quantity.bounds
+                before, after = (min(max(end, low), high) for end in ends)
+                size, parts = float(deviations[k]), (one, other)
+                farthest[k] = ParameterShift(quantity.name, quantity.unit, before, after, size, parts)
     shifts = [s for s in farthest.values() if s.before != s.after]  # both beyond the same bound: nowhere to go
     return sorted(shifts, key=lambda s: -s.deviations)
 
@@ -133,24 +146,6 @@ def compute_running_mean(values: np.ndarray, width: int) -> np.ndarray:
     return mean
 
 
-def _split_by_experiment(tested: ConstancyInput, rows: Runs) -> list[DataPart]:
-    """Each experiment by itself, if there are several."""
-    if len(rows) < 2:
-        return []
-    names = [repr(tested.names[e]) if tested.names else str(e + 1) for e in range(len(rows))]
-    return [DataPart(PartKind.EXPERIMENT, name, {e: np.ones(len(rows[e][0]), bool)}) for e, name in enumerate(names)]
-
-
-def _split_in_halves(rows: Runs) -> list[DataPart]:
-    """The first and the second half of every record."""
-    first = {e: np.arange(len(r)) < len(r) // 2 for e, (r, _) in enumerate(rows)}
-    records = str(len(rows))
-    return [
-        DataPart(PartKind.FIRST_HALF, records, first),
-        DataPart(PartKind.SECOND_HALF, records, {e: ~mask for e, mask in first.items()}),
-    ]
-
-
 # Small and large motion are told apart in so many windows of a record ...
 MOTION_WINDOWS = 50
 # ... over so many correlation times of the residual at least ...
@@ -159,9 +154,8 @@ CONSTANCY_CORRELATION_TIMES = 5.0
 MOTION_RATIO = 1.5
 
 
-def _split_by_motion(tested: ConstancyInput) -> list[DataPart]:
+def _split_by_motion(outputs: Sequence[np.ndarray], colour: ResidualColour) -> list[DataPart]:
     """The rows with small and with large motion, if the motion changes enough; motion is smoothed over some correlation times."""
-    outputs, colour = tested.outputs, tested.colour
     everything = outputs[0] if len(outputs) == 1 else np.concatenate(outputs)
     mean, spread = everything.mean(axis=0), everything.std(axis=0)
     del everything
@@ -173,7 +167,13 @@ def _split_by_motion(tested: ConstancyInput) -> list[DataPart]:
     for e, y in enumerate(outputs):
         width = int(min(max(len(y) / MOTION_WINDOWS, CONSTANCY_CORRELATION_TIMES * time), len(y)))
         used = y if moving.all() else y[:, moving]
-        squares = compute_running_mean(_square_motion(used, mean[moving], spread[moving]), max(width, 1))
+        # Mean square over the outputs of their distance from the mean, in units of their spread.
+        squares = np.empty(len(y))
+        for first in range(0, len(y), ROWS_AT_A_TIME):  # a long record is in memory a few times only
+            block = slice(first, first + ROWS_AT_A_TIME)
+            squares[block] = np.square((used[block] - mean[moving]) / spread[moving]).mean(axis=1)
+        squares = compute_running_mean(squares, max(width, 1))
+        # Root mean square of the motion around each row.
         size[e] = np.sqrt(squares, out=squares)
     ordered = np.concatenate(list(size.values()))
     ordered.sort()
@@ -188,20 +188,24 @@ def _split_by_motion(tested: ConstancyInput) -> list[DataPart]:
     ]
 
 
-def _square_motion(y: np.ndarray, mean: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Mean square (N,) over the outputs ``y`` (N, n) of their distance from the ``mean`` in units of ``spread``."""
-    squares = np.empty(len(y))
-    for first in range(0, len(y), ROWS_AT_A_TIME):
-        block = slice(first, first + ROWS_AT_A_TIME)
-        squares[block] = np.square((y[block] - mean) / spread).mean(axis=1)
-    return squares
+# Misfit over a noise that was measured or given from which a residual is more than noise: above the scatter of an estimated level.
+NOISE_RATIO = 1.3
+# The same over a noise told by differences of the records alone, which may be coloured and that much too small.
+DIFFERENCE_NOISE_RATIO = 10.0
+
+
+def find_certain_ratio(noise: NoiseModel, output: str) -> float:
+    """Misfit over the noise that is weighed with from which a residual is certainly more than noise."""
+    if noise.sources.get(output) is NoiseSource.DIFFERENCES:
+        return DIFFERENCE_NOISE_RATIO
+    return NOISE_RATIO * noise.ceiling_ratio(output)
 
 
 # A residual below this share of the noise is rounding or integration error, which is not random.
 CONSTANCY_LEAST_NOISE_RATIO = 0.1
 
 
-def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: EstimationPolicy) -> ResidualColour:
+def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel) -> ResidualColour:
     """Colour and variance of what noise alone leaves in the weighted residuals ``rows``, which have the ``colour``.
 
     Where the residual clearly exceeds the noise it is white noise of the size that is known.
@@ -209,11 +213,12 @@ def expect_noise(colour: ResidualColour, rows: Runs, noise: NoiseModel, policy: 
     squares = np.concatenate([np.square(r) for r, _ in rows])
     counts = np.isfinite(squares).sum(axis=0)
     squares[np.isnan(squares)] = 0.0  # in its place: a long record is in memory a few times only
+    # Misfit over the noise that the rows are weighed with.
     ratio = np.sqrt(squares.sum(axis=0) / np.maximum(counts, 1))
     del squares
     models, variance = list(colour.models), [max(v, CONSTANCY_LEAST_NOISE_RATIO**2) for v in colour.variance]
     for j, name in enumerate(noise.outputs):
-        if ratio[j] > policy.excess.certain_ratio(noise, name):
+        if ratio[j] > find_certain_ratio(noise, name):
             models[j], variance[j] = AutoRegression(), 1.0
     return replace(colour, models=tuple(models), variance=tuple(variance))
 
@@ -243,23 +248,22 @@ def _step_to_optimum(
             for e in part.rows
         },
     )
-    data = {e: _select_part(*rows[e], mask, layout.lanes(e, inside), colour.coloured) for e, mask in part.rows.items()}
+    data = {}
+    for e, mask in part.rows.items():
+        r, jacobian = rows[e]
+        # Of a coloured residual the rows keep their places in time.
+        r, jacobian = (np.where(mask[:, None], r, np.nan), jacobian) if colour.coloured else (r[mask], jacobian[mask])
+        lanes = np.concatenate([inside, layout.others[e]])
+        is_all = np.array_equal(lanes, np.arange(jacobian.shape[2]))
+        data[e] = r, jacobian if is_all else jacobian[:, :, lanes]
     if sum(int(np.isfinite(r).sum()) for r, _ in data.values()) < RESIDUALS_PER_UNKNOWN * layout.size:
         return None
     sums = sum_scores(layout, list(data.values()), colour, list(data))
     decomposition = decompose_symmetric(sums.information).without_doubtful()
     inverse = decomposition.pseudo_inverse
+    # A^-1 B A^-1, B the covariance of the score under the noise.
     variance = np.diag(inverse @ sums.coloured @ inverse)
     return (-inverse @ sums.score)[:shared], np.where(decomposition.is_open[:shared], np.inf, variance[:shared])
-
-
-def _select_part(
-    r: np.ndarray, jacobian: np.ndarray, mask: np.ndarray, lanes: np.ndarray, is_coloured: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals and slopes of the rows in ``mask`` (N,), along ``lanes``; of a coloured residual they keep their places in time."""
-    r, jacobian = (np.where(mask[:, None], r, np.nan), jacobian) if is_coloured else (r[mask], jacobian[mask])
-    is_all = np.array_equal(lanes, np.arange(jacobian.shape[2]))
-    return r, jacobian if is_all else jacobian[:, :, lanes]
 
 
 @dataclass(frozen=True)
@@ -276,20 +280,3 @@ class _PartLayout:
     def columns(self, experiment: int) -> np.ndarray:
         before = sum(len(lanes) for e, lanes in self.others.items() if e < experiment)
         return np.concatenate([np.arange(self.shared), self.shared + before + np.arange(len(self.others[experiment]))])
-
-    def lanes(self, experiment: int, inside: np.ndarray) -> np.ndarray:
-        return np.concatenate([inside, self.others[experiment]])
-
-
-def _to_shift(
-    variables: DecisionVector, k: int, before: float, after: float, deviations: float, parts: tuple[str, str]
-) -> ParameterShift:
-    """Steps in ``z`` as values of the parameter, within its bounds."""
-    quantity, value = variables.quantities[k], float(variables.base[k])
-    if variables.logarithmic[k]:
-        one, other = (value * float(np.exp(np.clip(step, -50, 50))) for step in (before, after))
-    else:
-        one, other = (value + float(variables.scale[k]) * step for step in (before, after))
-    low, high = quantity.bounds
-    one, other = min(max(one, low), high), min(max(other, low), high)
-    return ParameterShift(quantity.name, quantity.unit, one, other, deviations, parts)

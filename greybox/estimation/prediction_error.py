@@ -7,14 +7,18 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
-from greybox.estimation.objective import PredictionErrorObjective, add_noise_levels
-from greybox.estimation.objective_search import (
+from greybox.estimation.noise_loop import solve
+from greybox.estimation.objective import (
+    LIKELIHOOD_TERMINATION,
     LikelihoodMaximum,
+    PredictionErrorObjective,
+    ProcessNoiseTest,
+    add_noise_levels,
     hold_parameters,
     raise_noise_to_innovations,
     refine_minimum,
@@ -22,33 +26,14 @@ from greybox.estimation.objective_search import (
     select_best_start,
     start_at,
 )
-from greybox.estimation.options import FitOptions, prepare_estimation
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Transcription
-from greybox.estimation.transcription.solution import FitProgressCallback, Solution
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.problem import FitProgressCallback, Solution, prepare_problem
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import KalmanFilter
 
 # Intensities of process noise: from which to start, whether zero would do as well, and how large one may be.
-
-
-@dataclass(frozen=True)
-class ProcessNoiseTest:
-    """One intensity of process noise as a fit found it.
-
-    ``ratio``: likelihood ratio, twice the gain of the logarithm over zero intensity; ``p_value``: how often chance alone gives so
-    much; ``significant``: whether the records show process noise; ``limits``: one-sided 95 % limit
-    (0, upper) where it is not significant, else None.
-    """
-
-    name: str
-    value: float
-    ratio: float
-    p_value: float
-    significant: bool = False
-    limits: tuple[float, float] | None = None
 
 
 def compute_largest_intensities(model: Model, steps: np.ndarray) -> dict[str, float]:
@@ -121,6 +106,9 @@ def remove_process_noise(cost: PredictionErrorObjective, name: str) -> Predictio
 PROCESS_NOISE_FLOOR = 1e-08
 # Level at which an intensity counts as clearly above zero.
 PROCESS_NOISE_SIGNIFICANCE = 0.01
+# Likelihood ratio at an upper limit: the chi-square point of the two-sided level 0.1, which is one-sided 95 %, as the ratio is zero in
+# half of all cases without any process noise.
+LIMIT_RATIO = float(chdtri(1, 0.1))
 
 
 def likelihood_ratio_tests(
@@ -133,7 +121,7 @@ def likelihood_ratio_tests(
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
     if not optimum.status.success:
         return ()
-    policy, variables = options.policy.process_noise, optimum.objective.variables
+    variables = optimum.objective.variables
     p = variables.parameters(variables.here)
     values = dict(zip((q.name for q in variables.model.all_parameters), p, strict=True))
     tests = []
@@ -147,7 +135,7 @@ def likelihood_ratio_tests(
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         # Zero is on the edge: half the mass at zero, half chi-square of one degree (Self and Liang 1987).
         p_value = 0.5 * float(chdtrc(1, ratio))
-        limited = ratio < policy.limit_ratio
+        limited = ratio < LIMIT_RATIO
         limits = (0.0, find_upper_limit(optimum, name, values[name], options)) if limited else None
         tests.append(ProcessNoiseTest(name, values[name], ratio, p_value, p_value < PROCESS_NOISE_SIGNIFICANCE, limits))
     return tuple(tests)
@@ -166,9 +154,8 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
 
     ``begin`` is one that does not.
     """
-    policy = options.policy.process_noise
-    limit, tolerance = policy.limit_ratio, PROCESS_NOISE_LIMIT_TOLERANCE * policy.limit_ratio
-    enough = replace(options.policy.likelihood_search.termination, negligible_decrease=tolerance)
+    limit, tolerance = LIMIT_RATIO, PROCESS_NOISE_LIMIT_TOLERANCE * LIMIT_RATIO
+    enough = replace(LIKELIHOOD_TERMINATION, negligible_decrease=tolerance)
     least = optimum.evaluation.cost
     near, low, high = optimum.objective, begin, np.inf
     value = begin
@@ -232,31 +219,6 @@ def estimate_by_prediction_error(
 
     Raises ModelError for a robust loss or a transcription, which have no meaning here.
     """
-    _check_options(options)
-    names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
-    undriven = model.fix(*names)  # a free run knows nothing of the intensities
-    solution = solve(
-        prepare_estimation(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
-    )
-    # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
-    changes = [
-        np.diff(x, axis=0) / np.sqrt(r.h)[:, None]
-        for (_, x), r in zip(solution.simulate(), solution.problem.records, strict=True)
-    ]
-    whole = np.concatenate(changes)
-    with np.errstate(invalid="ignore", over="ignore"):
-        moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
-    sizes = compute_largest_intensities(model, moved)
-    starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
-    optimum = search_minimum(select_best_start(starts), options, report)
-    if not optimum.status.success:
-        return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
-    may_be_zero = [n for n in names if model.parameter(n).bounds[0] == 0]
-    optimum, zero = drop_insignificant(optimum, may_be_zero, options)
-    return MaximumLikelihoodEstimate(solution, optimum, names, zero, sizes)
-
-
-def _check_options(options: FitOptions) -> None:
     if options.loss != "squares":
         raise ModelError(
             f"loss {options.loss!r}: a model with process noise is fitted by its likelihood, which is that of normal noise; leave out"
@@ -267,6 +229,28 @@ def _check_options(options: FitOptions) -> None:
             f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
             " none; leave out transcription and arc_length, or the process noise"
         )
+    names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
+    undriven = model.fix(*names)  # a free run knows nothing of the intensities
+    solution = solve(
+        prepare_problem(undriven, experiments, noise, options, quiet=quiet, initial=initial), options, report
+    )
+    # Change of each state from row to row over the root of the interval: what a random walk of unit intensity makes one.
+    changes = [
+        np.diff(x, axis=0) / np.sqrt(r.h)[:, None]
+        for (_, x), r in zip(solution.simulate(), solution.problem.records, strict=True)
+    ]
+    whole = np.concatenate(changes)
+    with np.errstate(invalid="ignore", over="ignore"):
+        # Root mean square of dx / sqrt(h).
+        moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
+    sizes = compute_largest_intensities(model, moved)
+    starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
+    optimum = search_minimum(select_best_start(starts), options, report)
+    if not optimum.status.success:
+        return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
+    may_be_zero = [n for n in names if model.parameter(n).bounds[0] == 0]
+    optimum, zero = drop_insignificant(optimum, may_be_zero, options)
+    return MaximumLikelihoodEstimate(solution, optimum, names, zero, sizes)
 
 
 def _make_starts(

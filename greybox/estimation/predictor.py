@@ -15,14 +15,13 @@ from greybox.base.numerics import TINY, UNSEEN_INFORMATION
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
-from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states
-from greybox.estimation.objective import PredictionErrorObjective
-from greybox.estimation.objective_search import refine_minimum, search_minimum
-from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.noise_loop import solve
+from greybox.estimation.objective import PredictionErrorObjective, refine_minimum, search_minimum
+from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.solve import solve
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.validate import FIRST_ROWS, determine_initial_states
 from greybox.model.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
 from greybox.simulation.filtering.smoother import smooth_states
@@ -55,8 +54,7 @@ def fix_parameters(
 
 def restore_integration_options(fit: Fit) -> FitOptions:
     """How ``fit`` integrated and began its records."""
-    saved = FitOptions.from_data(fit.provenance.options)
-    return FitOptions(at_rest=saved.at_rest, method=saved.method, substeps=saved.substeps, policy=saved.policy)
+    return FitOptions.from_data(fit.provenance.options).integration
 
 
 def make_likelihood(
@@ -69,7 +67,7 @@ def make_likelihood(
 
 def _prepare_known(given: FixedParameterModel, experiments: Experiment | Sequence[Experiment]) -> EstimationProblem:
     frozen, options = given.model.fix(*given.model.values), replace(given.options, per_experiment=())
-    return prepare_estimation(frozen, experiments, given.noise, options)
+    return prepare_problem(frozen, experiments, given.noise, options)
 
 
 def estimate_initial_state(
@@ -129,7 +127,7 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         levels = _name_levels(frozen, cost.noise, cost.records)
         return PredictionCorrection(frozen, levels, CorrectionKind.KALMAN_FILTER)
     options = replace(given.options, per_experiment=())
-    problem = prepare_estimation(frozen, experiments, given.noise, options)
+    problem = prepare_problem(frozen, experiments, given.noise, options)
     levels, runs = _name_levels(frozen, problem.noise.std, problem.records), solve(problem, options).simulate()
     # The free run's own error: what an autoregression would have to predict.
     errors = [r.samples(r.y - y) for r, (y, _) in zip(problem.records, runs, strict=True)]
@@ -142,8 +140,14 @@ def identify_correction(given: FixedParameterModel, experiments: Sequence[Experi
         return PredictionCorrection(frozen, levels, CorrectionKind.NONE_WHITE)
     states = find_correctable_states(frozen)
     estimate = estimate_by_prediction_error(frozen.with_process_noise(*states), experiments, given.noise, options)
-    colour_score = sum(_score_colour(series[name], colour) for name, colour in colours.items())
-    # BIC = -2 log L + k ln N: the filter pays for its intensities and noise levels.
+    # BIC = -2 log L + k ln N: of the autoregressions -2 log L = N (ln s^2 + 1 + ln 2 pi) at the most likely variance ...
+    colour_score = 0.0
+    for name, colour in colours.items():
+        samples = int(np.isfinite(series[name]).sum())
+        variance = float(np.nanmean(series[name] ** 2)) * colour.innovation_variance
+        colour_score += samples * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI)
+        colour_score += (colour.order + 1) * float(np.log(samples))
+    # ... and the filter pays for its intensities and noise levels.
     evaluation, variables = estimate.optimum.evaluation, estimate.optimum.objective.variables
     numbers = len(variables.which) + len(variables.estimated_noise)
     state_score = evaluation.cost + numbers * float(np.log(max(evaluation.count, 1)))
@@ -175,14 +179,6 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
     """Noise of the outputs that were measured."""
     seen = [j for j in range(len(level)) if any(np.isfinite(r.y[:, j]).any() for r in records)]
     return {model.outputs[j].name: float(level[j]) for j in seen}
-
-
-def _score_colour(series: np.ndarray, colour: AutoRegression) -> float:
-    """``-2 log L`` of an output's errors (N,) as an autoregression, and what its numbers cost."""
-    count = int(np.isfinite(series).sum())
-    variance = float(np.nanmean(series**2)) * colour.innovation_variance
-    # -2 log L = N (ln s^2 + 1 + ln 2 pi) at the most likely variance
-    return count * (float(np.log(max(variance, TINY))) + 1 + LOG_TWO_PI) + (colour.order + 1) * float(np.log(count))
 
 
 InitialState = Mapping[str, float]
@@ -466,6 +462,7 @@ def smooth(
     pn, x0 = cost.start(0)
     smoothed = smooth_states(cost.kalman, cost.records[0], pn, x0, _make_prior_covariance(cost))
     record, names = cost.records[0], given.model.system.state_names
+    # Differences of covariances may leave a variance below zero by rounding.
     spread = np.sqrt(np.maximum(np.diagonal(smoothed.covariance, axis1=1, axis2=2), 0.0))
     before = np.sqrt(np.maximum(np.diagonal(smoothed.filtered_covariance, axis1=1, axis2=2), 0.0))
 
@@ -503,6 +500,7 @@ def _make_prior_covariance(cost: PredictionErrorObjective) -> np.ndarray | None:
         return None
     n = len(v.which)
     block = slice(n, n + len(free))
+    # Half the Hessian of -2 log L is the information of the record on its first states.
     information = cost.evaluate(v.here).hessian[block, block] / 2
     scale = np.sqrt(
         np.maximum(np.diag(information), UNSEEN_INFORMATION * max(np.diag(information).max(initial=0.0), TINY))

@@ -15,14 +15,12 @@ from greybox.base.numerics import REDUNDANT_VARIANCE
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.estimation.objective import SimulationErrorObjective
+from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import Predictor, predictor
-from greybox.estimation.restore import restore_residuals
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Trace
-from greybox.estimation.sandwich import ColumnLayout, compute_toeplitz_form
+from greybox.estimation.sandwich import compute_toeplitz_form
 from greybox.model.model import Model
 
 # The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
@@ -73,6 +71,7 @@ def input_independence_test(
         measured = np.isfinite(r)
         u = np.where(measured[:, None], u, 0.0)
         c += u.T @ np.where(measured, r, 0.0)
+        # P = sum U'R U with R_ij = s^2 rho(i - j).
         p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
     spread = decompose_symmetric(p, LAGGED_SIGNALS)
     if not spread.rank:
@@ -88,6 +87,7 @@ def normality_test(series: np.ndarray) -> tuple[float, float]:
         return 0.0, 1.0
     z = (usable - usable.mean()) / usable.std()
     skewness, kurtosis = float((z**3).mean()), float((z**4).mean())
+    # N / 6 (S^2 + (K - 3)^2 / 4).
     statistic = len(z) / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4)
     return statistic, float(chdtrc(2, statistic))
 
@@ -109,6 +109,7 @@ def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
 def _analyse_variance(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
     """The F statistic of equal means, and its tail probability. `scipy.stats` has it too and takes half a second to import."""
     values = np.concatenate(list(blocks))
+    # F = between / within, each over its degrees of freedom: k - 1 and N - k.
     between = sum(len(b) * (b.mean() - values.mean()) ** 2 for b in blocks) / (len(blocks) - 1)
     within = sum(((b - b.mean()) ** 2).sum() for b in blocks) / (len(values) - len(blocks))
     if within == 0:
@@ -265,7 +266,11 @@ def residual_tests(fit: Fit) -> ResidualTests:
     >>> [(t.output, t.kind) for t in tests.alarms]  # doctest: +SKIP
     [('x', 'whiteness')]
     """
-    rows, raw, layout = _restore_rows(fit)
+    objective, restored = restore_residuals(fit)
+    rows = raw = restored.rows
+    # The same with the outliers that a robust fit leaves out.
+    if isinstance(objective, SimulationErrorObjective) and objective.problem.loss is not None:
+        raw = SimulationErrorObjective(replace(objective.problem, loss=None)).linearise().rows
     inputs = {i.name: [trace.inputs[i.name] for trace in fit.traces] for i in fit.model.inputs}
     noise_policy = FitOptions.from_data(fit.provenance.options).policy.noise
     tests: list[ResidualTest] = []
@@ -274,8 +279,11 @@ def residual_tests(fit: Fit) -> ResidualTests:
         if output.name not in fit.misfit:
             continue
         residuals, unbounded = [r[:, j] for r, _ in rows], [r[:, j] for r, _ in raw]
-        columns = [layout.columns(e) for e in range(len(rows))]
-        slopes = _spread_columns([jacobian[:, j] for _, jacobian in rows], columns, layout.size)
+        # Sensitivities of each record laid out over all unknowns.
+        slopes = []
+        for e, (r, jacobian) in enumerate(rows):
+            slopes.append(np.zeros((len(r), objective.variables.size)))
+            slopes[e][:, objective.variables.columns(e)] = jacobian[:, j]
         tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded)
         tested[output.name] = ResidualSeries(
             tuple(residuals),
@@ -310,7 +318,6 @@ def run_residual_tests(
     inputs: Mapping[str, list[np.ndarray]],
     slopes: Sequence[np.ndarray] | None = None,
     raw: Sequence[np.ndarray] | None = None,
-    noise_policy: NoisePolicy = NOISE_POLICY,
 ) -> list[ResidualTest]:
     """The tests of one output.
 
@@ -326,14 +333,12 @@ def run_residual_tests(
         For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
     raw
         The residuals with their outliers, if ``residuals`` are without.
-    noise_policy
-        How the autoregression of the residual is chosen.
     """
     series = join_series(residuals)
-    colour = fit_autoregression(series, policy=noise_policy)
+    colour = fit_autoregression(series)
     rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
     white = [colour.whiten(r / rms) for r in residuals]
-    count = int(np.isfinite(series).sum())
+    count, is_measured = int(np.isfinite(series).sum()), np.concatenate([np.isfinite(r) for r in residuals])
 
     def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
         statistic, p_value = result
@@ -346,8 +351,14 @@ def run_residual_tests(
     ]
     for name, records in inputs.items():
         if any(np.ptp(u) > 0 for u in records) and count > SAMPLES_PER_INPUT_LAG * RESIDUAL_TEST_INPUT_LAGS:
-            regressors = [lagged_matrix(u, RESIDUAL_TEST_INPUT_LAGS) for u in records]
-            result = input_independence_test(residuals, _remove_fitted(slopes, regressors, residuals), colour)
+            u = np.concatenate([lagged_matrix(signal, RESIDUAL_TEST_INPUT_LAGS) for signal in records])
+            u = np.where(is_measured[:, None], u, 0.0)
+            if slopes is not None and slopes[0].shape[1]:
+                # Less what the fitted constants could make of it, U - J (J'J)^+ J'U: that the residual cannot contain any more.
+                j = np.where(is_measured[:, None], np.concatenate(slopes), 0.0)
+                u = u - j @ decompose_symmetric(j.T @ j).solve(j.T @ u)
+            regressors = np.split(u, np.cumsum([len(r) for r in residuals])[:-1])
+            result = input_independence_test(residuals, regressors, colour)
             tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
     whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
     blocks = split_into_blocks(white, RESIDUAL_TEST_BLOCKS, MIN_BLOCK_VALUES)
@@ -357,39 +368,6 @@ def run_residual_tests(
         make_test(ResidualTestKind.EQUAL_VARIANCE, equal_variance_test(blocks)),
         make_test(ResidualTestKind.EQUAL_MEAN, equal_mean_test(blocks)),
     ]
-
-
-def _restore_rows(fit: Fit) -> tuple[Rows, Rows, ColumnLayout]:
-    """Residual or innovations and slopes of each record, the same with the outliers that a robust fit leaves out, and where its slopes
-    belong.
-    """
-    objective, residuals = restore_residuals(fit)
-    raw = residuals.rows
-    if isinstance(objective, SimulationErrorObjective) and objective.problem.loss is not None:
-        raw = SimulationErrorObjective(replace(objective.problem, loss=None)).linearise().rows
-    return residuals.rows, raw, objective.variables
-
-
-def _spread_columns(slopes: Sequence[np.ndarray], columns: Sequence[np.ndarray], size: int) -> list[np.ndarray]:
-    """Sensitivities of each record (N, L) laid out over all unknowns (N, size)."""
-    result = []
-    for slope, where in zip(slopes, columns, strict=True):
-        wide = np.zeros((len(slope), size))
-        wide[:, where] = slope
-        result.append(wide)
-    return result
-
-
-def _remove_fitted(
-    slopes: Sequence[np.ndarray] | None, regressors: list[np.ndarray], residuals: Sequence[np.ndarray]
-) -> list[np.ndarray]:
-    """The regressors less what the fitted constants could make of them."""
-    measured = np.concatenate([np.isfinite(r) for r in residuals])
-    u = np.where(measured[:, None], np.concatenate(regressors), 0.0)
-    if slopes is not None and slopes[0].shape[1]:
-        j = np.where(measured[:, None], np.concatenate(slopes), 0.0)
-        u = u - j @ decompose_symmetric(j.T @ j).solve(j.T @ u)
-    return np.split(u, np.cumsum([len(r) for r in residuals])[:-1])
 
 
 # Free run and prediction side by side: the errors of a model without and with past measurements.
@@ -471,9 +449,16 @@ def score(
     )
     traces = (model.validation.traces if group else model.traces) if isinstance(model, Fit) else ()
     known = {t.fingerprint: t for t in traces}
-    runs = [_run_record(ready, e, steps, known.get(e.fingerprint)) for e in judged]
+    runs: list[tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]] = []
+    for e in judged:
+        trace = known.get(e.fingerprint)
+        if trace is None:
+            runs.append((ready.simulate(e), {k: ready.predict(e, steps=k) for k in steps}))
+        else:  # the free run that the fit has of it, whose first states are known
+            runs.append((trace.simulated, {k: ready.predict(e, steps=k, initial=trace.initial_state) for k in steps}))
     correction = str(ready.correction) if isinstance(ready, Predictor) else "its own noise model"
-    units = {o.name: o.unit for o in model.model.outputs} if isinstance(model, Fit) else _units(ready)
+    stated = model.model if isinstance(model, Fit) else ready.correction.model if isinstance(ready, Predictor) else None
+    units = {o.name: o.unit for o in stated.outputs} if stated else dict(getattr(ready, "units", {}))
     outputs = {}
     for name in dict.fromkeys(n for free, _ in runs for n in free):
         pairs = [
@@ -503,21 +488,6 @@ def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> No
         )
 
 
-def _run_record(
-    model: Predictor, experiment: Experiment, steps: Sequence[int], trace: Trace | None
-) -> tuple[Mapping[str, np.ndarray], dict[int, Mapping[str, np.ndarray]]]:
-    """Free run and predictions of one record by output; ``trace``: the free run that the fit has of it, whose first states are known."""
-    if trace is None:
-        return model.simulate(experiment), {k: model.predict(experiment, steps=k) for k in steps}
-    return trace.simulated, {k: model.predict(experiment, steps=k, initial=trace.initial_state) for k in steps}
-
-
-def _units(model: Predictor) -> dict[str, str]:
-    if isinstance(model, Predictor):
-        return {o.name: o.unit for o in model.correction.model.outputs}
-    return dict(getattr(model, "units", {}))
-
-
 def _compute_rms(pairs: Sequence[tuple[np.ndarray, np.ndarray]], skip: int) -> float:
     """Root mean square difference of measured and computed values (N,) without the first ``skip`` rows of each record.
 
@@ -534,5 +504,6 @@ def _compute_rms(pairs: Sequence[tuple[np.ndarray, np.ndarray]], skip: int) -> f
         square = np.mean(error**2)
     if np.isfinite(square):
         return float(np.sqrt(square))
+    # Squares overflow although the errors do not: they are scaled by the largest.
     largest = float(np.abs(error).max())
     return largest * float(np.sqrt(np.mean((error / largest) ** 2)))

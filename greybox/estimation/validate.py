@@ -1,4 +1,4 @@
-"""A fitted model on records that were not used to fit it: constants kept, only the initial state estimated."""
+"""A model on records that it was not fitted to: constants kept, the initial state estimated from as many first rows as determine it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,81 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.base.linear_algebra import decompose_symmetric
 from greybox.data.experiment import Experiment
-from greybox.estimation.initial_states import determine_initial_states, fit_first_rows
+from greybox.estimation.noise_loop import estimate_by_simulation_error, solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
-from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Hessian, Transcription
-from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
-from greybox.estimation.transcription.solution import Solution
-from greybox.estimation.transcription.solve import solve
 from greybox.model.model import Model
+from greybox.simulation.kernel.record import Record
+
+# Fewest rows from which an initial state is estimated.
+FIRST_ROWS = 50
+# Share of what a whole record tells of its initial state that its first rows hold at least, along every direction: what they leave
+# adds no more than twice its squares to the run.
+INITIAL_STATE_SHARE = 0.5
+
+
+def determine_initial_states(problem: EstimationProblem, options: FitOptions, least: int = 0) -> DecisionVector:
+    """The variables of ``problem``, whose constants are known, with initial states from so many first rows that these determine them.
+
+    Those are ``least`` rows, or 50, doubled until they do: a slow mode, or one that an output hardly shows, takes longer. The first
+    rows are fitted with the error that the model has there, ``r``; along a direction of which they hold the share ``s`` of the
+    information the run then errs by ``r' r / s`` at most. Each longer stretch is fitted from the states of the shorter one, so that a
+    run which is sensitive to how it began is followed into the record rather than lost in it.
+    """
+    rows = [min(least or FIRST_ROWS, _count_samples(r)) for r in problem.records]
+    while True:
+        problem = replace(problem, variables=fit_first_rows(problem, rows, options))
+        part = _initial_state_information(_cut_to_first_rows(problem, rows))
+        whole = _initial_state_information(problem)
+        more = []
+        for n, r, known, everything in zip(rows, problem.records, part, whole, strict=True):
+            # Least share of the information that the first rows hold along any direction: with W = F F' the least eigenvalue of
+            # F^+ P F^+'; zero where the run fails.
+            share = 0.0
+            if np.isfinite(everything).all() and np.isfinite(known).all():
+                root = np.linalg.pinv(decompose_symmetric(everything).without_doubtful().root)
+                share = float(np.linalg.eigvalsh(root @ known @ root.T).min(initial=1.0))
+            more.append(min(2 * n, _count_samples(r)) if share < INITIAL_STATE_SHARE else n)
+        if more == rows:
+            return problem.variables
+        rows = more
+
+
+def fit_first_rows(problem: EstimationProblem, rows: Sequence[int], options: FitOptions) -> DecisionVector:
+    """The variables of ``problem``, whose constants are known, with initial states from so many first rows of each record."""
+    single = replace(options, transcription=Transcription.SINGLE, progressive=False)
+    return estimate_by_simulation_error(_cut_to_first_rows(problem, rows), single).variables
+
+
+def _initial_state_information(problem: EstimationProblem) -> list[np.ndarray]:
+    """Information (states, states) of each record on its initial state where it is guessed; the constants are known."""
+    variables = problem.variables
+    information = problem.shooting().evaluate(variables.here).hessian
+    columns = [variables.columns(e) for e in range(len(problem.records))]
+    return [information[np.ix_(c, c)] for c in columns]
+
+
+def _count_samples(record: Record) -> int:
+    return len(record.samples(record.y))
+
+
+def _cut_to_first_rows(problem: EstimationProblem, rows: Sequence[int]) -> EstimationProblem:
+    """The same problem on so many first rows of each record, as many as there are unknown states at least."""
+    # Two rows for each unknown at least.
+    least = 2 * len(problem.model.system.state_names)
+    records = tuple(
+        r.first((min(max(n, least), _count_samples(r)) - 1) * r.rows_per_sample + 1)
+        for n, r in zip(rows, problem.records, strict=True)
+    )
+    return replace(problem, records=records, experiments=())
 
 
 def validate(
@@ -78,8 +139,9 @@ def validate(
         arc_length=0.0,
         hessian=Hessian.GAUSS_NEWTON,
     )
+    # Only the initial states are left to estimate.
     frozen = model.fix(*model.values)
-    problem = prepare_estimation(frozen, experiments, noise, options)
+    problem = prepare_problem(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)
     if skip < 0 or skip >= shortest:
         raise DataError(f"skip: {skip} rows, but the shortest validation record has {shortest}; leave out fewer rows")
@@ -102,21 +164,15 @@ def validate(
                 if initial_rows
                 else determine_initial_states(problem, options, skip)
             )
-        problem = _refine_until_fine(problem, variables, options)
+
+        # The step is as small for these records as a fit to them would have made it.
+        def evaluate(problem: EstimationProblem) -> Solution:
+            evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
+            work = TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,)
+            return Solution(problem, problem.variables, evaluation, *work, nothing)
+
+        at_start, policy = replace(problem, variables=variables), options.policy.step_refinement
+        problem = solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
         runs = tuple(problem.shooting(variables).simulate(variables.here))
     traces = make_traces(problem, runs)
     return Validation(compute_misfits(problem, traces, skip), traces)
-
-
-def _refine_until_fine(problem: EstimationProblem, variables: DecisionVector, options: FitOptions) -> EstimationProblem:
-    """The same problem with a step that is as small for these records as a fit to them would have made it."""
-
-    def evaluate(problem: EstimationProblem) -> Solution:
-        evaluation, nothing = problem.shooting().evaluate(problem.variables.here), np.zeros(len(problem.noise.std))
-        return Solution(
-            problem, problem.variables, evaluation, TerminationStatus.CONVERGED, "", 0, 1, 0.0, (1.0,), nothing
-        )
-
-    at_start = replace(problem, variables=variables)
-    policy = options.policy.step_refinement
-    return solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem

@@ -15,8 +15,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Misfit
-    from greybox.estimation.uncertainty.bootstrap import Bootstrap
-    from greybox.estimation.uncertainty.profile import Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile
     from greybox.simulation.simulate import Simulation
 
 RecordMisfit = tuple[str, str, "Misfit"]

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
     from greybox.estimation.result import Fit
-    from greybox.estimation.transcription.solution import FitProgress
+    from greybox.estimation.transcription.problem import FitProgress
     from greybox.model.model import Model
 
 
@@ -244,9 +244,9 @@ def _write(
     page: bool,
     pictures: bool,
 ) -> None:
+    from greybox.base.extensions import read_versions
     from greybox.comparison.result import save_comparison
     from greybox.data.experiment import collect_record_findings
-    from greybox.estimation.versions import read_versions
     from greybox.show.sentences.registry import sentences
     from greybox.show.sentences.shell import report_line, written
 

@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import ResidualTest, ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
-    from greybox.estimation.uncertainty.bootstrap import Bootstrap
-    from greybox.estimation.uncertainty.profile import Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile
 
 
 @takes_study(FIT)
@@ -191,8 +190,8 @@ def _answer(
 
 def _residual_tests(result: Fit) -> ResidualTests | None:
     """The tests of the residual; none of a fit that did not succeed, or whose run is not a free one."""
+    from greybox.estimation.optimum import has_free_run
     from greybox.estimation.residuals import residual_tests
-    from greybox.estimation.restore import has_free_run
 
     testable = result.success and (has_free_run(result) or result.prediction.process_noise)
     return residual_tests(result) if testable else None
@@ -240,8 +239,7 @@ def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstra
     """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
-    from greybox.estimation.uncertainty.bootstrap import bootstrap
-    from greybox.estimation.uncertainty.profile import profile
+    from greybox.estimation.uncertainty import bootstrap, profile
 
     name, replicates = asked
     draws = np.random.default_rng(BOOTSTRAP_SEED)

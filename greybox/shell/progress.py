@@ -12,7 +12,7 @@ from greybox.shell.terminal import Interrupt, print_note
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
-    from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback
+    from greybox.estimation.transcription.problem import FitProgress, FitProgressCallback
 
 
 class ShowProgress(Protocol):

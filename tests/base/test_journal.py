@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from greybox.base.errors import DataError
-from greybox.base.journal import JournalCode
+from greybox.base.files import JournalCode
 from greybox.base.parallel.jobs import run_jobs
 from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome
 from models.micro_actuator import micro_actuator

@@ -10,8 +10,7 @@ from greybox.base.errors import DataError, ModelError
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome, SearchStage
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.estimation.options import FitOptions
-from greybox.estimation.transcription.options import Transcription
+from greybox.estimation.options import FitOptions, Transcription
 from models.micro_actuator import micro_actuator
 
 

@@ -15,7 +15,7 @@ from greybox.discovery.residual_noise import (
     is_noise_known,
     is_same_noise,
 )
-from greybox.estimation.policy import EstimationPolicy
+from greybox.estimation.options import EstimationPolicy
 
 WHITE = AutoRegression()
 RNG = np.random.default_rng(1)

@@ -14,8 +14,8 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result import load_fit
-from greybox.estimation.transcription.solution import SolutionCode, TranscriptionReason
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
+from greybox.estimation.uncertainty import profile
 from greybox.estimation.validate import validate
 from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect

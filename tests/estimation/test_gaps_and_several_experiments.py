@@ -8,10 +8,9 @@ import pytest
 
 from greybox import FitOptions, fit
 from greybox.estimation.check import check
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.residuals import residual_tests, score
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show.figures.pictures import draw_residual_tests
 from tests.support.findings import codes, find
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, STARTS, irregular, record, three, with_gaps

@@ -1,16 +1,16 @@
 """From how many rows the initial state of a judged run is estimated: as many as determine it."""
 
+import sys
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
-from greybox.estimation import initial_states
-from greybox.estimation.initial_states import FIRST_ROWS, determine_initial_states, fit_first_rows
-from greybox.estimation.options import prepare_estimation
 from greybox.estimation.residuals import score
-from greybox.estimation.validate import validate
+from greybox.estimation.transcription.problem import prepare_problem
+from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, fit_first_rows, validate
 
 STEP = 5e-4
 
@@ -115,12 +115,14 @@ def test_the_rows_follow_from_the_time_constant(rate, monkeypatch):
         allow_constant_input=True,
     )
     model = first_order(rate)
-    problem = prepare_estimation(model.fix("a"), record, {"y": 1e-3}, FitOptions())
+    problem = prepare_problem(model.fix("a"), record, {"y": 1e-3}, FitOptions())
     every = 1 - np.exp(-2 * rate * STEP * rows)
     half = -np.log(1 - 0.5 * every) / (2 * rate * STEP)
     taken: list[int] = []
     monkeypatch.setattr(
-        initial_states, "fit_first_rows", lambda p, rows, o: taken.extend(rows) or fit_first_rows(p, rows, o)
+        sys.modules[validate.__module__],
+        "fit_first_rows",
+        lambda p, rows, o: taken.extend(rows) or fit_first_rows(p, rows, o),
     )
     determine_initial_states(problem, FitOptions())
     chosen = taken[-1]

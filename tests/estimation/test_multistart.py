@@ -9,12 +9,11 @@ from greybox import GreyboxError
 from greybox.base.errors import ModelError
 from greybox.base.findings import Severity
 from greybox.data.experiment import Experiment
-from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit, stands_where_it_began
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.options import FitOptions
-from greybox.estimation.policy import DEFAULT_POLICY
+from greybox.estimation.options import DEFAULT_POLICY, FitOptions
 from greybox.estimation.result_parts import StartResult
 from models.emps import emps
 from models.micro_actuator import micro_actuator

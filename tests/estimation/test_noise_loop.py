@@ -11,8 +11,8 @@ from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.noise_loop import estimate_by_simulation_error, update_noise
-from greybox.estimation.options import prepare_estimation
-from greybox.estimation.policy import EstimationPolicy, NoiseLoopPolicy
+from greybox.estimation.options import EstimationPolicy
+from greybox.estimation.transcription.problem import prepare_problem
 from tests.estimation.test_robust_estimation import LEVEL, TRUTH, record, spoiled
 from tests.support.published_plants import REST, SATURATION, TIMES, VALUES
 from tests.support.pushed_mass import MASS
@@ -21,7 +21,7 @@ from tests.support.pushed_mass import MASS
 def few_samples():
     """Six samples show their noise in nothing but the residual."""
     data = Experiment("published", np.append(0.0, TIMES), {}, {"y": np.append(np.nan, VALUES)})
-    return prepare_estimation(SATURATION, data, None, REST)
+    return prepare_problem(SATURATION, data, None, REST)
 
 
 @pytest.mark.parametrize(
@@ -31,7 +31,7 @@ def few_samples():
 def test_the_noise_stands_still_at_the_end(loss, rho, colour):
     options = FitOptions(loss=loss)
     data = record(1, rho)
-    problem = prepare_estimation(TRUTH, spoiled(data) if options.robust else data, LEVEL, options)
+    problem = prepare_problem(TRUTH, spoiled(data) if options.robust else data, LEVEL, options)
     solution = estimate_by_simulation_error(problem, options, colour)
     assert solution.status.success
     assert update_noise(solution, options, colour) is None
@@ -51,9 +51,9 @@ def test_an_untold_level_is_that_of_the_residual():
 
 def test_the_work_of_all_rounds_counts():
     options = FitOptions(loss="huber")
-    problem = prepare_estimation(TRUTH, spoiled(record(1)), LEVEL, options)
+    problem = prepare_problem(TRUTH, spoiled(record(1)), LEVEL, options)
     whole = estimate_by_simulation_error(problem, options)
-    once = replace(options, policy=EstimationPolicy(noise_loop=NoiseLoopPolicy(rounds=0)))
+    once = replace(options, policy=EstimationPolicy(noise_rounds=0))
     first = estimate_by_simulation_error(problem, once)
     assert first.problem.loss is None
     assert whole.evaluations > first.evaluations and whole.iterations >= first.iterations
@@ -61,7 +61,7 @@ def test_the_work_of_all_rounds_counts():
 
 def test_the_last_steps_leave_nothing_to_gain():
     options = FitOptions()
-    solution = estimate_by_simulation_error(prepare_estimation(TRUTH, record(2), LEVEL, options), options)
+    solution = estimate_by_simulation_error(prepare_problem(TRUTH, record(2), LEVEL, options), options)
     decrease = solution.evaluation.predicted_decrease(*solution.variables.bounds())
     assert decrease <= 1e-12 * solution.evaluation.cost / solution.evaluation.count + 1e-13 * solution.evaluation.cost
 
@@ -97,4 +97,4 @@ def test_common_noise_of_a_length_and_a_current_is_refused():
     with pytest.raises(
         ModelError, match="common noise: x in m, v in m/s; outputs have one noise in common only in one unit"
     ):
-        prepare_estimation(MASS, record, None, FitOptions(common_noise=True))
+        prepare_problem(MASS, record, None, FitOptions(common_noise=True))

@@ -10,10 +10,15 @@ import pytest
 from greybox import FitOptions, fit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import compute_lag_one_correlation
-from greybox.estimation.objective import PredictionErrorObjective, SimulationErrorObjective
-from greybox.estimation.objective_search import hold_parameters, refine_minimum, search_minimum
-from greybox.estimation.options import prepare_estimation
-from greybox.estimation.restore import restore_objective
+from greybox.estimation.objective import (
+    PredictionErrorObjective,
+    SimulationErrorObjective,
+    hold_parameters,
+    refine_minimum,
+    search_minimum,
+)
+from greybox.estimation.optimum import restore_objective
+from greybox.estimation.transcription.problem import prepare_problem
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
 
 KINDS = {"simulation": SimulationErrorObjective, "prediction": PredictionErrorObjective}
@@ -69,7 +74,7 @@ def test_half_the_step_is_nearer_to_the_exact_one(kind):
     costs = {}
     for method, substeps in (("exact", 0), ("rk4", 1)):
         options = FitOptions(method=method, substeps=substeps)
-        problem = prepare_estimation(model, data, LEVEL, options)
+        problem = prepare_problem(model, data, LEVEL, options)
         simulation = kind == "simulation"
         objective = SimulationErrorObjective(problem) if simulation else PredictionErrorObjective.of(problem)
         here = objective.variables.here
@@ -102,7 +107,7 @@ def test_slopes_whose_squares_overflow_are_a_point_that_cannot_be_reached(monkey
 @pytest.mark.skipif(sys.implementation.name != "cpython", reason="counts references")
 def test_the_errors_of_a_long_record_are_given_back_while_they_are_whitened(monkeypatch):
     """A name that is left for them keeps them in memory beside the whitened ones, three times the size of a record."""
-    problem = prepare_estimation(MASS, record(3), LEVEL, FitOptions())
+    problem = prepare_problem(MASS, record(3), LEVEL, FitOptions())
     shooting = problem.shooting()
     references = []
     monkeypatch.setattr(
@@ -130,7 +135,7 @@ def test_a_long_record_is_whitened_in_its_place_to_the_same_numbers(monkeypatch)
     x = data.outputs["x"].copy()
     x[20:30] = np.nan
     colour = {name: AutoRegression((0.6, -0.2)) for name in LEVEL}
-    problem = prepare_estimation(MASS, data.with_outputs({**data.outputs, "x": x}), LEVEL, FitOptions())
+    problem = prepare_problem(MASS, data.with_outputs({**data.outputs, "x": x}), LEVEL, FitOptions())
     problem = replace(problem, noise=replace(problem.noise, colour=tuple(colour.values())))
     usual = problem.shooting().residuals(problem.variables.here)
     monkeypatch.setattr("greybox.estimation.transcription.simulation_error.NUMBERS_AT_A_TIME", 10)

@@ -8,6 +8,7 @@ import pytest
 from greybox.base.errors import ModelError
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.methods import minimise
+from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.collocation import Collocation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
@@ -33,7 +34,7 @@ def record(supply, rows=300):
 
 def laid_out(start, data, at_rest=True, conditions=None):
     """The problem of a fit under the conditions of its experiments (or under others)."""
-    p = prepare_problem(start, data, {}, at_rest=at_rest, method="automatic", substeps=0)
+    p = prepare_problem(start, data, {}, FitOptions(at_rest=at_rest))
     given = [e.conditions for e in data] if conditions is None else conditions
     return replace(p, variables=DecisionVector.of(start, p.variables.initial, given))
 

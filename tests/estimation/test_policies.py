@@ -14,19 +14,11 @@ from greybox.discovery.problem import DiscoveryProblem
 from greybox.estimation.check import check
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, GradientSamplingPolicy, MinimisationPolicy
-from greybox.estimation.options import FitOptions
-from greybox.estimation.policy import DEFAULT_POLICY, EstimationPolicy
+from greybox.estimation.optimum import restore_problem
+from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, TranscriptionPolicy
 from greybox.estimation.predictor import restore_integration_options
-from greybox.estimation.restore import restore_problem
 from greybox.estimation.result import load_fit
-from greybox.estimation.transcription.policy import (
-    RobustLossPolicy,
-    SegmentPolicy,
-    TranscriptionChoicePolicy,
-    TranscriptionPolicy,
-)
-from greybox.estimation.uncertainty.bootstrap import BootstrapPolicy, bootstrap
-from greybox.estimation.uncertainty.profile import ProfilePolicy, profile
+from greybox.estimation.uncertainty import BootstrapPolicy, ProfilePolicy, bootstrap, profile
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
@@ -35,9 +27,7 @@ PLANT = micro_actuator.fix("M", "La", "Ra", "Kf")
 CHANGED = EstimationPolicy(
     noise=NoisePolicy(max_order=3),
     discretisation=DiscretisationPolicy(eigenvalue_step=0.3),
-    transcription=TranscriptionPolicy(
-        segments=SegmentPolicy(max_segments=20), choice=TranscriptionChoicePolicy(max_error_growth=30.0)
-    ),
+    transcription=TranscriptionPolicy(max_segments=20, max_error_growth=30.0),
     minimisation=MinimisationPolicy(
         max_shortenings=5,
         damped=GaussNewtonPolicy(max_steps=20),
@@ -74,7 +64,7 @@ def test_a_number_of_the_discretisation_policy_reaches_the_choice_of_substeps(da
 
 
 def test_a_number_of_the_transcription_policy_reaches_the_segments_the_loss_and_the_choice(data) -> None:
-    few = TranscriptionPolicy(segments=SegmentPolicy(usual_rows=100))
+    few = TranscriptionPolicy(usual_rows=100)
     segments = [
         fitted(data, EstimationPolicy(transcription=policy), transcription="multiple").solver.strategy.values[
             "segments"
@@ -82,9 +72,9 @@ def test_a_number_of_the_transcription_policy_reaches_the_segments_the_loss_and_
         for policy in (TranscriptionPolicy(), few)
     ]
     assert segments == [20, 4]
-    tolerant = EstimationPolicy(transcription=TranscriptionPolicy(robust_loss=RobustLossPolicy(huber_threshold=3.0)))
+    tolerant = EstimationPolicy(huber_threshold=3.0)
     assert fitted(data, tolerant, loss="huber").robust.name.startswith("huber, 3 ")
-    strict = TranscriptionPolicy(choice=TranscriptionChoicePolicy(max_error_growth=1e-300))
+    strict = TranscriptionPolicy(max_error_growth=1e-300)
     used = [
         fitted(data, EstimationPolicy(transcription=policy)).solver.statistics["transcription"]
         for policy in (TranscriptionPolicy(), strict)

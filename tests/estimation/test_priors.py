@@ -5,10 +5,9 @@ import pytest
 
 from greybox import FitOptions, Parameter, fit, load_fit
 from greybox.base.errors import ModelError
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import find
@@ -118,7 +117,7 @@ def test_curvature_profile_and_bootstrap_agree():
 
 def test_the_gradient_holds_with_priors():
     known = micro_actuator.fix("Ra").prior(M=(0.0101, 0.0001), La=(4e-4, 1e-5))
-    problem = prepare_problem(known, actuator(), LEVEL, at_rest=False, method="automatic", substeps=0)
+    problem = prepare_problem(known, actuator(), LEVEL, FitOptions())
     shooting, n = problem.shooting(), problem.variables.size
     z = 0.01 * np.random.default_rng(1).normal(size=n)
     here = shooting.evaluate(z)

@@ -12,12 +12,12 @@ from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.spectrum import estimate_noise_from_differences
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.simulation_error import RobustShooting, parse_loss
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.transcription.simulation_error import WhitenedShooting
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.findings import codes, find
@@ -84,16 +84,14 @@ def test_the_gradient_is_that_of_the_robust_cost(text, rho):
         TRUTH.start(K=5800),
         replace(data, outputs=gap),
         LEVEL,
-        at_rest=False,
-        method="automatic",
-        substeps=0,
+        FitOptions(),
         quiet=quiet if rho else (),
     )
     assert problem.noise.coloured == bool(rho)
     loss = replace(parse_loss(text), scale=np.array([1.2, 1.0]))
     problem = replace(problem, loss=loss)
     shooting = problem.shooting()
-    assert isinstance(shooting, RobustShooting)
+    assert isinstance(shooting, WhitenedShooting) and shooting.loss is not None
     n = problem.variables.size
     z = 0.01 * np.random.default_rng(2).normal(size=n)
     here = shooting.evaluate(z)

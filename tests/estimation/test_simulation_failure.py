@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.findings import EstimationCode
-from greybox.estimation.fit_issues import locate_simulation_failure
+from greybox.estimation.fit_issues import EstimationCode, locate_simulation_failure
+from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.balance import Balance
 from greybox.model.model import Model
@@ -29,7 +29,7 @@ def failure_of(model, rows=200):
     """What failed in a run of ``model``, and where its evaluation failed."""
     time = np.arange(rows) * 0.1
     data = experiment(model, time, np.full((rows, 1), 0.1), np.ones((rows, 1)))
-    problem = prepare_problem(model, data, {"level": 0.1}, at_rest=True, method="rk4", substeps=1)
+    problem = prepare_problem(model, data, {"level": 0.1}, FitOptions(at_rest=True, method="rk4", substeps=1))
     failed = problem.shooting().evaluate(problem.variables.here).failed
     return locate_simulation_failure(problem, problem.variables, *failed), failed
 
@@ -61,7 +61,7 @@ def test_an_output_that_is_not_a_number_is_named():
 def test_states_that_diverge_are_named():
     model = explosive()
     data = experiment(model, np.arange(100) * 0.1, np.ones((100, 1)), np.ones((100, 1)))
-    problem = prepare_problem(model, data, {"x": 0.1}, at_rest=True, method="rk4", substeps=1)
+    problem = prepare_problem(model, data, {"x": 0.1}, FitOptions(at_rest=True, method="rk4", substeps=1))
     failed = problem.shooting().evaluate(problem.variables.here).failed
     failure = locate_simulation_failure(problem, problem.variables, *failed)
     assert failure.values["experiment"] == 1
@@ -71,6 +71,6 @@ def test_states_that_diverge_are_named():
 def test_a_sensitivity_alone_that_is_not_finite_is_a_finding_of_its_own():
     model = tank()
     data = experiment(model, np.arange(20) * 0.01, np.zeros((20, 1)), np.ones((20, 1)))
-    problem = prepare_problem(model, data, {"level": 0.1}, at_rest=True, method="rk4", substeps=1)
+    problem = prepare_problem(model, data, {"level": 0.1}, FitOptions(at_rest=True, method="rk4", substeps=1))
     failure = locate_simulation_failure(problem, problem.variables, 0, 20)
     assert failure.code == EstimationCode.SENSITIVITY_NOT_FINITE and failure.values["experiment"] == 1

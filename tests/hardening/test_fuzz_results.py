@@ -26,8 +26,7 @@ from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome
 from greybox.discovery.result import load_discovery
 from greybox.estimation.result import load_fit
-from greybox.estimation.uncertainty.bootstrap import load_bootstrap
-from greybox.estimation.uncertainty.profile import load_profile
+from greybox.estimation.uncertainty import load_bootstrap, load_profile
 from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan

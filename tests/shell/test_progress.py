@@ -7,7 +7,7 @@ import io
 import pytest
 from rich.console import Console
 
-from greybox.estimation.transcription.solution import FitProgress
+from greybox.estimation.transcription.problem import FitProgress
 from greybox.shell import progress
 from greybox.shell.compare import scan_share
 from greybox.shell.progress import (

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import Result
 
-from greybox.estimation.findings import EstimationCode
-from greybox.estimation.transcription.solution import TranscriptionReason
+from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import multisine

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 from greybox import FitOptions, compare, fit, linearise
 from greybox.base.errors import DataError
 from greybox.data.signals import multisine
-from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.plant import ExportFinding
 from greybox.estimation.residuals import score
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, Protocol
 
 from greybox.base.errors import GreyboxError
-from greybox.base.parallel.local_pool import CLUSTER_POLICY, ClusterPolicy, count_cores, quiet_children
+from greybox.base.parallel.local_pool import count_cores, quiet_children
 
 LOCAL = "local"
 """The address of a cluster that is started on this machine, to try."""
@@ -60,7 +60,7 @@ FRUITLESS_SECONDS = 40.0
 class DaskHealth:
     """The scheduler's answers, and the workers that come and go."""
 
-    def __init__(self, client: Any, policy: ClusterPolicy = CLUSTER_POLICY) -> None:
+    def __init__(self, client: Any) -> None:
         self._client = client
         now = time.monotonic()
         self._looked = self._answered = self._staffed = self._listened = self._worked = now
@@ -81,7 +81,9 @@ class DaskHealth:
             self._finished, self._lost, self._worked = finished, 0, now
         if now - self._looked < LOOK_SECONDS:
             return ""
-        present = self._ask() if self._client.status == "running" else None
+        # The addresses of the workers; None where the scheduler does not answer.
+        workers = self._call("ncores") if self._client.status == "running" else None
+        present = None if workers is None else set(workers)
         self._looked = now = time.monotonic()
         if present is None:
             silent = now - self._answered
@@ -101,11 +103,6 @@ class DaskHealth:
         if not is_alone and (are_many or is_fruitless):
             return f"{self._lost} workers have died one after another without finishing a job"
         return ""
-
-    def _ask(self) -> set[str] | None:
-        """The addresses of the workers; None where the scheduler does not answer."""
-        workers = self._call("ncores")
-        return None if workers is None else set(workers)
 
     def _remove_frozen(self, now: float) -> None:
         """Have the scheduler give the jobs of workers without a heartbeat to others. It would do so by itself after five minutes.
@@ -176,10 +173,12 @@ def watch_executor(executor: Executor) -> WorkersHealth:
 
 # Workers of a local cluster that may die of a job before it is tried alone: each takes seconds to replace.
 LOCAL_FAILURES = 1
+# Seconds in which a scheduler must answer the first call: whoever waits must hear within a minute that a cluster is lost.
+CONNECT_SECONDS = 20.0
 
 
 @contextmanager
-def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER_POLICY) -> Iterator[Executor]:
+def open_cluster(address: str, workers: int = 0, connect_seconds: float = CONNECT_SECONDS) -> Iterator[Executor]:
     """An executor on a Dask cluster.
 
     Parameters
@@ -188,8 +187,8 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
         Of the scheduler, such as ``tcp://10.0.0.5:8786``; ``local`` starts a cluster of processes on this machine.
     workers
         Processes of a local cluster; 0 for one on each core.
-    policy
-        How long to wait.
+    connect_seconds
+        Seconds in which the scheduler must answer the first call.
 
     Yields
     ------
@@ -226,7 +225,7 @@ def open_cluster(address: str, workers: int = 0, policy: ClusterPolicy = CLUSTER
                     silence_logs=logging.CRITICAL,
                 )
                 stack.callback(_close, cluster)
-            client = distributed.Client(cluster if address == LOCAL else address, timeout=policy.connect_seconds)
+            client = distributed.Client(cluster if address == LOCAL else address, timeout=connect_seconds)
         except (OSError, ValueError, RuntimeError, TimeoutError) as error:
             reason = str(error) or type(error).__name__
             raise GreyboxError(

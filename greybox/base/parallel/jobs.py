@@ -167,6 +167,7 @@ class _Book:
         """All jobs in workers; a job that was lost twice with its worker runs alone, and is given up if that kills its worker."""
         health = watch_executor(executor)
         while (pending := self.open) and not self.is_late:
+            # Only a job that runs alone can be told from its neighbours as what kills a worker.
             suspects = [k for k in pending if self.tries[k] >= RETRY_TRIES]
             group = suspects[:1] or pending
             self.submit(executor, group, health)

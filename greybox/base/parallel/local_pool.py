@@ -17,7 +17,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -26,20 +25,6 @@ from types import FrameType, MappingProxyType, ModuleType
 from typing import Any
 
 import cloudpickle
-
-# When a job, a worker or a cluster is given up.
-
-
-@dataclass(frozen=True)
-class ClusterPolicy:
-    """When a cluster is taken for lost: whoever waits must hear it within a minute."""
-
-    connect_seconds: float = 20.0
-    """Seconds in which a scheduler must answer the first call."""
-
-
-CLUSTER_POLICY = ClusterPolicy()
-
 
 # Ctrl-C between jobs that run one after the other.
 

@@ -20,15 +20,15 @@ from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.objective import ResidualRows, SimulationErrorObjective
-from greybox.estimation.objective_search import search_minimum
+from greybox.estimation.objective import ResidualRows, SimulationErrorObjective, search_minimum
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.options import FitOptions, prepare_estimation, resolve_options
+from greybox.estimation.options import FitOptions, resolve_options
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.model.model import Model
 
@@ -180,7 +180,7 @@ def fit_frequency_response(
     information = slopes.T @ slopes / max(scale, np.finfo(float).tiny)
     if time_fit is not None:
         resolved = resolve_options(options)
-        problem = prepare_estimation(_with_values(model, names, values), records, time_fit.noise.std, resolved)
+        problem = prepare_problem(_with_values(model, names, values), records, time_fit.noise.std, resolved)
         # Squares of the responses in units of their noise, as those of the records are in theirs.
         weight = 1 / max(scale, RESPONSE_FIT_EXACT**2)
         joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, RESPONSE_FIT_DIFFERENCE)

@@ -15,8 +15,12 @@ from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompo
 from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import Sensitivity, SensitivityRank, highest_ranks
+from greybox.estimation.identifiability.sensitivity import (
+    IdentifiabilityCode,
+    Sensitivity,
+    SensitivityRank,
+    highest_ranks,
+)
 from greybox.estimation.identifiability.transfer_functions import (
     Polynomial,
     divide,
@@ -175,14 +179,18 @@ def find_determined_combinations(
     ``points`` (np,): the parameters at which ``ranks`` were found. Products of powers are found for every model, sums
     for linear ones, among the coefficients of their transfer functions.
     """
-    which = free_parameter_indices(model)
+    which, names = free_parameter_indices(model), list(model.values)
     chosen: list[ParameterCombination] = []
     slopes: list[np.ndarray] = []
     candidates = [*find_product_combinations(model, ranks), *find_transfer_function_combinations(model)]
     for plain in sorted(candidates, key=simplicity_key):
         if len(chosen) == ranks[0].rank:
             break
-        candidate = _bare(plain, chosen, model)
+        candidate, alone = plain, [names.index(c.text) for c in chosen if c.text in names]
+        # A sum without the factors that are determined by themselves: K + Ks for (K + Ks)/La.
+        if len(plain.poly) > 1:
+            poly = remove_known_factors(plain.poly, alone)
+            candidate = ParameterCombination(format_polynomial(poly, names), poly, plain.is_coefficient)
         at = [candidate.slope(p, which) for p in points]
         if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
             continue
@@ -237,17 +245,6 @@ def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     return bool(
         np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(rank.null.T @ slope) < DIRECTION_CUTOFF * size
     )
-
-
-def _bare(
-    candidate: ParameterCombination, chosen: Sequence[ParameterCombination], model: Model
-) -> ParameterCombination:
-    """A sum without the factors that are determined by themselves: ``K + Ks`` for ``(K + Ks)/La``."""
-    if len(candidate.poly) == 1:
-        return candidate
-    names = list(model.values)
-    poly = remove_known_factors(candidate.poly, [names.index(c.text) for c in chosen if c.text in names])
-    return ParameterCombination(format_polynomial(poly, names), poly, candidate.is_coefficient)
 
 
 def _key(poly: Polynomial) -> tuple:

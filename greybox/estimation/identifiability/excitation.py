@@ -13,8 +13,7 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.model.model import Model
 
@@ -45,6 +44,10 @@ class Excitation(Printable):
     needed: int | None = None
     poles: float = 0.0
     findings: tuple[Finding, ...] = ()
+
+
+# Band over the model's fastest motion, below which that motion hardly shows.
+MIN_BAND_SHARE = 0.5
 
 
 def analyse_excitation(
@@ -103,8 +106,22 @@ def analyse_excitation(
         structure = structure or analyse_structural_identifiability(model, measured or None)
         # Each measured output carries one number for each order of excitation.
         needed = math.ceil(structure.rank / len(structure.outputs))
-    moves = any(np.ptp(experiment.inputs[name]) > 0 for name in names)
-    findings = _find_poor_excitation(orders, bands, limit, needed, fastest, moves)
+    moves, total, widest = (
+        any(np.ptp(experiment.inputs[name]) > 0 for name in names),
+        sum(orders.values()),
+        max(bands.values()),
+    )
+    findings = []
+    # The order is that of the median segment: an input that steps now and then and rests at zero between has order 0, and moves.
+    if not (total or moves):
+        findings = [Finding(IdentifiabilityCode.NO_INPUT_MOVES, Severity.WARNING)]
+    else:
+        if needed is not None and total < needed and max(orders.values()) < limit:
+            figures = {"inputs": list(orders), "order": total, "needed": needed}
+            findings.append(Finding(IdentifiabilityCode.EXCITATION_ORDER_LOW, Severity.WARNING, values=figures))
+        if 0 < widest < MIN_BAND_SHARE * fastest:
+            rates = {"band": widest, "fastest": fastest}
+            findings.append(Finding(IdentifiabilityCode.EXCITATION_BAND_NARROW, Severity.WARNING, values=rates))
     return Excitation(orders, bands, limit, needed, fastest, tuple(findings))
 
 
@@ -165,30 +182,3 @@ MAX_ORDER = 40
 
 def _find_highest_order(rows: int) -> int:
     return max(1, min(MAX_ORDER, _choose_segment(rows) // 4))
-
-
-# Band over the model's fastest motion, below which that motion hardly shows.
-MIN_BAND_SHARE = 0.5
-
-
-def _find_poor_excitation(
-    orders: Mapping[str, int],
-    bands: Mapping[str, float],
-    limit: int,
-    needed: int | None,
-    fastest: float,
-    moves: bool,
-) -> list[Finding]:
-    total = sum(orders.values())
-    # The order is that of the median segment: an input that steps now and then and rests at zero between has order 0, and moves.
-    if not (total or moves):
-        return [Finding(IdentifiabilityCode.NO_INPUT_MOVES, Severity.WARNING)]
-    findings = []
-    if needed is not None and total < needed and max(orders.values()) < limit:
-        figures = {"inputs": list(orders), "order": total, "needed": needed}
-        findings.append(Finding(IdentifiabilityCode.EXCITATION_ORDER_LOW, Severity.WARNING, values=figures))
-    widest = max(bands.values())
-    if 0 < widest < MIN_BAND_SHARE * fastest:
-        rates = {"band": widest, "fastest": fastest}
-        findings.append(Finding(IdentifiabilityCode.EXCITATION_BAND_NARROW, Severity.WARNING, values=rates))
-    return findings

@@ -14,7 +14,6 @@ from greybox.base.linear_algebra import are_independent, decompose_symmetric, el
 from greybox.base.numerics import INDEPENDENT_FORMULA, TINY
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.combinations import (
-    ParameterCombination,
     find_product_combinations,
     find_transfer_function_combinations,
     free_parameter_indices,
@@ -22,11 +21,10 @@ from greybox.estimation.identifiability.combinations import (
     simplicity_key,
 )
 from greybox.estimation.identifiability.excitation import Excitation, analyse_excitation
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
-from greybox.estimation.identifiability.sensitivity import SensitivityRank
-from greybox.estimation.identifiability.sensitivity import compute_rank as rank_at
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, SensitivityRank, compute_rank
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
+from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model.model import Model
@@ -144,7 +142,7 @@ def analyse_practical_identifiability(
     >>> analyse_practical_identifiability(model, record, noise={"x": 2e-7}).undetermined  # doctest: +SKIP
     ('La',)
     """
-    problem = prepare_problem(model, experiments, noise, at_rest=at_rest, method=method, substeps=substeps)
+    problem = prepare_problem(model, experiments, noise, FitOptions(at_rest=at_rest, method=method, substeps=substeps))
     if structure is None:
         measured = list_measured_outputs(problem)
         structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
@@ -173,19 +171,21 @@ def analyse_problem(
     variables, n = problem.variables, len(problem.variables.names)
     drives = tuple(analyse_excitation(e, problem.model, structure=structure) for e in problem.experiments)
     if not n:
-        return _make_failure(drives, Finding(IdentifiabilityCode.NO_FREE_CONSTANT))
+        failure = Finding(IdentifiabilityCode.NO_FREE_CONSTANT)
+        return PracticalIdentifiability({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
     evaluation = problem.shooting(variables).evaluate(variables.here)
     if not np.isfinite(evaluation.cost):
         record, sample = evaluation.failed or (0, 0)
         time, name = float(problem.records[record].h[:sample].sum()), problem.experiments[record].name
-        overflow = Finding(IdentifiabilityCode.MODEL_OVERFLOWS, Severity.ERROR, name, {"time": time})
-        return _make_failure(drives, overflow)
+        failure = Finding(IdentifiabilityCode.MODEL_OVERFLOWS, Severity.ERROR, name, {"time": time})
+        return PracticalIdentifiability({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
     constants_and_states = evaluation.hessian / 2
     first_states = np.arange(n, len(constants_and_states))
     # Schur complement: initial states are estimated with the constants.
     information = (eliminate(constants_and_states, np.arange(n), first_states) @ constants_and_states)[:, :n]
     samples = evaluation.count / max(len(list_measured_outputs(problem)), 1)
     values, vectors = np.linalg.eigh(information)
+    # Standard deviation along each eigenvector of the information, in relative changes of the constants.
     stds = 1 / np.sqrt(np.maximum(values, TINY))
     widest = MAX_RELATIVE_INTERVAL
     # Over the noise of single samples, and after averaging over all of them.
@@ -203,13 +203,19 @@ def analyse_problem(
         if abs(w) > DIRECTION_WEIGHT
     }
     constants = _estimate_precision(problem, information, samples)
-    findings = _find_limits(structure, rank, averaged, drives)
+    findings: list[Finding] = []
+    if structure and total < structure.rank:
+        figures = {"structure": structure.rank, "records": total}
+        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=figures))
+    if averaged:
+        figures = {"averaged": averaged, "total": total}
+        findings.append(Finding(IdentifiabilityCode.AVERAGING_ONLY, Severity.WARNING, values=figures))
+    for drive in drives:
+        findings += [finding for finding in drive.findings if finding not in findings]
     std = float(stds[min(missing, n - 1)])
-    return PracticalIdentifiability(constants, rank, averaged, above, by_averaging, weakest, std, drives, findings)
-
-
-def _make_failure(drives: tuple[Excitation, ...], failure: Finding) -> PracticalIdentifiability:
-    return PracticalIdentifiability({}, 0, 0, {}, {}, {}, 0.0, drives, (), failure)
+    return PracticalIdentifiability(
+        constants, rank, averaged, above, by_averaging, weakest, std, drives, tuple(findings)
+    )
 
 
 def _estimate_precision(
@@ -224,6 +230,7 @@ def _estimate_precision(
         if not np.isfinite(variance[k]):
             constants[name] = ExpectedPrecision(value, unit, None, False)
             continue
+        # From z to the unit of the constant.
         std = float(np.sqrt(variance[k]) * abs(variables.spans[k]))
         share = std / abs(value) if value else 0.0
         determined = INTERVAL_STDS * share <= MAX_RELATIVE_INTERVAL
@@ -249,9 +256,25 @@ def _choose_combinations(
     p, which = problem.variables.fixed, free_parameter_indices(problem.model)
     # With the order of magnitude known: an open direction then has a large variance instead of none.
     covariance = np.linalg.inv(information + np.eye(len(which)) / IDENTIFIABILITY_PRIOR_SPREAD**2)
+    # The formulas that the structure determines at these parameters, plain ones first.
+    model, names = problem.model, list(structure.constants)
+    scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
+    basis = orthonormalise(np.array(scalings).reshape(-1, len(names)).T)
+    rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
+    formulas = list(find_product_combinations(model, [rank]))
+    if model.system.linear:
+        generator = np.random.default_rng(0)
+        slopes = np.where(p[which] != 0, p[which], 1.0)
+        sensitivity = compute_transfer_function_sensitivity(
+            model.system, p, which, slopes, structure.at_rest, generator
+        )
+        present = compute_rank(sensitivity, structure.outputs)
+        formulas += find_transfer_function_combinations(model)
+        formulas = [c for c in formulas if is_determined(c.slope(p, which), present)]
     candidates = []
-    for candidate in _list_candidates(problem.model, structure, p):
+    for candidate in sorted(formulas, key=simplicity_key):
         slope = candidate.slope(p, which)
+        # Delta method: d log f = slope' d log p.
         variance = float(slope @ covariance @ slope)
         if 0 <= variance < np.inf:  # rounding can make it negative where the information is next to singular
             candidates.append((candidate.text, slope, float(np.sqrt(variance))))
@@ -264,41 +287,6 @@ def _choose_combinations(
                 chosen.append(slope)
                 group[text] = std
     return groups
-
-
-def _list_candidates(model: Model, structure: StructuralIdentifiability, p: np.ndarray) -> list[ParameterCombination]:
-    """The formulas that the structure determines at the parameters ``p``, plain ones first."""
-    names, which = list(structure.constants), free_parameter_indices(model)
-    scalings = [[d.weights.get(name, 0.0) for name in names] for d in structure.directions]
-    null = np.array(scalings).reshape(-1, len(names)).T
-    basis = orthonormalise(null)
-    rank = SensitivityRank(structure.rank, basis, basis[:, :0], np.zeros(0), 1.0, True)
-    candidates = list(find_product_combinations(model, [rank]))
-    if model.system.linear:
-        generator = np.random.default_rng(0)
-        slopes = np.where(p[which] != 0, p[which], 1.0)
-        sensitivity = compute_transfer_function_sensitivity(
-            model.system, p, which, slopes, structure.at_rest, generator
-        )
-        present = rank_at(sensitivity, structure.outputs)
-        candidates += find_transfer_function_combinations(model)
-        candidates = [c for c in candidates if is_determined(c.slope(p, which), present)]
-    return sorted(candidates, key=simplicity_key)
-
-
-def _find_limits(
-    structure: StructuralIdentifiability | None, rank: int, averaged: int, drives: Sequence[Excitation]
-) -> tuple[Finding, ...]:
-    findings: list[Finding] = []
-    if structure and rank + averaged < structure.rank:
-        figures = {"structure": structure.rank, "records": rank + averaged}
-        findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=figures))
-    if averaged:
-        figures = {"averaged": averaged, "total": rank + averaged}
-        findings.append(Finding(IdentifiabilityCode.AVERAGING_ONLY, Severity.WARNING, values=figures))
-    for drive in drives:
-        findings += [finding for finding in drive.findings if finding not in findings]
-    return tuple(findings)
 
 
 # After a fit that left constants open: what would determine them.

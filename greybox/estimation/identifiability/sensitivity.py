@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 
@@ -13,17 +14,35 @@ from greybox.base.findings import Finding
 from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
 from greybox.data.experiment import Experiment
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
-from greybox.model.signals import Parameter
 from greybox.model.validation import check_constants
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.records import to_record
 from greybox.simulation.simulate import declared_initial_state, simulate
+
+
+class IdentifiabilityCode(StrEnum):
+    """Findings about models, records and inputs, and what would determine more constants."""
+
+    MEASURE_OUTPUT = "measure_output"
+    ADD_SENSOR = "add_sensor"
+    FIX_CONSTANTS = "fix_constants"
+    RICHER_RECORD = "richer_record"
+
+    NO_INPUT_MOVES = "no_input_moves"
+    EXCITATION_ORDER_LOW = "excitation_order_low"
+    EXCITATION_BAND_NARROW = "excitation_band_narrow"
+
+    RECORDS_SHOW_FEWER = "records_show_fewer"
+    AVERAGING_ONLY = "averaging_only"
+    NO_FREE_CONSTANT = "no_free_constant"
+    MODEL_OVERFLOWS = "model_overflows"
+    SIMULATED_RECORD = "simulated_record"
+
 
 # Where nothing special is true: random constants near the nominal ones, and records with a rich input.
 
@@ -148,10 +167,18 @@ def draw_constants(
     parameters = model.all_parameters
     for _ in range(tries):
         draw = generator.uniform(-1.0, 1.0, len(parameters))
-        p = [
-            q.value if q.fixed else _draw_value(q.value, q.bounds, spread * r)
-            for q, r in zip(parameters, draw, strict=True)
-        ]
+        p = [q.value for q in parameters]
+        for k, q in enumerate(parameters):
+            (low, high), exponent = q.bounds, spread * draw[k]
+            if q.fixed:
+                continue
+            drawn = q.value * math.exp(exponent)
+            if (
+                q.value == 0.0
+            ):  # off: a hundredth of its range, so that a slope along it shows, on the side where it may be
+                span = high - low if math.isfinite(high - low) else 1.0
+                drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
+            p[k] = min(max(drawn, low), high)
         try:
             check_constants(model.title, model.rules, model.parameters_at(p))
         except ModelError:
@@ -159,17 +186,6 @@ def draw_constants(
             continue
         return np.array(p)
     return np.array([q.value for q in parameters])
-
-
-def _draw_value(value: float, bounds: tuple[float, float], exponent: float) -> float:
-    low, high = bounds
-    if value == 0.0:  # off: a little of it, on the side where it may be
-        span = high - low if math.isfinite(high - low) else 1.0
-        # A hundredth of the range: enough that a slope along the constant shows.
-        drawn = 0.01 * span * (abs(exponent) if low == 0.0 else exponent)
-    else:
-        drawn = value * math.exp(exponent)
-    return min(max(drawn, low), high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,7 +286,9 @@ def compute_free_run_sensitivities(
     plan = [*(RANDOM_EXPERIMENT_AMPLITUDES * draws)[:draws], *LARGE_AMPLITUDES]
     for k, amplitude in enumerate(plan):
         enough = len(points) >= count
-        if enough and (amplitude not in LARGE_AMPLITUDES or _have_influence(points).all()):
+        # Further amplitudes are for constants that move no output at any point so far.
+        moved = [s.lengths(list(s.blocks)) > 0 for s, _ in points]
+        if enough and (amplitude not in LARGE_AMPLITUDES or np.any(moved, axis=0).all()):
             continue
         generator = np.random.default_rng((seed, k))
         # Where runs overflow or touch bounds, points nearer to the nominal one are tried.
@@ -305,44 +323,31 @@ def switch_on(model: Model, generator: np.random.Generator) -> Model:
     off = [q for q in model.free_parameters if q.value == 0.0]
     names = [q.name for q in model.free_parameters]
     for _ in range(SWITCHING_ROUNDS if off else 0):
-        slope = _measure_influence(model, generator)
-        values = {
-            q.name: _choose_next_value(q, model.values[q.name], slope[names.index(q.name)], SWITCHED_ON_SHARE)
-            for q in off
-        }
+        # Movement of the outputs, as a share of their own, that a unit of each free constant makes.
+        records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
+        start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
+        sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
+        slope = np.zeros(len(names))
+        if sensitivity is not None:
+            slope = sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(RUN_ROWS * len(records))
+        values = {}
+        for q in off:
+            value, moves = model.values[q.name], slope[names.index(q.name)]
+            if value != 0.0:  # too large where the equations cut it off
+                values[q.name] = value if moves > 0 else value / 10
+                continue
+            up, down = (
+                np.clip([SWITCHED_ON_SHARE / moves, -SWITCHED_ON_SHARE / moves], *q.bounds) if moves else (0.0, 0.0)
+            )
+            values[q.name] = float(up or down)
         if all(values[q.name] == model.values[q.name] for q in off):
             break
         model = model.start(**values)
     return model
 
 
-def _choose_next_value(q: Parameter, value: float, slope: float, share: float) -> float:
-    """The next value to try, given the present one and what a step of one in it (or of itself) does."""
-    if value != 0.0:
-        return value if slope > 0 else value / 10
-    if slope == 0:
-        return 0.0
-    up, down = np.clip([share / slope, -share / slope], *q.bounds)
-    return float(up or down)
-
-
 # Rows of each run whose slopes are computed.
 RUN_ROWS = 600
-
-
-def _measure_influence(model: Model, generator: np.random.Generator) -> np.ndarray:
-    """Movement of the outputs, as a share of their own, that a unit of each free constant makes (nf,)."""
-    records = [_make_record(model, step, 1.0, generator) for step in choose_sampling_times(model)]
-    start = np.asarray(model.system.start_function(np.array(list(model.values.values())))[0]).ravel()
-    sensitivity = _compute_sensitivity(model, records, np.tile(start, (len(records), 1)), True, 1)
-    if sensitivity is None:
-        return np.zeros(len(model.free_parameters))
-    return sensitivity.lengths(list(sensitivity.blocks)) / np.sqrt(RUN_ROWS * len(records))
-
-
-def _have_influence(points: list[tuple[Sensitivity, np.ndarray]]) -> np.ndarray:
-    """Which constants move an output at one of the points at least (nf,)."""
-    return np.any([s.lengths(list(s.blocks)) > 0 for s, _ in points], axis=0)
 
 
 # Share of its start value by which an initial state is off.
@@ -369,7 +374,7 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
     if coarse is None:
         return None
     names = list(coarse.blocks)
-    before = _singular_values(coarse, names)
+    before = coarse.decompose(names).values
     # Neither rounding nor surely information: only these are worth a second run.
     small = (before > COLUMN_CUTOFF) & (before < RECHECK_BELOW)
     if not small.any():
@@ -379,12 +384,8 @@ def _compute_point(model: Model, at_rest: bool, amplitude: float, generator: np.
         return coarse
     # Information stays where the step is refined; the error of a method of order four falls by far more than the
     # factor.
-    shrunk = before[small & (_singular_values(fine, names) < before / factor)]
+    shrunk = before[small & (fine.decompose(names).values < before / factor)]
     return replace(coarse, doubtful=max(coarse.doubtful, 2 * float(shrunk.max(initial=0.0))))
-
-
-def _singular_values(point: Sensitivity, names: list[str]) -> np.ndarray:
-    return point.decompose(names).values
 
 
 def set_parameters(model: Model, p: np.ndarray) -> Model:

@@ -21,9 +21,6 @@ from greybox.estimation.identifiability.combinations import (
     free_parameter_indices,
 )
 from greybox.estimation.identifiability.sensitivity import (
-    RANDOM_EXPERIMENT_CONSTANT_SPREAD,
-    RANDOM_EXPERIMENT_TRIES,
-    Sensitivity,
     compute_free_run_sensitivities,
     draw_constants,
     highest_ranks,
@@ -95,6 +92,10 @@ class StructuralIdentifiability(Printable):
         return IdentifiabilityVerdict.COMPLETE if self.complete else IdentifiabilityVerdict.INCOMPLETE
 
 
+# Random points at which the rank is computed: what holds at all of them holds nearly everywhere.
+IDENTIFIABILITY_POINTS = 3
+
+
 def analyse_structural_identifiability(
     model: Model,
     outputs: Sequence[str] | None = None,
@@ -151,16 +152,35 @@ def analyse_structural_identifiability(
         return StructuralIdentifiability(*common, 0, 0, (), (), (), np.inf, True, "")
     sensors = find_unmeasured_states(model)
     # With every sensor that could be added: one set of runs serves the recommendations as well.
-    points, values, method = _compute_points(add_sensors(model, sensors), seed, at_rest)
+    measurable = add_sensors(model, sensors)
+    if measurable.system.linear:
+        method, which, pairs = "transfer functions and free responses", free_parameter_indices(measurable), []
+        for k in range(IDENTIFIABILITY_POINTS):
+            generator = np.random.default_rng((seed, k))
+            p = draw_constants(measurable, generator)
+            exact = compute_transfer_function_sensitivity(measurable.system, p, which, p[which], at_rest, generator)
+            pairs.append((exact, p))
+    else:
+        method = "free runs with a random input"
+        pairs = compute_free_run_sensitivities(measurable, at_rest, seed, IDENTIFIABILITY_POINTS)
+    points, values = [sensitivity for sensitivity, _ in pairs], [p for _, p in pairs]
     ranks = highest_ranks(points, measured)
     others = [name for name in known if name not in measured]
     directions = find_open_directions(ranks, names)
+    # What would show a change along a direction: outputs with which it does not stay among the open ones.
+    null = {o: highest_ranks(points, [*measured, o])[0].null for o in (others if directions else ())}
+    seen = []
+    for d in directions:
+        v = np.array([d.weights.get(name, 0.0) for name in names])
+        left = {o: np.linalg.norm(v - n @ (n.T @ v)) for o, n in null.items()}
+        revealing = tuple(o for o in others if left[o] > DIRECTION_CUTOFF * np.linalg.norm(v))
+        seen.append(replace(d, seen_by=revealing))
     combinations = find_determined_combinations(model, ranks, [values[r.point] for r in ranks])
     return StructuralIdentifiability(
         *common,
         ranks[0].rank,
         len(names),
-        tuple(replace(d, seen_by=_find_revealing_outputs(d, names, points, measured, others)) for d in directions),
+        tuple(seen),
         tuple(c.text for c in combinations) if directions else names,
         tuple(find_recommendations(model, points, measured, others, sensors)),
         min(r.gap for r in ranks),
@@ -186,40 +206,3 @@ def add_sensors(model: Model, states: Sequence[str]) -> Model:
         return model
     units = {s.name: s.unit for s in model.states}
     return replace(model, outputs=[*model.outputs, *(Output(name, units[name]) for name in states)])
-
-
-# Random points at which the rank is computed: what holds at all of them holds nearly everywhere.
-IDENTIFIABILITY_POINTS = 3
-
-
-def _compute_points(model: Model, seed: int, at_rest: bool) -> tuple[list[Sensitivity], list[np.ndarray], str]:
-    """Sensitivities at random points, the constants there, and how they were computed."""
-    if not model.system.linear:
-        pairs = compute_free_run_sensitivities(model, at_rest, seed, IDENTIFIABILITY_POINTS)
-        return [s for s, _ in pairs], [p for _, p in pairs], "free runs with a random input"
-    which = free_parameter_indices(model)
-    points, values = [], []
-    for k in range(IDENTIFIABILITY_POINTS):
-        generator = np.random.default_rng((seed, k))
-        p = draw_constants(model, generator, RANDOM_EXPERIMENT_CONSTANT_SPREAD, RANDOM_EXPERIMENT_TRIES)
-        points.append(compute_transfer_function_sensitivity(model.system, p, which, p[which], at_rest, generator))
-        values.append(p)
-    return points, values, "transfer functions and free responses"
-
-
-def _find_revealing_outputs(
-    direction: OpenDirection,
-    names: Sequence[str],
-    points: Sequence[Sensitivity],
-    measured: Sequence[str],
-    others: Sequence[str],
-) -> tuple[str, ...]:
-    """The outputs that would show a change along the direction."""
-    v = np.array([direction.weights.get(name, 0.0) for name in names])
-    revealing = []
-    for o in others:
-        null = highest_ranks(points, [*measured, o])[0].null
-        # What is left of v outside of the directions that stay open with this output: it shows there.
-        if np.linalg.norm(v - null @ (null.T @ v)) > DIRECTION_CUTOFF * np.linalg.norm(v):
-            revealing.append(o)
-    return tuple(revealing)

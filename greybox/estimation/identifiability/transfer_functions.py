@@ -7,7 +7,7 @@ only at high frequency as visible as the gain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -50,12 +50,18 @@ def compute_transfer_function_sensitivity(
 ) -> Sensitivity:
     """Slopes at the parameters ``p`` (np,), along those numbered ``which`` in steps of ``slopes``; ``at_rest``: known x0."""
     nominal, along = _matrices(system, p, which, slopes)
-    s = _draw_frequencies(nominal.a, len(which), generator, POLE_DECADES)
+    # Random points from below the slowest pole to above the fastest. Of the right half-plane: R of a stable model has no pole there, and a
+    # random point misses those of an unstable one.
+    poles = np.abs(np.linalg.eigvals(nominal.a))
+    poles = poles[poles > INTEGRATING_POLE * max(poles.max(initial=0.0), TINY)]
+    low, high = (poles.min(), poles.max()) if len(poles) else (1.0, 1.0)
+    reach, count = np.log(10.0) * POLE_DECADES, 40 + 8 * (len(which) + 2 * len(nominal.a))
+    radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
+    s = radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
     forced = _responses(s, nominal, along, nominal.b, along.b, nominal.d, along.d)
     blocks: dict[str, Rows] = {name: ([], []) for name in system.output_names}
     nx, nu = len(nominal.a), system.u.numel()
-    responses = FREE_RESPONSES
-    states = 0 if at_rest else responses * nx
+    states = 0 if at_rest else FREE_RESPONSES * nx
     for j, rows in enumerate(blocks.values()):
         for m in range(nu):
             value, slope, size = (part[:, j, m] for part in forced)
@@ -63,40 +69,26 @@ def compute_transfer_function_sensitivity(
             # d/dp of G e^(-s tau)
             slope = (slope - s[:, None] * along.tau[:, m] * value[:, None]) * delay[:, None]
             _add(rows, value * delay, slope, np.zeros((len(s), states)), size)
-    for e in range(1 if at_rest else responses):
-        _add_free(blocks.values(), s, nominal, along, at_rest, e, responses, generator)
+    # The free response of each record: C R (x0 + c / s) + d / s.
+    d, dd = nominal.d[None, :, nu] / s[:, None], along.d[None, :, :, nu] / s[:, None, None]
+    for e in range(1 if at_rest else FREE_RESPONSES):
+        x0 = nominal.start if at_rest else nominal.start * generator.uniform(0.7, 1.4, nx) + generator.normal(size=nx)
+        dx0 = along.start if at_rest else np.zeros_like(along.start)
+        b = x0[None, :] + nominal.b[None, :, nu] / s[:, None]
+        db = dx0[None] + along.b[None, :, :, nu] / s[:, None, None]
+        value, slope, size = _responses(s, nominal, along, b[:, :, None], db[..., None], d[:, :, None], dd[..., None])
+        of_states = nominal.c @ _resolvent(s, nominal.a)
+        for j, rows in enumerate(blocks.values()):
+            columns = np.zeros((len(s), states), complex)
+            if not at_rest:
+                columns[:, e * nx : (e + 1) * nx] = of_states[:, j]
+            _add(rows, value[:, j, 0], slope[:, j, 0], columns, size[:, j, 0])
     n = len(which)
     stacked = {
         name: (np.vstack([np.zeros((1, states)), *x]), np.vstack([np.zeros((1, n)), *c]))
         for name, (x, c) in blocks.items()
     }
     return Sensitivity(stacked).compress()
-
-
-def _add_free(
-    blocks: Iterable[Rows],
-    s: np.ndarray,
-    nominal: _Matrices,
-    along: _Matrices,
-    at_rest: bool,
-    e: int,
-    responses: int,
-    generator: np.random.Generator,
-) -> None:
-    """Rows of the free response of one record: ``C R (x0 + c / s) + d / s``."""
-    nx, nu = len(nominal.a), nominal.b.shape[1] - 1
-    x0 = nominal.start if at_rest else nominal.start * generator.uniform(0.7, 1.4, nx) + generator.normal(size=nx)
-    dx0 = along.start if at_rest else np.zeros_like(along.start)
-    b = x0[None, :] + nominal.b[None, :, nu] / s[:, None]
-    db = dx0[None] + along.b[None, :, :, nu] / s[:, None, None]
-    d, dd = nominal.d[None, :, nu] / s[:, None], along.d[None, :, :, nu] / s[:, None, None]
-    value, slope, size = _responses(s, nominal, along, b[:, :, None], db[..., None], d[:, :, None], dd[..., None])
-    of_states = nominal.c @ _resolvent(s, nominal.a)
-    for j, rows in enumerate(blocks):
-        columns = np.zeros((len(s), 0 if at_rest else responses * nx), complex)
-        if not at_rest:
-            columns[:, e * nx : (e + 1) * nx] = of_states[:, j]
-        _add(rows, value[:, j, 0], slope[:, j, 0], columns, size[:, j, 0])
 
 
 def _responses(
@@ -136,20 +128,9 @@ def _add(rows: Rows, value: np.ndarray, constants: np.ndarray, states: np.ndarra
     """Relative slopes, real and imaginary, where there is a response."""
     kept_rows = np.abs(value) > CANCELLED_RESPONSE * size
     for kept, matrix in zip(rows, (states, constants), strict=True):
+        # d log G = dG / G: what shows only at high frequency is as visible as the gain.
         relative = matrix[kept_rows] / value[kept_rows, None]
         kept += [relative.real, relative.imag]
-
-
-def _draw_frequencies(a: np.ndarray, constants: int, generator: np.random.Generator, decades: float) -> np.ndarray:
-    """Random points of the right half-plane, from below the slowest pole to above the fastest."""
-    size = np.abs(np.linalg.eigvals(a))
-    size = size[size > INTEGRATING_POLE * max(size.max(initial=0.0), TINY)]
-    low, high = (size.min(), size.max()) if len(size) else (1.0, 1.0)
-    count = 40 + 8 * (constants + 2 * len(a))
-    reach = np.log(10.0) * decades
-    radius = np.exp(generator.uniform(np.log(low) - reach, np.log(high) + reach, count))
-    # Right half-plane: R of a stable model has no pole there, and a random point misses those of an unstable one.
-    return radius * np.exp(1j * generator.uniform(0.0, 0.45 * np.pi, count))
 
 
 def _matrices(system: System, p: np.ndarray, which: np.ndarray, slopes: np.ndarray) -> tuple[_Matrices, _Matrices]:
@@ -174,6 +155,7 @@ def _matrices(system: System, p: np.ndarray, which: np.ndarray, slopes: np.ndarr
 def make_matrix_function(system: System) -> ca.Function:
     """``p -> A, [B c], C, [D d], delays, start`` flattened, and the slopes of each along ``p``."""
     nx, nu = system.x.numel(), system.u.numel()
+    # Constant terms: what is left of rates and outputs at x = 0, u = 0.
     zero = [
         ca.substitute(e, ca.vertcat(system.x, system.u), ca.SX.zeros(nx + nu)) for e in (system.rhs, system.outputs)
     ]
@@ -216,7 +198,15 @@ def transfer_function_coefficients(system: System) -> list[Polynomial]:
         ca.jacobian(system.outputs, system.u),
     ]
     try:
-        a, b, c, d = (_matrix(part, system.p) for part in parts)
+        matrices: list[list[list[Polynomial]]] = []
+        for part in parts:
+            rows, columns = part.shape
+            if not rows * columns:
+                matrices.append([[] for _ in range(rows)])
+                continue
+            flat = _read(ca.Function("entries", [system.p], [ca.densify(ca.vec(part))]), system.p.numel())
+            matrices.append([[flat[i + rows * j] for j in range(columns)] for i in range(rows)])
+        a, b, c, d = matrices
         characteristic, adjugates = _leverrier(a, system.p.numel())
         result = [*characteristic]
         for m in adjugates:
@@ -239,6 +229,7 @@ def logarithmic_gradient(poly: Polynomial, p: np.ndarray) -> np.ndarray:
     """``d log |poly| / d log p`` (np,) at the parameters ``p``; not finite where a divisor or the whole is zero."""
     powers = np.array(list(poly), float)
     with np.errstate(all="ignore"):
+        # d log sum(t_i) / d log p = sum t_i e_i / sum t_i, e_i the exponents of the term t_i.
         terms = np.array([float(f) for f in poly.values()]) * np.prod(p**powers, axis=1)
         return np.asarray(terms @ powers / terms.sum())
 
@@ -261,7 +252,8 @@ def format_polynomial(poly: Polynomial, names: Sequence[str]) -> str:
     outside = np.where(low > 0, low, np.where(high < 0, high, 0))
     if len(poly) == 1:
         return _product(powers[0], names)
-    terms = [_number(f) + _product(np.array(e) - outside, names) for e, f in poly.items()]
+    factors = ("" if f == 1 else "-" if f == -1 else f"{float(f):g} " for f in poly.values())
+    terms = [factor + _product(np.array(e) - outside, names) for factor, e in zip(factors, poly, strict=True)]
     total = " + ".join(terms).replace("+ -", "- ")
     return _product(outside, names, f"({total})") if outside.any() else total
 
@@ -278,10 +270,6 @@ def _product(powers: np.ndarray, names: Sequence[str], first: str = "") -> str:
 
 def _power(name: str, exponent: float) -> str:
     return name if exponent == 1 else f"{name}^{exponent:g}"
-
-
-def _number(factor: Fraction) -> str:
-    return "" if factor == 1 else "-" if factor == -1 else f"{float(factor):g} "
 
 
 def _leverrier(a: list[list[Polynomial]], width: int) -> tuple[list[Polynomial], list[list[list[Polynomial]]]]:
@@ -330,23 +318,14 @@ def _scaled(poly: Polynomial, factor: Fraction) -> Polynomial:
 MAX_TERMS = 60
 
 
-def _drop_zeros(poly: Polynomial, max_terms: int = MAX_TERMS) -> Polynomial:
-    if len(poly) > max_terms:
+def _drop_zeros(poly: Polynomial) -> Polynomial:
+    if len(poly) > MAX_TERMS:
         raise _NoFormulaError
     return {e: f for e, f in poly.items() if f}
 
 
 def _constant(poly: Polynomial) -> bool:
     return not any(any(e) for e in poly)
-
-
-def _matrix(part: ca.SX, p: ca.SX) -> list[list[Polynomial]]:
-    """A matrix of expressions in ``p``, each as a polynomial."""
-    rows, columns = part.shape
-    if not rows * columns:
-        return [[] for _ in range(rows)]
-    flat = _read(ca.Function("entries", [p], [ca.densify(ca.vec(part))]), p.numel())
-    return [[flat[i + rows * j] for j in range(columns)] for i in range(rows)]
 
 
 def _read(f: ca.Function, width: int) -> list[Polynomial]:

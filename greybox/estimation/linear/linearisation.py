@@ -22,7 +22,7 @@ from greybox.base.numerics import (
     TINY,
 )
 from greybox.base.values import Printable
-from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.plant import ExportFinding
 
 # Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them.
 
@@ -206,8 +206,29 @@ def minimal_realisation(model: Linearisation) -> Linearisation:
     --------
     >>> small = gb.export.minimal_realisation(gb.linearise(model))  # doctest: +SKIP
     """
-    reduced, unreached = _keep_reachable(model)
-    reduced, unobserved = _keep_observable(reduced)
+    reduced, unreached, unobserved = model, list[str](), list[str]()
+    s = scale_states(model.A, model.B, model.C)
+    basis = compute_reachable_basis(s.a, s.b)
+    if basis.shape[1] < len(s.a):
+        keep = _choose_states(basis)
+        # x = T x[keep]: the states left out as they follow from those that stay
+        lift = s.t[:, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])) / s.t[keep]
+        lift[keep] = np.eye(len(keep))
+        names, a = [model.state_names[k] for k in keep], (model.A @ lift)[keep]
+        reduced, unreached = _with_states(model, a, model.B[keep], model.C @ lift, keep, names)
+    # Observability of (A, C) is reachability of (A', C').
+    s = scale_states(reduced.A, reduced.B, reduced.C)
+    basis = compute_reachable_basis(s.a.T, s.c.T)
+    if basis.shape[1] < len(s.a):
+        keep = _choose_states(basis)
+        # z[keep] = R x: the part of the state that the outputs show, in the coordinates of the states that stay
+        rows = s.t[keep, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])).T / s.t
+        rows[:, keep] = np.eye(len(keep))
+        others = np.setdiff1d(np.arange(len(s.a)), keep)
+        mixed = np.abs(rows[:, others] * s.t[others]).max(axis=1, initial=0.0) > REACHABILITY_RANK * s.t[keep]
+        names = [reduced.state_names[k] + "_r" * bool(m) for k, m in zip(keep, mixed, strict=True)]
+        shown = reduced.C[:, keep]
+        reduced, unobserved = _with_states(reduced, rows @ reduced.A[:, keep], rows @ reduced.B, shown, keep, names)
     if not (unreached or unobserved):
         return model
     values = {
@@ -236,37 +257,6 @@ def compute_reachable_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         basis = np.hstack([basis, new])
         new, scale = a @ new, size
     return basis
-
-
-def _keep_reachable(model: Linearisation) -> tuple[Linearisation, list[str]]:
-    s = scale_states(model.A, model.B, model.C)
-    basis = compute_reachable_basis(s.a, s.b)
-    r = basis.shape[1]
-    if r == len(s.a):
-        return model, []
-    keep = _choose_states(basis)
-    # x = T x[keep]: the states left out as they follow from those that stay
-    lift = s.t[:, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])) / s.t[keep]
-    lift[keep] = np.eye(r)
-    a = (model.A @ lift)[keep]
-    return _with_states(model, a, model.B[keep], model.C @ lift, keep, [model.state_names[k] for k in keep])
-
-
-def _keep_observable(model: Linearisation) -> tuple[Linearisation, list[str]]:
-    s = scale_states(model.A, model.B, model.C)
-    # Observability of (A, C) is reachability of (A', C').
-    basis = compute_reachable_basis(s.a.T, s.c.T)
-    r = basis.shape[1]
-    if r == len(s.a):
-        return model, []
-    keep = _choose_states(basis)
-    # z[keep] = R x: the part of the state that the outputs show, in the coordinates of the states that stay
-    rows = s.t[keep, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])).T / s.t
-    rows[:, keep] = np.eye(r)
-    others = np.setdiff1d(np.arange(len(s.a)), keep)
-    mixed = np.abs(rows[:, others] * s.t[others]).max(axis=1, initial=0.0) > REACHABILITY_RANK * s.t[keep]
-    names = [model.state_names[k] + "_r" * bool(m) for k, m in zip(keep, mixed, strict=True)]
-    return _with_states(model, rows @ model.A[:, keep], rows @ model.B, model.C[:, keep], keep, names)
 
 
 def _without_rounding(lift: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +12,9 @@ from greybox.base.errors import ModelError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -34,8 +34,42 @@ class OneSidedDerivatives:
 def differentiate_one_sided(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> OneSidedDerivatives:
     """Jacobians at ``z``, of each variable on the side where they are larger; dry friction at standstill without its jump."""
     jacobian, kinks = _differentiate(functions, z, p)
-    findings = _describe_friction(functions, z, p)
-    findings += [_describe_kink(functions, z, p, column, side) for column, side in kinks]
+    findings, names = [], functions.names
+    # What replaces dry friction.
+    for k, (push, static) in functions.holding(z, p).items():
+        if static == 0:
+            continue
+        effects = [d.effect for d in functions.system.dry if d.state == k]
+        balance = next(b for b in functions.system.balances if b.state == names[k])
+        values: dict[str, Any] = {
+            "effects": effects,
+            "state": names[k],
+            "level": static,
+            "held": abs(push),
+            "unit": format_unit(balance.unit),
+        }
+        findings.append(Finding(ExportFinding.FRICTION_LEFT_OUT, Severity.WARNING, " and ".join(effects), values))
+    # Kinks: an effect without which one is gone is the one that makes it.
+    for column, side in kinks:
+        responsible = []
+        for effect in functions.model.effects:
+            reduced = ModelFunctions(functions.model.without(effect.name))
+            if names[column] not in reduced.names:
+                continue
+            reduced_z = np.array([z[names.index(name)] for name in reduced.names])
+            reduced_p = np.array(list(reduced.model.values.values()))
+            kinked = [c for c, _ in _differentiate(reduced, reduced_z, reduced_p)[1]]
+            if reduced.names.index(names[column]) not in kinked:
+                responsible.append(effect.name)
+        values = {
+            "effects": responsible,
+            "model": functions.model.name,
+            "variable": names[column],
+            "value": float(z[column]),
+            "unit": format_unit(functions.units[column]),
+            "side": "above" if side > 0 else "below",
+        }
+        findings.append(Finding(ExportFinding.KINK, Severity.WARNING, names[column], values))
     return OneSidedDerivatives(jacobian[: functions.nx], jacobian[functions.nx :], tuple(findings))
 
 
@@ -89,51 +123,6 @@ def _differentiate_by_column(
         if differs.any():
             kinks.append((column, larger))
     return jacobian, kinks
-
-
-def _describe_friction(functions: ModelFunctions, z: np.ndarray, p: np.ndarray) -> list[Finding]:
-    """What replaces dry friction."""
-    findings = []
-    for k, (push, static) in functions.holding(z, p).items():
-        if static == 0:
-            continue
-        effects = [d.effect for d in functions.system.dry if d.state == k]
-        state = functions.names[k]
-        balance = next(b for b in functions.system.balances if b.state == state)
-        values = {
-            "effects": effects,
-            "state": state,
-            "level": static,
-            "held": abs(push),
-            "unit": format_unit(balance.unit),
-        }
-        findings.append(Finding(ExportFinding.FRICTION_LEFT_OUT, Severity.WARNING, " and ".join(effects), values))
-    return findings
-
-
-def _describe_kink(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, column: int, side: int) -> Finding:
-    model = functions.model
-    responsible = []
-    for effect in model.effects:
-        reduced = ModelFunctions(model.without(effect.name))
-        reduced_z = np.array([z[functions.names.index(name)] for name in reduced.names])
-        reduced_p = np.array(list(reduced.model.values.values()))
-        if column >= len(functions.names) or functions.names[column] not in reduced.names:
-            continue
-        number = reduced.names.index(functions.names[column])
-        # An effect without which the kink is gone is the one that makes it.
-        if number not in [c for c, _ in _differentiate(reduced, reduced_z, reduced_p)[1]]:
-            responsible.append(effect.name)
-    name = functions.names[column]
-    values = {
-        "effects": responsible,
-        "model": model.name,
-        "variable": name,
-        "value": float(z[column]),
-        "unit": format_unit(functions.units[column]),
-        "side": "above" if side > 0 else "below",
-    }
-    return Finding(ExportFinding.KINK, Severity.WARNING, name, values)
 
 
 # A point further outside the records than this share of their range is reported.
@@ -204,13 +193,6 @@ def linearise_at(
 ) -> Linearisation:
     """`linearise` with the ``functions`` of the model made already, at the parameters ``p`` (np,): what a family of models repeats."""
     point = solve_operating_point(functions, p, at)
-    continuous = _linearise_continuous(plant, functions, p, point).with_delay(delay)
-    return continuous if dt is None else sample(continuous, dt, method)
-
-
-def _linearise_continuous(
-    plant: Plant, functions: ModelFunctions, p: np.ndarray, point: OperatingPoint
-) -> Linearisation:
     model, system, nx = plant.model, functions.system, functions.nx
     derivatives = differentiate_one_sided(functions, point.z, p)
     rates, outputs, closed = _close_play(functions, derivatives, point.z, p)
@@ -218,9 +200,9 @@ def _linearise_continuous(
     sizes = functions.sizes(point.z, p)
     rates, outputs = _remove_cancelled(rates, sizes), _remove_cancelled(outputs, sizes)
     rated = np.flatnonzero(functions.rated)
-    delay = np.zeros(functions.nu)
+    late = np.zeros(functions.nu)
     for d in system.delays:
-        delay[d.column] += functions.seconds(d, p)
+        late[d.column] += functions.seconds(d, p)
     states = [model.all_states[k] for k in rated]
     linear = Linearisation(
         name=model.title,
@@ -238,11 +220,13 @@ def _linearise_continuous(
         u0=point.z[nx:],
         y0=np.array(list(point.outputs.values())),
         rates=np.array([point.rates[x.name] for x in states]),
-        delay=delay,
+        delay=late,
         parameters=dict(zip(system.parameter_names, map(float, p), strict=True)),
     )
     idle = _find_idle_inputs(functions, linear, point)
-    return replace(linear, findings=(*plant.findings, *point.findings, *derivatives.findings, *closed, *idle))
+    linear = replace(linear, findings=(*plant.findings, *point.findings, *derivatives.findings, *closed, *idle))
+    linear = linear.with_delay(delay)
+    return linear if dt is None else sample(linear, dt, method)
 
 
 def _remove_cancelled(jacobian: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -260,7 +244,14 @@ def _close_play(
     """Jacobians with the states that are set after each step expressed by the others: play taken as closed."""
     rates, outputs, findings = derivatives.rates, derivatives.outputs, []
     for k, update in enumerate(functions.system.updates):
-        slope, name = _engaged_slope(functions, k, z, p), functions.names[update.state]
+        # Far on either side play is engaged: there w = s -+ gap, whose slope does not hold w itself.
+        far, name, slope = 1e6 * (1.0 + np.abs(z).max(initial=0.0)), functions.names[update.state], None
+        for shift in (-far, far):
+            shifted = z.copy()
+            shifted[update.state] += shift
+            slopes = functions.update_slopes(shifted, p)[k]
+            if slope is None and slopes[update.state] == 0:
+                slope = slopes
         if slope is None:
             raise ModelError(
                 f"effect {update.effect!r} cannot be linearised: its state {name!r} depends on its own past at every operating point; leave"
@@ -274,27 +265,20 @@ def _close_play(
     return rates, outputs, findings
 
 
-def _engaged_slope(functions: ModelFunctions, k: int, z: np.ndarray, p: np.ndarray) -> np.ndarray | None:
-    """Slope (nx + nu,) of what a state is set to, where that does not depend on the state itself; None if it always does."""
-    state = functions.system.updates[k].state
-    # Far on either side play is engaged: there w = s -+ gap, whose slope does not hold w itself.
-    far = 1e6 * (1.0 + np.abs(z).max(initial=0.0))
-    for shift in (-far, far):
-        shifted = z.copy()
-        shifted[state] += shift
-        slope = functions.update_slopes(shifted, p)[k]
-        if slope[state] == 0:
-            return slope
-    return None
-
-
 def _find_idle_inputs(functions: ModelFunctions, linear: Linearisation, point: OperatingPoint) -> list[Finding]:
     """Inputs that move nothing at this point, with the effects that keep them from it."""
     findings = []
     for j, name in enumerate(linear.input_names):
         if linear.B[:, j].any() or linear.D[:, j].any():
             continue
-        effects = [e.name for e in functions.model.effects if _input_acts(functions.model.without(e.name), point, j)]
+        effects, known = [], {**point.states, **point.inputs}
+        for effect in functions.model.effects:
+            reduced = ModelFunctions(functions.model.without(effect.name))
+            z = np.array([known[n] for n in reduced.names])
+            derivatives = differentiate_one_sided(reduced, z, np.array(list(reduced.model.values.values())))
+            k = reduced.nx + j
+            if derivatives.rates[:, k].any() or derivatives.outputs[:, k].any():
+                effects.append(effect.name)
         values = {
             "value": float(point.inputs[name]),
             "unit": format_unit(functions.model.inputs[j].unit),
@@ -302,12 +286,3 @@ def _find_idle_inputs(functions: ModelFunctions, linear: Linearisation, point: O
         }
         findings.append(Finding(ExportFinding.INPUT_WITHOUT_EFFECT, Severity.WARNING, name, values))
     return findings
-
-
-def _input_acts(model: Model, point: OperatingPoint, column: int) -> bool:
-    reduced = ModelFunctions(model)
-    values = {**point.states, **point.inputs}
-    z = np.array([values[name] for name in reduced.names])
-    derivatives = differentiate_one_sided(reduced, z, np.array(list(model.values.values())))
-    k = reduced.nx + column
-    return bool(derivatives.rates[:, k].any() or derivatives.outputs[:, k].any())

@@ -13,11 +13,10 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
 from greybox.estimation.result import Fit
 
 # Samples of the fitted parameters from their covariance, within their bounds.
@@ -78,6 +77,7 @@ class ParameterDistribution:
     def complete(self, values: np.ndarray) -> np.ndarray:
         """All parameters (np,) with these values (k,), held within their bounds."""
         p = self.p.copy()
+        # Where no draw lay within the bounds the last one is put on them.
         p[self.indices] = np.clip(values, self.low, self.high)
         return p
 
@@ -246,6 +246,7 @@ class ModelFamily(Printable):
         from scipy.optimize import minimize  # slow to import, and a model alone does not need it
 
         distribution, starts = self.distribution, WORST_CASE_STARTS
+        # z'z of n standard normal numbers is chi-square.
         radius = float(np.sqrt(chdtri(distribution.dimensions, 1 - level)))
         generator = np.random.default_rng(self.seed)
 

@@ -22,8 +22,7 @@ from greybox.base.numerics import (
     TINY,
 )
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
-from greybox.estimation.linear.plant import format_signals
+from greybox.estimation.linear.plant import ExportFinding, format_signals
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
 from greybox.model.model import Model
@@ -126,6 +125,7 @@ class ModelFunctions:
 
     def balance_residuals(self, z: np.ndarray, p: np.ndarray) -> list[BalanceResidual]:
         """What is left of each balance at ``z``; dry friction at standstill takes up to its static level."""
+        # Friction acts against the motion; at standstill it takes up what is left of the balance.
         direction = self.direction(z)
         rates = self.rates(z, p, direction)
         amounts, storages = (v.full().ravel() for v in self._amounts(z, p))
@@ -342,9 +342,12 @@ def _solve(
         solution = _run_newton(functions, solution, p, free, rows)
         unmet = [r for r in _residuals_of_rows(functions, solution, p, to_meet) if not r.met]
         if not unmet:
-            if not attempt:
-                return _snap(solution, z, sizes)
-            return _move_nearer(functions, z, p, free, rows, to_meet, solution)
+            if attempt:  # the solution next to the states of z with these inputs, if there is one
+                nearer = np.concatenate([z[: functions.nx], solution[functions.nx :]])
+                nearer = _run_newton(functions, nearer, p, free, rows)
+                met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
+                solution = nearer if met else solution
+            return _snap(solution, z, sizes)
         excess = sum(abs(r.value) / max(r.tolerance, TINY) for r in unmet)
         if excess < least:
             best, least = solution, excess
@@ -380,6 +383,7 @@ def _run_newton(
         scale = 1 / np.where(row_sums > 0, row_sums, 1.0)
         # A direction in which nothing changes is left as it is: a piston may rest anywhere.
         linear = decompose_columns(scale[:, None] * jacobian, scale=np.ones(jacobian.shape[1]))
+        # The least-norm step J^+ r in units of the typical sizes.
         step = -linear.solve(scale * residual) * sizes
         before, share = np.linalg.norm(scale * residual), 1.0
         for _ in range(OPERATING_POINT_HALVINGS):
@@ -398,22 +402,6 @@ def _run_newton(
 def _snap(z: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """``z`` without rounding errors, which are neither a move nor sliding."""
     return np.where(np.abs(z - begin) > NEGLIGIBLE_MOVE * sizes, z, begin)
-
-
-def _move_nearer(
-    functions: ModelFunctions,
-    z: np.ndarray,
-    p: np.ndarray,
-    free: np.ndarray,
-    rows: Sequence[int],
-    to_meet: Sequence[int],
-    solution: np.ndarray,
-) -> np.ndarray:
-    """The solution next to the states of ``z`` with the inputs of ``solution``, if there is one; else ``solution``."""
-    start = np.concatenate([z[: functions.nx], solution[functions.nx :]])
-    nearer = _run_newton(functions, start, p, free, rows)
-    met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
-    return _snap(nearer if met else solution, z, functions.sizes(z, p))
 
 
 def _apply_updates(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, given: Mapping[str, float]) -> np.ndarray:

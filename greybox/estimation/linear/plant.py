@@ -1,19 +1,52 @@
-"""What is exported: a model with its constants, and where these come from."""
+"""What is exported: a model with its constants, where these come from, and the codes of what there is to say about it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
+from enum import StrEnum
 
 import numpy as np
 
 from greybox.base.errors import ModelError
+from greybox.base.extensions import read_greybox_version
 from greybox.base.findings import Finding, Severity
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
+
+
+class ExportFinding(StrEnum):
+    """Findings about an exported model; their sentences are in `greybox.show.sentences.linear`."""
+
+    FIT_FAILED = "exported_fit_failed"
+    """The fit behind the model did not succeed."""
+    NO_EQUILIBRIUM = "export_no_equilibrium"
+    """The operating point is given in full and is no equilibrium."""
+    STEADY_MOTION = "export_steady_motion"
+    """A position moves at a constant rate at the operating point."""
+    OUTSIDE_RECORDS = "export_outside_records"
+    """The operating point lies far outside the estimation records."""
+    FRICTION_LEFT_OUT = "export_friction_left_out"
+    """Dry friction at standstill is not in the matrices."""
+    KINK = "export_kink"
+    """The derivative differs by side; one side was used."""
+    PLAY_CLOSED = "export_play_closed"
+    """Play is taken as closed."""
+    INPUT_WITHOUT_EFFECT = "export_input_without_effect"
+    """An input has no effect at the operating point."""
+    DELAY_APPROXIMATED = "export_delay_approximated"
+    """A delay became a Pade approximation."""
+    STATES_REMOVED = "export_states_removed"
+    """A minimal realisation has fewer states."""
+    MODE_UNDERSAMPLED = "export_mode_undersampled"
+    """The sampling time is too long for an oscillating mode."""
+    DECAY_UNDERSAMPLED = "export_decay_undersampled"
+    """Every mode decays within one sample."""
+    TUSTIN_RINGS = "export_tustin_rings"
+    """The trapezoidal rule turns a fast real pole into an alternating one."""
+    PARAMETERS_NOT_DRAWN = "export_parameters_not_drawn"
+    """Parameters without a covariance keep their fitted value in a family of models."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +106,7 @@ class Plant:
 
     def origin(self) -> tuple[str, ...]:
         """Lines that say where the whole comes from: program, model, records, how the fit ended."""
-        lines = [f"greybox {_version()}, model {self.model.title}"]
+        lines = [f"greybox {read_greybox_version('(from its source)')}, model {self.model.title}"]
         if self.fit is not None:
             records = ", ".join(f"{t.name} ({t.fingerprint})" for t in self.fit.traces)
             lines += [f"fitted to {records}", f"fit: {self.fit.solver.status_message}"]
@@ -94,10 +127,3 @@ def to_plant(source: Fit | Model) -> Plant:
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:
     """``x = 1e-05 m, u = 0.5 V``."""
     return ", ".join(f"{n} = {v:.6g} {format_unit(u)}".rstrip() for n, v, u in zip(names, values, units, strict=True))
-
-
-def _version() -> str:
-    try:
-        return version("greybox-sysid")
-    except PackageNotFoundError:
-        return "(from its source)"

@@ -11,8 +11,8 @@ from scipy.linalg import expm
 from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import TIME_ROUNDING
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
+from greybox.estimation.linear.plant import ExportFinding
 
 METHODS = ("zoh", "tustin")
 
@@ -75,7 +75,10 @@ def sample(
             f"a delay of {late.max():g} s is {late.max() / dt:.0f} samples of {dt:g} s, more than {MOST_DELAY_STATES};"
             " use a longer sampling time"
         )
-    parts = [_split_delay(seconds, dt) for seconds in late]
+    # Each delay as whole intervals and the share (0 to below 1) of one more.
+    wholes = [math.floor(seconds / dt + TIME_ROUNDING) for seconds in late]
+    shares = [seconds / dt - whole for seconds, whole in zip(late, wholes, strict=True)]
+    parts = [(whole, f if f > TIME_ROUNDING else 0.0) for whole, f in zip(wholes, shares, strict=True)]
     a, c, now, before, direct = (
         _hold_with_delays(model, dt, parts) if method == "zoh" else _apply_tustin(model, dt, parts)
     )
@@ -97,6 +100,7 @@ def sample(
         names += [f"{model.input_names[j]}_{i + 1}" for i in range(length)]
         units += [model.input_units[j]] * length
         row += length
+    # Past inputs at the operating point are what the input is there.
     held = np.concatenate([np.repeat(model.u0[j], length) for j, length in enumerate(lengths)] or [np.empty(0)])
     return replace(
         model,
@@ -113,13 +117,6 @@ def sample(
         delay=np.zeros(len(parts)),
         findings=(*model.findings, *_check_sampling_time(model, dt, method)),
     )
-
-
-def _split_delay(delay: float, dt: float) -> tuple[int, float]:
-    """A delay as whole intervals and the share (0 to below 1) of one more."""
-    whole = math.floor(delay / dt + TIME_ROUNDING)
-    share = delay / dt - whole
-    return whole, share if share > TIME_ROUNDING else 0.0
 
 
 Parts = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]
@@ -189,6 +186,7 @@ def _check_sampling_time(model: Linearisation, dt: float, method: str) -> list[F
     oscillating = poles[(np.abs(poles.imag) > 0) & (-poles.real < RINGING_DAMPING * np.abs(poles))]
     if len(oscillating):
         fastest = float(np.abs(oscillating.imag).max())
+        # Samples in one period of the fastest oscillation.
         samples = 2 * np.pi / (fastest * dt)
         if samples < SAMPLES_PER_PERIOD:
             values = {

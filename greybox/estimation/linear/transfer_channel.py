@@ -20,6 +20,8 @@ from greybox.estimation.linear.linearisation import (
 )
 
 HALF_POWER = 1 / np.sqrt(2)
+# Angular frequencies at which bandwidth and peak are looked for, over six decades about the poles and zeros.
+GRID_POINTS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +52,7 @@ class TransferChannel:
         rest = 1.0 if self.dt else 0.0
         steps = self.dt**self.integrators if self.dt else 1.0
         others = self.poles[~is_at_rest(self.poles, self.dt)]
+        # k prod(rest - zeros) / prod(rest - poles) at rest, integrators left out.
         return float(np.real(self.factor * np.prod(rest - self.zeros) / np.prod(rest - others)) / steps)
 
     @property
@@ -100,7 +103,7 @@ class TransferChannel:
         """Coefficients, highest power first; the first is 1."""
         return np.atleast_1d(np.real(np.poly(self.poles)))
 
-    def _grid(self, points: int = 2000) -> np.ndarray:
+    def _grid(self) -> np.ndarray:
         """Angular frequencies around all of the poles and zeros, more of them where a mode rings."""
         roots = np.concatenate([self.poles, self.zeros])
         if self.dt:
@@ -110,7 +113,7 @@ class TransferChannel:
         low, high = (speeds.min(initial=1.0), speeds.max(initial=1.0)) if len(speeds) else (1.0, 1.0)
         # Natural frequencies and imaginary parts are on the grid themselves: a sharp resonance may lie between two
         # points.
-        w = np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, points), np.abs(roots.imag), speeds])
+        w = np.concatenate([np.geomspace(1e-3 * low, 1e3 * high, GRID_POINTS), np.abs(roots.imag), speeds])
         w = np.unique(w[w > 0])
         return w[w <= np.pi / self.dt] if self.dt else w
 
@@ -206,6 +209,7 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
     size = max(float(np.linalg.norm(s.a, 2)), TINY)
     rows, row, factor = [s.c], s.c, 0.0
     for degree in range(1, n + 1):
+        # c A^(r-1) b: the first that is not zero is the factor, r the relative degree.
         markov = float((row @ s.b)[0, 0])
         if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
             directions = np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows])

@@ -19,12 +19,18 @@ from greybox.base.errors import ModelError, nearest
 from greybox.base.numerics import AT_BOUND
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import MinimisationResult
-from greybox.estimation.transcription.condensing import compute_state_slopes
+from greybox.estimation.options import FitOptions, Hessian
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import Hessian, SolverOptions
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.projected_initial_states import initialise_without_continuity
-from greybox.estimation.transcription.segments import cut_by_growth, measure_state_ranges
+from greybox.estimation.transcription.eliminated_states import compute_state_slopes
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgressCallback,
+    ProgressMonitor,
+    Runs,
+    SegmentedRun,
+    Solution,
+)
+from greybox.estimation.transcription.segments import cut_by_growth, initialise_without_continuity, measure_state_ranges
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.simulation_error import Evaluation, add_prior_penalty
 from greybox.estimation.transcription.single_shooting import (
@@ -33,7 +39,6 @@ from greybox.estimation.transcription.single_shooting import (
     is_too_coarse,
     solve_with_refined_steps,
 )
-from greybox.estimation.transcription.solution import FitProgressCallback, ProgressMonitor, Runs, SegmentedRun, Solution
 from greybox.simulation.kernel.record import Record
 
 SCHEMES = ("radau", "legendre")
@@ -46,7 +51,7 @@ _TITLES = {"radau": "Radau", "legendre": "Legendre"}
 
 
 def solve_collocation(
-    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise over the constants and the states at three points of every sampling interval.
 
@@ -76,7 +81,7 @@ def solve_collocation(
 class _CollocationSearch:
     """A search with ever shorter elements, each from the optimum of those twice as long."""
 
-    def __init__(self, choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None) -> None:
+    def __init__(self, choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None) -> None:
         problem = choice.problem
         self.options, self.report = options, report
         self.scheme = choice.transcription.removeprefix("collocation-")
@@ -102,6 +107,7 @@ class _CollocationSearch:
                 self.shift = (after.base - before.base) / after.spans
             if not self.is_over:
                 self.at, self.elements = finer, 2 * self.elements
+                # Halving again changes 2^order times less: that is what is left.
                 self.error, self.shift = self.error / 2.0**_ORDER, self.shift / 2.0**_ORDER
         work, self.work = self.work, []
         outcome, problem = self.at.outcome, self.at.problem
@@ -212,7 +218,23 @@ class Collocation:
         elements: int = 1,
         hessian: str = "gauss-newton",
     ) -> None:
-        _check_options(problem.variables, scheme, degree, elements, hessian)
+        if scheme not in SCHEMES:
+            raise ModelError(f"unknown collocation points {scheme!r}; {nearest(scheme, SCHEMES)}")
+        if hessian not in HESSIANS:
+            raise ModelError(f"unknown Hessian {hessian!r}; {nearest(hessian, HESSIANS)}")
+        if not 1 <= degree <= 9:
+            raise ModelError(f"collocation of degree {degree}: give 1 to 9 points an element")
+        if elements < 1:
+            raise ModelError(f"{elements} collocation elements a sample: give at least 1")
+        system = problem.model.system
+        kinks = [*(d.effect for d in system.dry), *(s.effect for s in system.updates)]
+        if kinks:
+            raise ModelError(
+                f"direct collocation needs smooth equations, but {', '.join(kinks)} sticks or switches; use single or multiple shooting"
+            )
+        if system.delays:
+            names = ", ".join(d.effect for d in system.delays)
+            raise ModelError(f"direct collocation cannot delay an input yet ({names}); use single or multiple shooting")
         self.variables, self.records, self.weight = problem.variables, problem.records, 1 / problem.noise.std
         self.scheme, self.degree, self.elements, self.exact = scheme, degree, elements, hessian == "exact"
         self.start = [np.asarray(x, float) for x in start]
@@ -223,13 +245,36 @@ class Collocation:
         """The program as keyword arguments of `greybox.estimation.optim.ipopt.solve_sparse`: ``nlp`` (x, f, g as MX), ``start``, ``low``,
         ``high``, ``hessian``; every constraint is an equation ``g = 0``."""
         w, r, g = self._build_expressions()
-        r = ca.vertcat(r, self._prior_residuals(w[: len(self.variables.which)]))
-        start, low, high = self._start_and_bounds()
-        cost, scale = ca.sumsqr(r), self._cost_of_standstill()
+        v, n = self.variables, len(self.variables.which)
+        # What is known of the constants without the records, as further residuals.
+        priors = [
+            (self._constant_expression(w, int(k)) - v.prior[k, 0]) / v.prior[k, 1] for k in np.flatnonzero(v.has_prior)
+        ]
+        r = ca.vertcat(r, ca.vertcat(*priors, ca.MX(0, 1)))
+        # States start on straight lines between the samples of the start, within their bounds.
+        low, high = (edge[:n] for edge in v.bounds())
+        starts, lows, highs = [np.zeros(n)], [low], [high]
+        edges = np.array([s.bounds for s in v.model.all_states], float).T / self.scale
+        tau = np.array(ca.collocation_points(self.degree, self.scheme))
+        inside = np.concatenate([(k + tau) / self.elements for k in range(self.elements)])
+        for record, x in zip(self.records, self.start, strict=True):
+            x = x / self.scale
+            points = x[:-1, None, :] + inside[:, None] * (x[1:] - x[:-1])[:, None, :]
+            record_start = np.concatenate([x[: self._count_nodes(record)].ravel(), points.ravel()])
+            repetitions = len(record_start) // self.nx
+            starts.append(np.clip(record_start, np.tile(edges[0], repetitions), np.tile(edges[1], repetitions)))
+            lows.append(np.tile(edges[0], repetitions))
+            highs.append(np.tile(edges[1], repetitions))
+        start, low, high = map(np.concatenate, (starts, lows, highs))
+        # Over chi-square of a model that stands still the cost is of order one, and so are its derivatives.
+        y = np.concatenate([record.y for record in self.records]) * self.weight
+        y = y[:, np.isfinite(y).any(axis=0)]
+        cost, scale = ca.sumsqr(r), float(np.nansum(np.square(y - np.nanmean(y, axis=0)))) or 1.0
         curvature = None
         if not self.exact:
             slopes = ca.jacobian(r, w)
             by, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.numel())
+            # 2 J'J of sum r^2: the equations and the residuals count as straight.
             gauss_newton = ca.triu(2 * by / scale * (slopes.T @ slopes))
             curvature = ca.Function("nlp_hess_l", [w, ca.MX(0, 1), by, lam], [gauss_newton])
         nlp = {"x": w, "f": cost / scale, "g": g}
@@ -247,6 +292,7 @@ class Collocation:
         residual = values[0].full().ravel()
         along, equations = (m.sparse()[:, :n].tocsc() for m in values[1:])
         states, constraints = (m.sparse()[:, n:].tocsc() for m in values[1:])
+        # dr/dz = r_z + r_x dx/dz, every state at its best for the constants.
         slopes = along.toarray() + states @ compute_state_slopes(along, states, equations, constraints)
         rows, first = [], 0
         squares, counts = np.zeros(ny), np.zeros(ny, int)
@@ -299,13 +345,6 @@ class Collocation:
             constraints += g
         return ca.vertcat(*columns), ca.vertcat(*residuals), ca.vertcat(*constraints)
 
-    def _cost_of_standstill(self) -> float:
-        """Chi-square of a model that stands still: the cost over it is of order one, and so are its derivatives."""
-        y = np.concatenate([r.y for r in self.records]) * self.weight
-        y = y[:, np.isfinite(y).any(axis=0)]
-        total = np.nansum(np.square(y - np.nanmean(y, axis=0)))
-        return float(total) or 1.0
-
     @property
     def _inner_size(self) -> int:
         """Unknowns at the points of one interval."""
@@ -318,7 +357,13 @@ class Collocation:
     def _build_record(self, z: ca.MX, first: ca.MX, points: ca.MX, e: int) -> tuple[ca.MX, list[ca.MX]]:
         """Weighted residuals of one record where it was measured, and the equations that its states must satisfy."""
         v, record, system = self.variables, self.records[e], self.variables.model.system
-        p, count = self._parameter_expressions(z, e), len(record.h)
+        # All parameters as expressions of the scaled constants, as `DecisionVector.parameters` computes them.
+        values = [ca.MX(value) for value in v.fixed]
+        for k in np.flatnonzero(~v.is_foreign(e)):
+            values[v.which[k]] = self._constant_expression(z, int(k))
+        for place, value in (v.conditions[e] if v.conditions else {}).items():
+            values[place] = ca.MX(value)
+        p, count = ca.vertcat(*values), len(record.h)
         nodes = first if first.size2() > 1 else ca.horzcat(first, points[-self.nx :, :])
         u = ca.DM(record.u.T)
         after = u[:, 1:] if record.first_order else u[:, :-1]
@@ -334,6 +379,7 @@ class Collocation:
         x, v_u, v_p = ca.SX.sym("x", self.nx), ca.SX.sym("u", system.u.numel()), ca.SX.sym("p", system.p.numel())
         outputs = ca.Function("y", [x, v_u, v_p], [system.output_function(x * self.scale, v_u, v_p) * self.weight])
         model = ca.vec(outputs.map(count + 1)(nodes, u, ca.repmat(p, 1, count + 1)))
+        # Residuals (y - yhat) / s of the rows that were measured.
         measured = (record.y * self.weight).ravel()
         is_measured = np.flatnonzero(np.isfinite(measured))
         return measured[is_measured] - model[is_measured.tolist()], constraints
@@ -351,69 +397,15 @@ class Collocation:
         for k in range(m):
             x_points = ca.reshape(points[k * nx * d : (k + 1) * nx * d], nx, d)
             x_element = ca.horzcat(x_start, x_points)
+            # h dx/dt at the points is the derivative of the polynomial through them: sum_r C_rj x_r.
             rates = x_element @ slope
             for j in range(d):
+                # A straight line for a first-order hold, constant otherwise (ua = ub).
                 u = ua + (ub - ua) * ((k + tau[j]) / m)
                 equations.append(rates[:, j] - h / m * rhs(x_points[:, j] * self.scale, u, p) / self.scale)
             x_start = x_points[:, -1] if self.scheme == "radau" else x_element @ end
         return ca.Function("interval", [x, points, ua, ub, h, p], [ca.vertcat(*equations), x_start], {"cse": True})
 
-    def _parameter_expressions(self, z: ca.MX, e: int) -> ca.MX:
-        """All parameters as expressions of the scaled constants, as `DecisionVector.parameters` computes them."""
-        v = self.variables
-        p = [ca.MX(value) for value in v.fixed]
-        for k in np.flatnonzero(~v.is_foreign(e)):
-            p[v.which[k]] = self._constant_expression(z, int(k))
-        for place, value in (v.conditions[e] if v.conditions else {}).items():
-            p[place] = ca.MX(value)
-        return ca.vertcat(*p)
-
     def _constant_expression(self, z: ca.MX, k: int) -> ca.MX:
         v = self.variables
         return v.base[k] * ca.exp(z[k]) if v.logarithmic[k] else v.base[k] + v.scale[k] * z[k]
-
-    def _prior_residuals(self, z: ca.MX) -> ca.MX:
-        """What is known of the constants without the records, as further residuals."""
-        v = self.variables
-        with_prior = np.flatnonzero(v.has_prior)
-        return ca.vertcat(
-            *[(self._constant_expression(z, int(k)) - v.prior[k, 0]) / v.prior[k, 1] for k in with_prior], ca.MX(0, 1)
-        )
-
-    def _start_and_bounds(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Start and bounds of all variables; states start on straight lines between the samples of ``start``."""
-        v, n = self.variables, len(self.variables.which)
-        low, high = (edge[:n] for edge in v.bounds())
-        starts, lows, highs = [np.zeros(n)], [low], [high]
-        edges = np.array([s.bounds for s in v.model.all_states], float).T / self.scale
-        tau = np.array(ca.collocation_points(self.degree, self.scheme))
-        inside = np.concatenate([(k + tau) / self.elements for k in range(self.elements)])
-        for record, x in zip(self.records, self.start, strict=True):
-            x = x / self.scale
-            points = x[:-1, None, :] + inside[:, None] * (x[1:] - x[:-1])[:, None, :]
-            record_start = np.concatenate([x[: self._count_nodes(record)].ravel(), points.ravel()])
-            repetitions = len(record_start) // self.nx
-            starts.append(np.clip(record_start, np.tile(edges[0], repetitions), np.tile(edges[1], repetitions)))
-            lows.append(np.tile(edges[0], repetitions))
-            highs.append(np.tile(edges[1], repetitions))
-        return np.concatenate(starts), np.concatenate(lows), np.concatenate(highs)
-
-
-def _check_options(variables: DecisionVector, scheme: str, degree: int, elements: int, hessian: str) -> None:
-    system = variables.model.system
-    if scheme not in SCHEMES:
-        raise ModelError(f"unknown collocation points {scheme!r}; {nearest(scheme, SCHEMES)}")
-    if hessian not in HESSIANS:
-        raise ModelError(f"unknown Hessian {hessian!r}; {nearest(hessian, HESSIANS)}")
-    if not 1 <= degree <= 9:
-        raise ModelError(f"collocation of degree {degree}: give 1 to 9 points an element")
-    if elements < 1:
-        raise ModelError(f"{elements} collocation elements a sample: give at least 1")
-    kinks = [*(d.effect for d in system.dry), *(s.effect for s in system.updates)]
-    if kinks:
-        raise ModelError(
-            f"direct collocation needs smooth equations, but {', '.join(kinks)} sticks or switches; use single or multiple shooting"
-        )
-    if system.delays:
-        names = ", ".join(d.effect for d in system.delays)
-        raise ModelError(f"direct collocation cannot delay an input yet ({names}); use single or multiple shooting")

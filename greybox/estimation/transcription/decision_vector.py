@@ -236,7 +236,13 @@ class DecisionVector:
         count = len(initial.guess)
         resolved = resolve_conditions(model, conditions, per_experiment)
         check_own_constants(model, per_experiment, count)
-        places = _place_constants(model, per_experiment, resolved, count)
+        # Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it.
+        given, places = {k for each in resolved for k in each}, []
+        for k, q in enumerate(model.all_parameters):
+            if not q.fixed and q.name in per_experiment:
+                places += [(k, e) for e in range(count) if not resolved or k not in resolved[e]]
+            elif not q.fixed and k not in given:
+                places.append((k, SHARED))
         free = [model.all_parameters[k] for k, _ in places]
         base = np.array([q.value for q in free], float)
         titles = make_unique(experiments or [f"experiment {e + 1}" for e in range(count)])
@@ -318,16 +324,19 @@ class DecisionVector:
         """Bounds on ``z``; initial states have their state's physical bounds."""
         span = np.where(self.logarithmic, 1.0, self.scale)
         with np.errstate(divide="ignore", invalid="ignore"):
+            # z = ln(bound / base), or (bound - base) / scale.
             low = np.where(self.logarithmic, np.log(self.low / self.base), (self.low - self.base) / span)
             high = np.where(self.logarithmic, np.log(self.high / self.base), (self.high - self.base) / span)
         states = self.model.all_states
         for e in range(self.experiments):
             edges = np.array([states[j].bounds for j in self.free_states]).reshape(-1, 2)
+            # States are in z as well: (bound - guess) / scale.
             guess, scale = self.initial.guess[e, self.free_states], self.initial.scale[self.free_states]
             low = np.concatenate([low, (edges[:, 0] - guess) / scale])
             high = np.concatenate([high, (edges[:, 1] - guess) / scale])
         if self.noise is None:
             return low, high
+        # A level starts within its bounds, whatever the estimate of it says.
         floor = np.minimum(np.log(self.noise.least / self.noise.level)[self.estimated_noise], 0.0)
         return np.concatenate([low, floor]), np.concatenate([high, np.full(len(floor), self.noise.greatest)])
 
@@ -335,8 +344,10 @@ class DecisionVector:
         """The free constants (nf,) at ``z``, clipped to their bounds (an optimiser may overstep them by a hair)."""
         step = z[self.slices.parameters]
         with np.errstate(over="ignore", invalid="ignore"):
+            # p = base e^z stays positive; p = base + scale z may change its sign.
             grown = self.base * np.exp(np.where(self.logarithmic, step, 0.0))
             free = np.where(self.logarithmic, grown, self.base + self.scale * step)
+            # exp(ln(bound)) misses the bound by rounding: whoever stands there must see it.
             near = ROUNDED_BOUND * np.abs(free)
             below, above = free - self.low <= near, self.high - free <= near
         return np.where(below, self.low, np.where(above, self.high, free)) if below.any() or above.any() else free
@@ -362,6 +373,7 @@ class DecisionVector:
 
     def slopes(self, p: np.ndarray, experiment: int) -> np.ndarray:
         """d p / d z of the free constants (nf,) at the parameters ``p`` of an experiment; zero for what belongs to another one."""
+        # dp/dz = base e^z = p, or scale.
         return np.where(self.is_foreign(experiment), 0.0, np.where(self.logarithmic, p[self.which], self.scale))
 
     @property
@@ -382,6 +394,7 @@ class DecisionVector:
     def penalty(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """What the priors add to the cost at ``z``, its slope (nf,) and its curvature (nf,): one more squared residual each."""
         free = self.constants(z)
+        # ((p - mean) / std)^2 with its slope along z; of the curvature the Gauss-Newton part.
         deviation = (free - self.prior[:, 0]) / self.prior[:, 1]
         slope = np.where(self.logarithmic, free, self.scale) / self.prior[:, 1]
         return float(deviation @ deviation), 2 * deviation * slope, 2 * slope**2
@@ -398,10 +411,16 @@ class DecisionVector:
 
     def compute_initial_state(self, z: np.ndarray, p: np.ndarray, experiment: int) -> tuple[np.ndarray, np.ndarray]:
         """Initial state (nx,) of one experiment and its slopes (nx, L) along `columns`."""
-        x0, slope = self._start(p)
+        # The declared start and its slope along all parameters, unless that is constant.
+        x0, slope = self.model.system.constant_start, None
+        if x0 is None:
+            x0, slope = (np.asarray(value) for value in self.model.system.start_function(p))
+        x0 = np.array(x0).ravel()
         n, free = len(self.which), self.free_states
         dx0 = np.zeros((len(x0), n + len(free) + len(self.estimated_noise)))
-        dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+        if slope is not None:
+            dx0[:, :n] = slope[:, self.which] * self.slopes(p, experiment)
+        # An estimated state is guess + scale z; the declared one and its slope give way.
         scaled_states = self.split(z).initial_states[experiment]
         x0[free] = self.initial.guess[experiment, free] + self.initial.scale[free] * scaled_states
         dx0[free, :n] = 0.0
@@ -412,6 +431,7 @@ class DecisionVector:
         """Standard deviation of each output's noise (ny,) at ``z``, where it is among the unknowns."""
         assert self.noise is not None  # only a likelihood asks for it
         level = self.noise.level.copy()
+        # sigma = level e^z: a level cannot change its sign.
         level[self.estimated_noise] *= np.exp(self.split(z).noise_levels)
         return level
 
@@ -421,25 +441,19 @@ class DecisionVector:
         self.split(z).initial_states[:] = (states - self.initial.guess)[:, free] / self.initial.scale[free]
         return z
 
-    def _start(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The declared initial state (nx,) and its slope along all parameters."""
-        system = self.model.system
-        if system.constant_start is not None:
-            return system.constant_start.copy(), np.zeros((len(system.constant_start), len(p)))
-        x0, slope = (np.asarray(value) for value in system.start_function(p))
-        return x0.ravel(), slope
-
     def rescale(self, cost: float, curvature: np.ndarray) -> DecisionVector:
         """Linear scales chosen so that a step of one in ``z`` changes the cost by about itself.
 
         ``curvature`` (size,) is the diagonal of the Gauss-Newton matrix at ``z = 0``. Entries without influence keep their scale.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
+            # cost = c z^2 for a step of sqrt(cost / c) in the old z: that is one in the new.
             factor = np.sqrt(cost / curvature)
         factor = np.where(np.isfinite(factor) & (factor > 0), factor, 1.0)
         parts = self.split(factor)
         scale = np.where(self.logarithmic, self.scale, self.scale * parts.parameters)
         states = self.initial.scale.copy()
+        # One scale for a state in all experiments: the geometric mean of theirs.
         states[self.free_states] *= np.exp(np.log(parts.initial_states).mean(axis=0))
         return replace(self, scale=scale, initial=replace(self.initial, scale=states))
 
@@ -476,6 +490,7 @@ class DecisionVector:
     def active(self) -> np.ndarray:
         """Which free constants lie on a bound at ``z = 0`` (nf,)."""
         width = self.high - self.low
+        # A share of the range where there is one; of a logarithmic constant, whose range may be decades, of its value.
         reach = AT_BOUND * np.where(
             np.isfinite(width) & ~self.logarithmic, width, np.maximum(np.abs(self.base), self.scale)
         )
@@ -532,6 +547,7 @@ class ExperimentView:
         """
         p, dp = self.fixed.copy(), self.empty_slopes.copy()
         p[self.which] = free[self.constants]
+        # dp/dz, in the columns of this experiment alone.
         dp[self.constant_places] = np.where(self.logarithmic, p[self.which], self.scale)
         if self.start is None:
             x0, dx0 = self.variables.compute_initial_state(z, p, self.experiment)
@@ -555,17 +571,9 @@ def make_unique(names: Sequence[str]) -> list[str]:
     return result
 
 
-def _place_constants(
-    model: Model, per_experiment: Sequence[str], conditions: Sequence[Mapping[int, float]], experiments: int
-) -> list[tuple[int, int]]:
-    """Position in ``system.p`` and owner of each free constant; a condition is not fitted in the experiment that brings it."""
-    given = {k for each in conditions for k in each}
-    places = []
-    for k, q in enumerate(model.all_parameters):
-        if q.fixed:
-            continue
-        if q.name in per_experiment:
-            places += [(k, e) for e in range(experiments) if not conditions or k not in conditions[e]]
-        elif k not in given:
-            places.append((k, SHARED))
-    return places
+def find_measured_states(variables: DecisionVector) -> dict[int, int]:
+    """States that are themselves an output: position of the state -> position of the output."""
+    system = variables.model.system
+    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
+    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
+    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}

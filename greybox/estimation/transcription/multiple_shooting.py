@@ -27,29 +27,19 @@ import numpy as np
 from greybox.base.errors import DataError, ModelError
 from greybox.base.numerics import TINY
 from greybox.estimation.optim.methods import minimise
-from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.transcription.condensing import CondensedProblem, LinearisedSegment, condense
+from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.projected_initial_states import (
-    MAX_LOG_CHANGE,
+from greybox.estimation.transcription.eliminated_states import (
+    CondensedProblem,
+    LinearisedSegment,
     ProjectedShooting,
-    estimate_segment_states,
-    fit_without_continuity,
+    condense,
     project_states,
 )
-from greybox.estimation.transcription.segments import Cuts, SegmentedProblem, cut_by_growth, cut_in_seconds
-from greybox.estimation.transcription.select import TranscriptionChoice
-from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
-from greybox.estimation.transcription.single_shooting import (
-    Refinement,
-    refine_step,
-    solve_single_shooting,
-    solve_with_refined_steps,
-)
-from greybox.estimation.transcription.solution import (
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
     FitProgressCallback,
     ProgressMonitor,
     Runs,
@@ -57,13 +47,33 @@ from greybox.estimation.transcription.solution import (
     Solution,
     monitor_progress,
 )
+from greybox.estimation.transcription.segments import (
+    MAX_LOG_CHANGE,
+    SegmentedProblem,
+    cut_by_growth,
+    cut_in_seconds,
+    estimate_segment_states,
+    fit_without_continuity,
+)
+from greybox.estimation.transcription.select import TranscriptionChoice
+from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
+from greybox.estimation.transcription.single_shooting import (
+    CONVERGENCE,
+    Refinement,
+    refine_step,
+    solve_single_shooting,
+    solve_with_refined_steps,
+)
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
+# Arcs longer than the longest record by at most this share are the whole record, and no mistake.
+LENGTH_TOLERANCE = 0.01
+
 
 def solve_multiple_shooting(
-    choice: TranscriptionChoice, options: SolverOptions, report: FitProgressCallback | None = None
+    choice: TranscriptionChoice, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of each record's segments, which end where the next one begins; arcs need not.
 
@@ -71,28 +81,62 @@ def solve_multiple_shooting(
     their states cannot be eliminated.
     """
     continuity = choice.transcription is Transcription.MULTIPLE
-    cuts = cut_by_growth(choice.problem) if continuity else _cut_into_arcs(choice.problem, options)
-    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
-    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
-    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
-    values = {"segments": count} if continuity else {"arcs": count, "arc_length": options.arc_length, "whole": is_whole}
-    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
-    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
-
-
-# Arcs longer than the longest record by at most this share are the whole record, and no mistake.
-LENGTH_TOLERANCE = 0.01
-
-
-def _cut_into_arcs(problem: EstimationProblem, options: SolverOptions) -> Cuts:
-    """Arcs of the length that ``options`` ask for."""
-    length, longest = options.arc_length, max(float(record.h.sum()) for record in problem.records)
-    if length > longest * (1 + LENGTH_TOLERANCE):
+    length, longest = options.arc_length, max(float(record.h.sum()) for record in choice.problem.records)
+    if not continuity and length > longest * (1 + LENGTH_TOLERANCE):
         raise DataError(
             f"arcs of {length:g} s: the longest record lasts {longest:.6g} s, so no record would be divided; take shorter arcs, or leave"
             " arc_length out (shell: --arc-length)"
         )
-    return cut_in_seconds(problem, length)
+    cuts = cut_by_growth(choice.problem) if continuity else cut_in_seconds(choice.problem, length)
+    search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
+    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
+    count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
+    values = {"segments": count} if continuity else {"arcs": count, "arc_length": length, "whole": is_whole}
+    solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
+    return replace(solution, joined=search.join()) if np.isfinite(solution.evaluation.cost) else solution
+
+
+@dataclass(frozen=True, kw_only=True)
+class MultipleShootingResult(Solution):
+    """The optimum of a search over segments: of the constants, every state eliminated (its rows of the evaluation are zero).
+
+    ``segmented``: the segments with their present point there; ``rows``: weighted residuals (N, ny) of each record and their Jacobian
+    (N, ny, L) along `DecisionVector.columns`; ``gap``: the largest jump between segments, as a share of the state's range.
+    """
+
+    segmented: SegmentedProblem
+    rows: Runs = ()
+    gap: float = np.inf
+
+    @classmethod
+    def of(
+        cls,
+        segmented: SegmentedProblem,
+        evaluation: Evaluation,
+        outcome: Solution | MinimisationResult,
+        rows: Runs = (),
+        gap: float = np.inf,
+    ) -> MultipleShootingResult:
+        """What a search ``outcome`` means; ``rows`` are those of the segments along the constants alone."""
+        whole = segmented.whole
+        states = len(whole.variables.free_states)
+        whole_rows = [(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows]
+        return cls(
+            whole,
+            whole.variables,
+            evaluation,
+            outcome.status,
+            outcome.solver_status,
+            outcome.iterations,
+            outcome.evaluations,
+            outcome.seconds,
+            (1.0,),
+            np.zeros(len(whole.noise.std)),
+            solver=outcome.solver,
+            segmented=segmented,
+            rows=segmented.join(whole_rows) if rows else (),
+            gap=gap,
+        )
 
 
 class _SegmentSearch:
@@ -102,7 +146,7 @@ class _SegmentSearch:
         self,
         segmented: SegmentedProblem,
         continuity: bool,
-        options: SolverOptions,
+        options: FitOptions,
         report: FitProgressCallback | None,
     ) -> None:
         self.segmented, self.continuity, self.options, self.report = segmented, continuity, options, report
@@ -111,21 +155,9 @@ class _SegmentSearch:
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum with the step of ``problem``."""
         shooting = MultipleShooting(self.segmented.with_step_of(problem), continuity=self.continuity)
-        result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
-        self.result, self.segmented = result, result.segmented
-        return Solution(
-            result.segmented.whole,
-            result.variables,
-            result.evaluation,
-            result.status,
-            result.solver_status,
-            result.iterations,
-            result.evaluations,
-            result.seconds,
-            (1.0,),
-            np.zeros(len(problem.noise.std)),
-            solver=result.solver,
-        )
+        self.result = shooting.solve(self.options, initialise=self.result is None, report=self.report)
+        self.segmented = self.result.segmented
+        return self.result
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be."""
@@ -138,53 +170,22 @@ class _SegmentSearch:
         if not problem.step.per_interval and len(shift):
             both = self.segmented, self.segmented.with_step_of(problem.halve_step())
             coarse, fine = (MultipleShooting(s, continuity=self.continuity).gauss_newton_step() for s in both)
+            # Both steps from the same point: what the search has left over does not count.
             shift = fine - coarse
         size = self.result.variables.size if self.continuity else self.segmented.pieces.variables.size
         return SegmentedRun(self.segmented.simulate(), self.result.rows, size, shift)
 
 
-@dataclass(frozen=True)
-class MultipleShootingResult:
-    """The optimum of a multiple-shooting fit."""
-
-    segmented: SegmentedProblem
-    """The segments with their present point at the optimum."""
-
-    evaluation: Evaluation
-    """Cost, gradient and Gauss-Newton matrix of the constants, every state eliminated: the rows of initial states are zero."""
-
-    rows: Runs
-    """Weighted residuals (N, ny) of each record and their Jacobian (N, ny, L) along `DecisionVector.columns`, states eliminated."""
-
-    gap: float
-    """The largest jump between segments, as a share of the state's range."""
-
-    status: TerminationStatus
-    """How the search ended."""
-
-    solver: str
-    solver_status: str
-    iterations: int
-    evaluations: int
-    seconds: float
-
-    @property
-    def variables(self) -> DecisionVector:
-        """The decision vector of the whole records with ``z = 0`` at the optimum."""
-        return self.segmented.whole.variables
-
-    @property
-    def states(self) -> np.ndarray:
-        """First states (segments, nx) of the segments of all records."""
-        return self.segmented.pieces.variables.initial.guess
-
-
+# Nothing is left to gain: within a thousandth of a standard deviation.
+MULTIPLE_SHOOTING_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=8)
 # Largest gap between segments of a converged solution, as a share of each state's range.
 MULTIPLE_SHOOTING_CONTINUITY = 1e-07
 # Shares of a step that are tried in turn, until the cost or the gaps come down.
 STEP_LENGTHS: tuple[float, ...] = (1.0, 0.5, 0.25, 0.1, 0.03)
 # Dampings, as shares of the curvature, that are tried in turn with all step lengths.
 MULTIPLE_SHOOTING_DAMPINGS: tuple[float, ...] = (0.0, 0.01, 1.0, 100.0)
+# Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense.
+MOST_UNKNOWNS = 1000
 # Share of the gaps by which a step has to be better than every point before it, in the gaps or in the cost.
 FILTER_MARGIN = 0.001
 # Where no step helps any more, a point that meets the convergence test this many times less strictly is an optimum to within rounding
@@ -205,7 +206,6 @@ class MultipleShooting:
 
     def __init__(self, segmented: SegmentedProblem, *, continuity: bool = True) -> None:
         self.continuity, self.evaluations = continuity, 0
-        self.policy = segmented.whole.policy.transcription
         self._place(segmented)
 
     def _place(self, segmented: SegmentedProblem) -> None:
@@ -216,12 +216,13 @@ class MultipleShooting:
         self.joints = [not begins for begins in segmented.starts_record[1:]] + [False]
         if self.continuity:
             step, weight = add_state_outputs(pieces.step), np.concatenate([1 / pieces.noise.std, np.ones(self.nx)])
-            records = [r for e in range(len(segmented.cuts)) for r in self._slice_record(e)]
+            whole = zip(segmented.whole.shooting().records, segmented.cuts, strict=True)
+            records = [slice_segment(r, a, b, self.nx) for r, places in whole for a, b in pairwise(places)]
             self.with_ends = SingleShooting(self.variables, step, make_kernel(step), records, weight)
 
     def solve(
         self,
-        options: SolverOptions | None = None,
+        options: FitOptions | None = None,
         *,
         initialise: bool = True,
         report: FitProgressCallback | None = None,
@@ -237,7 +238,7 @@ class MultipleShooting:
         report
             Called after every iteration.
         """
-        options = options or SolverOptions()
+        options = options or FitOptions()
         return (self._solve_joined if self.continuity else self._solve_apart)(options, initialise, report)
 
     def gauss_newton_step(self) -> np.ndarray:
@@ -250,7 +251,7 @@ class MultipleShooting:
         return np.full(self.n, np.nan) if linearised is None else self._compute_step(linearised)[: self.n]
 
     def _solve_apart(
-        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+        self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
     ) -> MultipleShootingResult:
         """Without continuity.
 
@@ -259,11 +260,15 @@ class MultipleShooting:
         """
         pieces = self.segmented.pieces
         if not pieces.is_plain_squares:
-            _check_number(self.segmented, options)
+            if pieces.variables.size > MOST_UNKNOWNS:
+                raise ModelError(
+                    f"arcs of {options.arc_length:g} s: {len(self.segmented.starts_record)} of them have {pieces.variables.size} unknowns"
+                    f" together; with coloured noise, robust loss or priors at most {MOST_UNKNOWNS} are possible: take longer arcs"
+                )
             solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
-            return _make_apart(segmented, solution.evaluation, solution)
-        projected = ProjectedShooting(pieces.shooting(), self.policy.projection)
+            return self._end_apart(segmented, solution.evaluation, solution)
+        projected = ProjectedShooting(pieces.shooting())
         if initialise:
             projected.carry_states(self.segmented.starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
@@ -277,75 +282,91 @@ class MultipleShooting:
             value_at_start=first,
             tolerance=options.tolerance,
             iterations=options.iterations,
-            termination_test=Termination(options.policy.convergence, low, high, first.count).test,
+            termination_test=Termination(CONVERGENCE, low, high, first.count).test,
             thorough=options.thorough,
             progress=ProgressMonitor(pieces, report),
             policy=options.policy.minimisation,
         )
         segmented = self.segmented.at(self.variables.recentre(projected.full(outcome.z)))
-        return _make_apart(segmented, outcome.value or first, outcome)
+        return self._end_apart(segmented, outcome.value or first, outcome)
+
+    def _end_apart(
+        self, segmented: SegmentedProblem, reached: Evaluation, outcome: Solution | MinimisationResult
+    ) -> MultipleShootingResult:
+        """What a search without continuity ended with, its states eliminated to first order."""
+        v = segmented.whole.variables
+        if not np.isfinite(reached.cost):
+            failed = Evaluation.failure(v.size, self.ny, reached.failed or (0, 0))
+            return MultipleShootingResult.of(segmented, failed, outcome)
+        rows = _project_residuals(segmented.pieces)
+        evaluation = replace(_evaluate_rows(rows, v), cost=reached.cost, squares=reached.squares)
+        return MultipleShootingResult.of(segmented, evaluation, outcome, rows, 0.0)
 
     def _solve_joined(
-        self, options: SolverOptions, initialise: bool, report: FitProgressCallback | None
+        self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
     ) -> MultipleShootingResult:
         """With continuity: lifted Gauss-Newton."""
         began = time.perf_counter()
         with monitor_progress(self.segmented.pieces, report) as monitor:
+            # First states are estimated from the samples of each segment, and the constants fitted as if they need not meet.
             if initialise:
-                self._place(self._initialise())
+                v, arcs = self.segmented.whole.variables, estimate_segment_states(self.segmented)
+                point = self.variables.recentre(fit_without_continuity(arcs))
+                states, declared = point.initial.guess.copy(), ~v.initial.free
+                for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
+                    states[k, declared] = v.initial.guess[e, declared]
+                self._place(self.segmented.at(replace(point, initial=replace(point.initial, guess=states))))
             linearised = self._linearise(self.variables.here)
             status, iteration = TerminationStatus.NO_START, 0
             if linearised is not None:
                 count = max(int(linearised.counts.sum()), 1)
-                termination = Termination(self.policy.multiple_shooting.termination, count=count)
+                termination = Termination(MULTIPLE_SHOOTING_TERMINATION, count=count)
                 visited: list[tuple[float, float]] = []
-                while (ended := self._judge(linearised, termination, iteration, options, monitor)) is None:
-                    visited.append((linearised.violation, linearised.cost))
-                    following = self._search_step(linearised, visited)
-                    if following is None:  # at rounding errors, or truly stuck
-                        slack = ROUNDING_SLACK
-                        is_optimum = self._is_converged(linearised, termination, slack)
-                        ended = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
-                        break
-                    linearised = following
-                    iteration += 1
-                status = ended
-                if (
-                    status is TerminationStatus.CONVERGED
-                ):  # the last step is known already: it gives the constants their digits
+                while True:
+                    is_joined = linearised.gap < MULTIPLE_SHOOTING_CONTINUITY
+                    if monitor(iteration, linearised.cost):
+                        status = TerminationStatus.INTERRUPTED
+                    elif self._is_converged(linearised, termination):
+                        status = TerminationStatus.CONVERGED
+                    elif termination.is_flat(linearised.cost) and is_joined:
+                        status = TerminationStatus.ACCEPTABLE
+                    elif iteration == options.iterations:
+                        status = TerminationStatus.ITERATION_LIMIT
+                    else:
+                        visited.append((linearised.violation, linearised.cost))
+                        following = self._search_step(linearised, visited)
+                        if following is not None:
+                            linearised, iteration = following, iteration + 1
+                            continue
+                        # At rounding errors, or truly stuck.
+                        is_optimum = self._is_converged(linearised, termination, ROUNDING_SLACK)
+                        status = TerminationStatus.ACCEPTABLE if is_optimum else TerminationStatus.STUCK
+                    break
+                # The last step is known already: it gives the constants their digits.
+                if status is TerminationStatus.CONVERGED:
                     last = self._linearise(linearised.z + self._compute_step(linearised))
                     if last and last.cost <= linearised.cost and self._is_converged(last, termination):
                         linearised = last
                 if monitor.stop:  # also where the last iteration was the last anyway: the caller would go on
                     status = TerminationStatus.INTERRUPTED
-        return self._make_joined(linearised, status, iteration, time.perf_counter() - began)
-
-    def _initialise(self) -> SegmentedProblem:
-        """First states estimated from the samples of each segment, and constants fitted without continuity."""
-        segmented, v = self.segmented, self.segmented.whole.variables
-        arcs = estimate_segment_states(segmented)
-        point = self.variables.recentre(fit_without_continuity(arcs, self.policy.relaxation))
-        states, declared = point.initial.guess.copy(), ~v.initial.free
-        for e, k in enumerate(np.flatnonzero(segmented.starts_record)):
-            states[k, declared] = v.initial.guess[e, declared]
-        return segmented.at(replace(point, initial=replace(point.initial, guess=states)))
-
-    def _judge(
-        self,
-        linearised: _LinearisedPoint,
-        termination: Termination,
-        iteration: int,
-        options: SolverOptions,
-        monitor: ProgressMonitor,
-    ) -> TerminationStatus | None:
-        """How the search ends at a point; None where it goes on."""
-        if monitor(iteration, linearised.cost):
-            return TerminationStatus.INTERRUPTED
-        if self._is_converged(linearised, termination):
-            return TerminationStatus.CONVERGED
-        if termination.is_flat(linearised.cost) and linearised.gap < MULTIPLE_SHOOTING_CONTINUITY:
-            return TerminationStatus.ACCEPTABLE
-        return TerminationStatus.ITERATION_LIMIT if iteration == options.iterations else None
+        work, label = (iteration, self.evaluations, time.perf_counter() - began), "lifted Gauss-Newton"
+        size, n, ny = self.segmented.whole.variables.size, self.n, self.ny
+        if linearised is None:
+            nowhere = MinimisationResult(self.variables.here, np.inf, status, *work, solver=label)
+            return MultipleShootingResult.of(self.segmented, Evaluation.failure(size, ny, (0, 0)), nowhere)
+        outcome = MinimisationResult(linearised.z, linearised.cost, status, *work, solver=label)
+        gradient, hessian = np.zeros(size), np.zeros((size, size))
+        gradient[:n], hessian[:n, :n] = linearised.model.gradient, linearised.model.hessian
+        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
+        # Residuals along the constants, the states following them: P + R S.
+        rows = []
+        residuals, slopes = self.with_ends.residuals(linearised.z), linearised.condensed.slope
+        for (r, j), record, slope in zip(residuals, self.segmented.pieces.records, slopes, strict=True):
+            count = len(record.samples(record.y))
+            r, j = r[:count, :ny], j[:count, :ny]
+            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
+        segmented = self.segmented.at(self.variables.recentre(linearised.z))
+        return MultipleShootingResult.of(segmented, evaluation, outcome, rows, linearised.gap)
 
     def _is_converged(self, linearised: _LinearisedPoint, termination: Termination, slack: float = 1.0) -> bool:
         """Whether a further step would neither lower the cost nor close a gap."""
@@ -368,6 +389,7 @@ class MultipleShooting:
     def _compute_step(self, linearised: _LinearisedPoint, damping: float = 0.0) -> np.ndarray:
         """The step of constants and first states that minimises the condensed quadratic within the bounds of the constants."""
         z = linearised.z[: self.n]
+        # A factor of a hundred at most, in the logarithm of a positive constant.
         reach = np.where(self.variables.logarithmic, MAX_LOG_CHANGE, np.inf)
         low, high = (edge[: self.n] - z for edge in self.variables.bounds())
         step = linearised.model.bounded_step(np.maximum(low, -reach), np.minimum(high, reach), damping)
@@ -380,6 +402,7 @@ class MultipleShooting:
         states = v.initial.guess + scale * v.split(z).initial_states
         segments, squares, counts = [], np.zeros(ny), np.zeros(ny, int)
         for k, (r, j) in enumerate(self.with_ends.residuals(z)):
+            # The last row measures the states as zero: its residual is minus the end of the segment.
             end, ends = -r[-1, ny:], -j[-1, ny:]
             r, j = r[:, :ny], j[:, :ny]
             is_measured = np.isfinite(self.with_ends.records[k].samples(self.with_ends.records[k].y)[:, :ny])
@@ -387,9 +410,19 @@ class MultipleShooting:
                 return None
             squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
             counts += is_measured.sum(axis=0)
+            # d_k = x(end of segment k) - s_{k+1}, in scaled states.
             defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
             segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
-        self._tie_declared_states(segments, z, states)
+        # The first states of records are held to what is declared.
+        whole = self.segmented.whole.variables
+        declared = np.flatnonzero(~whole.initial.free)
+        if len(declared):
+            point = whole.here
+            whole.split(point).parameters[:] = z[: self.n]
+            for e, first in enumerate(np.flatnonzero(self.segmented.starts_record)):
+                x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
+                distance, slope = (x0 - states[first]) / scale, dx0[:, : self.n] / scale[:, None]
+                segments[first] = replace(segments[first], tie=(declared, distance[declared], slope[declared]))
         edges = np.cumsum([0, *(len(places) - 1 for places in self.segmented.cuts)])
         condensed = condense([segments[a:b] for a, b in pairwise(edges)], self.n)
         if condensed is None:
@@ -397,52 +430,6 @@ class MultipleShooting:
         gaps = np.concatenate([np.abs(s.defect) for s in segments])
         prior = v.penalty(z) if v.has_prior.any() else (0.0, np.zeros(self.n), np.zeros(self.n))
         return _LinearisedPoint(z, squares, counts, condensed, prior, float(gaps.max()), float(gaps.sum()))
-
-    def _tie_declared_states(self, segments: list[LinearisedSegment], z: np.ndarray, states: np.ndarray) -> None:
-        """Hold the first states of records to what is declared."""
-        whole, scale = self.segmented.whole.variables, self.variables.initial.scale
-        declared = np.flatnonzero(~whole.initial.free)
-        if not len(declared):
-            return
-        point = whole.here
-        whole.split(point).parameters[:] = z[: self.n]
-        for e, k in enumerate(np.flatnonzero(self.segmented.starts_record)):
-            x0, dx0 = whole.compute_initial_state(point, whole.parameters(point, e), e)
-            distance, slope = (x0 - states[k]) / scale, dx0[:, : self.n] / scale[:, None]
-            segments[k] = replace(segments[k], tie=(declared, distance[declared], slope[declared]))
-
-    def _slice_record(self, e: int) -> list[Record]:
-        """The segments of record ``e``; the last row of each is the first of the next and counts for its states alone."""
-        record, places = self.segmented.whole.shooting().records[e], self.segmented.cuts[e]
-        return [slice_segment(record, a, b, self.nx) for a, b in pairwise(places)]
-
-    def _make_joined(
-        self, linearised: _LinearisedPoint | None, status: TerminationStatus, iterations: int, seconds: float
-    ) -> MultipleShootingResult:
-        size, ny, work = (
-            self.segmented.whole.variables.size,
-            self.ny,
-            ("lifted Gauss-Newton", "", iterations, self.evaluations, seconds),
-        )
-        gradient, hessian = np.zeros(size), np.zeros((size, size))
-        if linearised is None:
-            failed = Evaluation(np.inf, gradient, hessian, np.zeros(ny), np.zeros(ny, int), (0, 0))
-            return MultipleShootingResult(self.segmented, failed, (), np.inf, status, *work)
-        model, n = linearised.model, self.n
-        gradient[:n], hessian[:n, :n] = model.gradient, model.hessian
-        evaluation = Evaluation(linearised.cost, gradient, hessian, linearised.squares, linearised.counts)
-        rows = []
-        for (r, j), record, slope in zip(
-            self.with_ends.residuals(linearised.z),
-            self.segmented.pieces.records,
-            linearised.condensed.slope,
-            strict=True,
-        ):
-            count = len(record.samples(record.y))
-            r, j = r[:count, :ny], j[:count, :ny]
-            rows.append((r, j[:, :, :n] + j[:, :, n:] @ slope))
-        segmented = self.segmented.at(self.variables.recentre(linearised.z))
-        return MultipleShootingResult(segmented, evaluation, _join_rows(segmented, rows), linearised.gap, status, *work)
 
 
 @dataclass(frozen=True)
@@ -464,6 +451,7 @@ class _LinearisedPoint:
 
     def improves_on(self, visited: Sequence[tuple[float, float]], margin: float) -> bool:
         """Whether the point is better than each visited one in its gaps or in its cost."""
+        # Fletcher and Leyffer's filter: better in one of the two than every point before it.
         slack = margin * min(self.violation, 1.0)
         return all(
             self.violation < (1 - margin) * gaps or self.cost < cost - slack * abs(cost) for gaps, cost in visited
@@ -481,34 +469,6 @@ class _LinearisedPoint:
         cost, slope, curvature = self.prior
         dz = step[: len(slope)]
         return self.condensed.cost_after(step) + cost + float(np.sum(slope * dz + 0.5 * curvature * dz**2))
-
-
-def _make_apart(
-    segmented: SegmentedProblem, evaluation: Evaluation, outcome: Solution | MinimisationResult
-) -> MultipleShootingResult:
-    """The result of a search without continuity, its states eliminated to first order."""
-    work = outcome.solver, outcome.solver_status, outcome.iterations, outcome.evaluations, outcome.seconds
-    v = segmented.whole.variables
-    if not np.isfinite(evaluation.cost):
-        empty = np.zeros(v.size), np.zeros((v.size, v.size))
-        failed = Evaluation(np.inf, *empty, evaluation.squares, evaluation.counts, evaluation.failed)
-        return MultipleShootingResult(segmented, failed, (), np.inf, outcome.status, *work)
-    rows = _project_residuals(segmented.pieces)
-    reached = replace(_evaluate_rows(rows, v), cost=evaluation.cost, squares=evaluation.squares)
-    return MultipleShootingResult(segmented, reached, _join_rows(segmented, rows), 0.0, outcome.status, *work)
-
-
-# Unknowns of a fit by arcs with coloured noise, robust loss or priors at most: its Hessian is dense.
-MOST_UNKNOWNS = 1000
-
-
-def _check_number(segmented: SegmentedProblem, options: SolverOptions) -> None:
-    most, size = MOST_UNKNOWNS, segmented.pieces.variables.size
-    if size > most:
-        raise ModelError(
-            f"arcs of {options.arc_length:g} s: {len(segmented.starts_record)} of them have {size} unknowns together; with coloured"
-            f" noise, robust loss or priors at most {most} are possible: take longer arcs"
-        )
 
 
 def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -533,12 +493,6 @@ def _evaluate_rows(rows: Runs, variables: DecisionVector) -> Evaluation:
         gradient[:n] += 2 * slopes.T @ r[measured]
         hessian[:n, :n] += 2 * slopes.T @ slopes
     return Evaluation(float(squares.sum()), gradient, hessian, squares, counts)
-
-
-def _join_rows(segmented: SegmentedProblem, rows: Runs) -> Runs:
-    """Rows of segments along the constants as those of whole records along `DecisionVector.columns`."""
-    states = len(segmented.whole.variables.free_states)
-    return segmented.join([(r, np.pad(jacobian, ((0, 0), (0, 0), (0, states)))) for r, jacobian in rows])
 
 
 def add_state_outputs(step: Step) -> Step:

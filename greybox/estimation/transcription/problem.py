@@ -1,29 +1,32 @@
-"""A fit before it starts: records, weights, first guesses, one discrete step."""
+"""A fit before it starts (records, weights, first guesses, one discrete step), and what a search ends with."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
+from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.problems import is_constant
+from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
+from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.policy import DEFAULT_SOLVER_POLICY, SolverPolicy
 from greybox.estimation.transcription.simulation_error import (
-    RobustLoss,
-    RobustShooting,
+    Evaluation,
     SingleShooting,
     WhitenedShooting,
 )
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import DiscretisationPolicy, discretise
+from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -49,13 +52,14 @@ class EstimationProblem:
     method: str
     loss: RobustLoss | None = None
     constant_outputs: tuple[str, ...] = ()
-    policy: SolverPolicy = DEFAULT_SOLVER_POLICY
+    policy: EstimationPolicy = DEFAULT_POLICY
 
     def predict_cost(self, variables: DecisionVector) -> float:
         """The cost that one step of the quadratic model promises from ``variables``; infinite where the model cannot be simulated there."""
         e = self.shooting(variables).evaluate(variables.here)
         if not (np.isfinite(e.cost) and e.is_finite and np.abs(e.hessian).max(initial=0.0) < OVERFLOWING_CURVATURE):
             return math.inf
+        # c + g'z + z'H z / 2 at its least within the bounds.
         return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
     def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
@@ -64,9 +68,9 @@ class EstimationProblem:
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
-        if self.loss is not None:
-            return RobustShooting(*base, colour=self.noise.colour, loss=self.loss)
-        return WhitenedShooting(*base, colour=self.noise.colour) if self.is_whitened else SingleShooting(*base)
+        if self.loss is None and not self.is_whitened:
+            return SingleShooting(*base)
+        return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
 
     @property
     def is_whitened(self) -> bool:
@@ -96,13 +100,16 @@ class EstimationProblem:
         """The parameters (np,) at the present point, without any experiment's own."""
         return self.variables.parameters(self.variables.here)
 
-    def with_noise(self, noise: NoiseModel) -> EstimationProblem:
-        """The same with other weights."""
-        return replace(self, noise=noise)
-
     def with_step(self, substeps: int, p: np.ndarray) -> EstimationProblem:
         """The same with a step made anew: another method, or another number of substeps (0 to choose)."""
-        step = _discretise(self.model, self.records, p, None, self.method, substeps, self.policy.discretisation)
+        lengths, no_states = (
+            np.unique(np.concatenate([r.lengths for r in self.records])),
+            np.zeros((0, self.model.system.x.numel())),
+        )
+        policy = self.policy.discretisation
+        step = discretise(
+            self.model.system, p, no_states, lengths, method=self.method, substeps=substeps, policy=policy
+        )
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
 
     def with_substeps(self, substeps: int) -> EstimationProblem:
@@ -121,75 +128,71 @@ def prepare_problem(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
     noise: Mapping[str, float] | NoiseModel | None,
+    options: FitOptions,
     *,
-    at_rest: bool,
-    method: str,
-    substeps: int,
     quiet: Experiment | Sequence[Experiment] = (),
-    per_experiment: Sequence[str] = (),
-    robust: bool = False,
-    common_noise: bool = False,
     initial: Sequence[Mapping[str, float]] = (),
-    policy: SolverPolicy = DEFAULT_SOLVER_POLICY,
 ) -> EstimationProblem:
-    """Check model and data against each other and lay out the problem; ``quiet`` records tell the noise (`greybox.data.noise`).
+    """Check model and data against each other and lay out the problem as ``options`` say.
 
-    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit.
-    ``per_experiment``: parameters of which each experiment has a value of its own. ``robust``: outliers must not pass for noise.
-    ``common_noise``: outputs whose noise nothing tells have one level in common.
-    ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An output that reads the same in every row, and
-    whose noise is not known, is left out (`EstimationProblem.constant_outputs`). ``policy``: how noise is estimated and a step chosen.
+    ``noise`` as `greybox.data.noise.noise_sources.estimate_noise` takes it, or a `NoiseModel` that is known from an earlier fit; ``quiet``
+    records tell it (`greybox.data.noise`). ``initial``: the first guess of each record's initial state, see `apply_initial_guess`. An
+    output that reads the same in every row, and whose noise is not known, is left out (`EstimationProblem.constant_outputs`).
 
     Raises DataError or ModelError with what is wrong and what to do.
     """
+    policy = options.policy
     group = to_experiments(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
-    deviation = (
-        noise
-        if isinstance(noise, NoiseModel)
-        else estimate_noise(
+    if not isinstance(noise, NoiseModel):
+        noise = estimate_noise(
             model,
             group,
             noise or {},
             quiet,
-            robust=robust,
-            alike=not per_experiment,
-            common=common_noise,
+            robust=options.to_loss() is not None,  # outliers must not pass for noise
+            alike=not options.per_experiment,
+            common=options.common_noise,
             policy=policy.noise,
         )
+    # Outputs that read the same in every row and have no noise from anywhere count as not measured.
+    columns = {o.name: [e.outputs[o.name] for e in group if o.name in e.outputs] for o in model.outputs}
+    constant = tuple(
+        n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
-    constant = _find_constant_outputs(model, group, deviation)
-    is_constant_output = [o.name in constant for o in model.outputs]
-    records = tuple(_drop_outputs(_spread_noise(to_record(model, e), e, deviation), is_constant_output) for e in group)
-    beginning = guess_initial_states(model, records, at_rest, [e.conditions for e in group])
+    records = tuple(_spread_noise(to_record(model, e), e, noise) for e in group)
+    if constant:
+        dead = [o.name in constant for o in model.outputs]
+        records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
+    beginning = guess_initial_states(model, records, options.at_rest, [e.conditions for e in group])
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
-    p = np.array(list(model.values.values()))
-    step = _discretise(model, records, p, beginning.guess, method, substeps, policy.discretisation)
+    p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
+    step = discretise(
+        model.system,
+        p,
+        beginning.guess,
+        lengths,
+        method=options.method,
+        substeps=options.substeps,
+        policy=policy.discretisation,
+    )
     if not step.per_interval:
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
-    variables = DecisionVector.of(model, beginning, conditions, per_experiment, [e.name for e in group])
+    variables = DecisionVector.of(model, beginning, conditions, options.per_experiment, [e.name for e in group])
     return EstimationProblem(
         model,
         group,
         records,
-        deviation,
+        noise,
         variables,
         step,
         make_kernel(step, variables.which),
-        method,
+        options.method,
         constant_outputs=constant,
         policy=policy,
-    )
-
-
-def _find_constant_outputs(model: Model, experiments: Sequence[Experiment], noise: NoiseModel) -> tuple[str, ...]:
-    """Outputs that read the same in every row and have no noise from anywhere."""
-    columns = {o.name: [e.outputs[o.name] for e in experiments if o.name in e.outputs] for o in model.outputs}
-    return tuple(
-        n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
 
 
@@ -202,11 +205,6 @@ def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> 
         if name in experiment.noise:
             spread[:, j] = experiment.noise[name] / noise.std[j]
     return replace(record, spread=spread)
-
-
-def _drop_outputs(record: Record, outputs: Sequence[bool]) -> Record:
-    """``record`` as if some of its outputs had not been measured."""
-    return replace(record, y=np.where(outputs, np.nan, record.y)) if any(outputs) else record
 
 
 def guess_initial_states(
@@ -228,6 +226,7 @@ def guess_initial_states(
                 for e, record in enumerate(records):
                     first = record.y[:5, j]
                     if np.isfinite(first).any():
+                        # The first reading, where one of the first rows has any: one that is late is of another state.
                         guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
     scale = np.where(declared != 0, declared, 1.0)
     return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
@@ -272,15 +271,201 @@ def _count(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _discretise(
-    model: Model,
-    records: Sequence[Record],
-    p: np.ndarray,
-    x: np.ndarray | None,
-    method: str,
-    substeps: int,
-    policy: DiscretisationPolicy,
-) -> Step:
-    lengths = np.unique(np.concatenate([r.lengths for r in records]))
-    states = np.zeros((0, len(model.system.state_names))) if x is None else x
-    return discretise(model.system, p, states, lengths, method=method, substeps=substeps, policy=policy)
+# A search that is not IPOPT's, watched: progress to report, and Ctrl-C that ends it after the present iteration.
+
+
+@dataclass(frozen=True)
+class FitProgress:
+    """Where a running fit is: stage ``stage`` of ``stages`` (a growing part of the record), iteration, misfit over noise."""
+
+    stage: int
+    stages: int
+    iteration: int
+    noise_ratio: float
+
+
+FitProgressCallback = Callable[[FitProgress], None]
+
+
+class ProgressMonitor:
+    """Called with the number of each iteration and its cost; whether to ``stop``."""
+
+    def __init__(self, problem: EstimationProblem, report: FitProgressCallback | None) -> None:
+        self.report, self.stop = report, False
+        self.count = max(sum(int(np.isfinite(r.y).sum()) for r in problem.records), 1)
+
+    def __call__(self, iteration: int, cost: float) -> bool:
+        """Report where the search is; whether to end it."""
+        if self.report:
+            self.report(FitProgress(1, 1, iteration, float(np.sqrt(cost / self.count))))
+        return self.stop
+
+
+@contextmanager
+def monitor_progress(problem: EstimationProblem, report: FitProgressCallback | None) -> Iterator[ProgressMonitor]:
+    """A `ProgressMonitor` that hears Ctrl-C."""
+    watch = ProgressMonitor(problem, report)
+    with stop_on_interrupt(watch):
+        yield watch
+
+
+# Codes of what a transcription and a solution say about themselves.
+
+
+class TranscriptionReason(StrEnum):
+    """Why a transcription suits a model and its record."""
+
+    STABLE = "transcription_stable"
+    """Neither unstable, nor stiff, nor integrating."""
+
+    UNSTABLE = "transcription_unstable"
+    """Errors grow along the record. Values: ``rate`` (1/s), ``exponent`` (over the record), ``duration`` (s)."""
+
+    STIFF_IMPLICIT = "transcription_stiff_implicit"
+    """A fast mode, which implicit steps follow. Values: ``fastest`` (s), ``substeps`` (explicit ones in a sample)."""
+
+    STIFF_NOT_SMOOTH = "transcription_stiff_not_smooth"
+    """A fast mode, too many states for implicit steps, and equations that collocation cannot take. Values as before."""
+
+    STIFF_LONG = "transcription_stiff_long"
+    """A fast mode, too many states for implicit steps, and a record too long for collocation. Values as before, and ``samples``."""
+
+    STIFF_COLLOCATION = "transcription_stiff_collocation"
+    """A fast mode and too many states for implicit steps: collocation takes it. Values as before."""
+
+    INTEGRATING_SHORT = "transcription_integrating_short"
+    """An integrator whose drift stays near the data. Values: ``duration`` (s), ``time_constants`` (of the slowest other mode, or None)."""
+
+    INTEGRATING_GROWING = "transcription_integrating_growing"
+    """An integrator; a growing part of the record keeps the run near the data. Values as before."""
+
+
+class SolutionCode(StrEnum):
+    """What a solution says about itself."""
+
+    SEARCH_STRATEGY = "search_strategy"
+    """How it was searched for: the transcription, what it was made of, and why it was chosen."""
+
+
+# Two arrays for each record: outputs and states, or residuals and their Jacobian.
+Runs = Sequence[tuple[np.ndarray, np.ndarray]]
+
+
+class Completion(StrEnum):
+    """How a fit by segments or collocation points was completed where the cost is more than plain squares."""
+
+    NONE = ""
+    FREE_RUN = "free_run"
+    """By a free run from the optimum of the segments."""
+
+    WHITE_NOISE = "white_noise"
+    """With the noise taken as white, as a free run does not follow this plant."""
+
+
+def make_strategy(transcription: str, **values: object) -> Finding:
+    """How a fit searched; ``values`` depend on the transcription, see `greybox.show.sentences.estimation`."""
+    return Finding(SolutionCode.SEARCH_STRATEGY, Severity.NOTE, transcription, values)
+
+
+@dataclass(frozen=True)
+class SegmentedRun:
+    """A run that is more than one simulation from an initial state: segments, joined or not, or collocated points.
+
+    For each record ``runs`` are outputs (N, ny) and states (N, nx); ``rows`` the weighted residuals (N, ny) and their Jacobian
+    (N, ny, L) along `DecisionVector.columns`, every state at its best for the constants (the columns of the initial states are zero);
+    ``unknowns`` how many numbers were estimated, states included; ``shift`` (nf,) the change of the constants in ``z`` with half
+    the step.
+    """
+
+    runs: Runs
+    rows: Runs
+    unknowns: int
+    shift: np.ndarray
+
+
+# A free run from the initial states is that of the segments if it differs by at most this share of the noise anywhere.
+FREE_RUN_NOISE_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The optimum: ``variables`` with ``z = 0`` there, the evaluation, how it ended, and the work it took.
+
+    ``shares`` of the record that were fitted one after the other; ``integration_error`` of each output over its noise (ny,);
+    ``transcription`` what was used, ``strategy`` what was chosen, and why. ``joined`` is None where the model ran freely from each
+    initial state. ``discretisation`` is empty where it is the step of the problem. ``solver``: which solvers ran over whole records.
+    """
+
+    problem: EstimationProblem
+    variables: DecisionVector
+    evaluation: Evaluation
+    status: TerminationStatus
+    solver_status: str
+    iterations: int
+    evaluations: int
+    seconds: float
+    shares: tuple[float, ...]
+    integration_error: np.ndarray
+    strategy: Finding = field(default_factory=lambda: make_strategy("single"))
+    transcription: str = "single"
+    joined: SegmentedRun | None = None
+    discretisation: str = ""
+    solver: str = ""
+
+    @property
+    def at_optimum(self) -> EstimationProblem:
+        """The problem with its present point at the optimum."""
+        return replace(self.problem, variables=self.variables)
+
+    @property
+    def unknowns(self) -> int:
+        """How many numbers were estimated."""
+        return self.joined.unknowns if self.joined else self.variables.size
+
+    def with_work_of(self, earlier: Solution) -> Solution:
+        """The same with the work of the search that it began from."""
+        return replace(
+            self,
+            iterations=self.iterations + earlier.iterations,
+            evaluations=self.evaluations + earlier.evaluations,
+            seconds=self.seconds + earlier.seconds,
+            solver=self.solver or earlier.solver,
+        )
+
+    def with_strategy(self, **values: object) -> Solution:
+        """The same with more to say of how it was searched."""
+        return replace(self, strategy=replace(self.strategy, values={**self.strategy.values, **values}))
+
+    def is_free_run(self) -> bool:
+        """Whether one simulation from each initial state gives the run, to a share of the noise."""
+        if not self.joined:
+            return True
+        free = self.problem.shooting(self.variables).simulate(self.variables.here)
+        pairs = zip(free, self.joined.runs, strict=True)
+        # Wherever it differs by more than a share of the noise, a free run would be another statement.
+        away = np.concatenate([(a - b) / self.problem.noise.std for (a, _), (b, _) in pairs])
+        return bool(np.all(np.abs(away) < FREE_RUN_NOISE_SHARE))
+
+    def simulate(self) -> Runs:
+        """For each record outputs (N, ny) and states (N, nx) of the model at the optimum."""
+        if self.joined:
+            return self.joined.runs
+        return tuple(self.problem.shooting(self.variables).simulate(self.variables.here))
+
+    def linearise(self) -> tuple[Runs, Runs]:
+        """`simulate`, of the states the first row at least, and `residuals`."""
+        if self.joined:
+            return self.joined.runs, self.residuals()
+        return self.problem.shooting(self.variables).linearise(self.variables.here)
+
+    def residuals(self) -> Runs:
+        """For each record the weighted residuals (N, ny) of its samples and their Jacobian (N, ny, L) at the optimum."""
+        if self.joined:
+            pairs = zip(self.problem.records, self.joined.rows, strict=True)
+            return tuple((_samples(record, r), _samples(record, jacobian)) for record, (r, jacobian) in pairs)
+        return tuple(self.problem.shooting(self.variables).residuals(self.variables.here))
+
+
+def _samples(record: Record, values: np.ndarray) -> np.ndarray:
+    """The samples among values that are there for every row of ``record``."""
+    return record.samples(values) if len(values) == len(record.u) else values

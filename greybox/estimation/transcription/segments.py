@@ -3,6 +3,8 @@
 Segments that must meet are those of multiple shooting. Segments of a chosen length that need not meet are called arcs. Short arcs
 forget: what drifts slowly (an offset, a wrong slow mode) has no time to add up, and the structure of the fast motion shows. Long
 arcs remember: drift and slow constants show. A model that is right fits both with the same constants.
+
+Where a search over segments or by collocation begins is found from them as well, as if they need not meet.
 """
 
 from __future__ import annotations
@@ -16,11 +18,15 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
 from greybox.data.experiment import Experiment, as_records
-from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, SegmentPolicy
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.optim.gauss_newton import run_gauss_newton
+from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
+from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Minimisation, Termination, TerminationPolicy
+from greybox.estimation.options import DEFAULT_POLICY, TranscriptionPolicy
+from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates, find_measured_states
+from greybox.estimation.transcription.eliminated_states import ProjectedShooting
+from greybox.estimation.transcription.problem import EstimationProblem, Runs
 from greybox.estimation.transcription.select import estimate_error_growth
-from greybox.estimation.transcription.solution import Runs
+from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.simulation.kernel.record import Record
 
 Cuts = tuple[tuple[int, ...], ...]
@@ -66,9 +72,9 @@ def split_into_arcs(
 def cut_by_growth(problem: EstimationProblem) -> Cuts:
     """Segments over which errors grow little at the start values."""
     p, policy = problem.start_parameters, problem.policy.transcription
-    growths = [estimate_error_growth(problem.model.system, p, r, policy.choice) for r in problem.records]
+    growths = [estimate_error_growth(problem.model.system, p, r, policy) for r in problem.records]
     pairs = zip(growths, problem.records, strict=True)
-    return cut_in_rows(problem, [choose_segment_rows(growth, r, policy.segments) for growth, r in pairs])
+    return cut_in_rows(problem, [choose_segment_rows(growth, r, policy) for growth, r in pairs])
 
 
 # Factor by which an error may grow over one segment of an unstable plant.
@@ -77,11 +83,14 @@ MAX_GROWTH = 5.0
 SEGMENT_LEAST_ROWS = 8
 
 
-def choose_segment_rows(growth: float, record: Record, policy: SegmentPolicy = DEFAULT_POLICY.segments) -> int:
+def choose_segment_rows(
+    growth: float, record: Record, policy: TranscriptionPolicy = DEFAULT_POLICY.transcription
+) -> int:
     """Samples of a segment for a plant whose errors grow by ``exp(growth t)`` (1/s; at most zero: they do not)."""
     longest = max(len(record.samples(record.u)) // policy.max_segments, policy.usual_rows)
     period = record.rows_per_sample * float(np.median(record.h)) if len(record.h) else 1.0
     if growth > 0:
+        # exp(growth t) <= MAX_GROWTH.
         longest = min(longest, int(np.log(MAX_GROWTH) / (growth * period)))
     return max(SEGMENT_LEAST_ROWS, longest)
 
@@ -187,9 +196,19 @@ class SegmentedProblem:
             pieces += [record.cut(a, b) for a, b in pairwise(places)]
         owner = np.repeat(np.arange(len(records)), [len(places) - 1 for places in cuts])
         if states is None:
-            given = zip(records, cuts, strict=True)
-            states = np.concatenate([_guess_states(v, e, r, places[:-1]) for e, (r, places) in enumerate(given)])
+            guesses = []
+            for e, (record, places) in enumerate(zip(records, cuts, strict=True)):
+                starts, guess = places[:-1], np.tile(v.initial.guess[e], (len(places) - 1, 1))
+                for k, column in find_measured_states(v).items():
+                    measured = np.flatnonzero(np.isfinite(record.y[:, column]))
+                    if len(measured):
+                        nearest = measured[np.minimum(np.searchsorted(measured, starts), len(measured) - 1)]
+                        guess[:, k] = record.y[nearest, column]
+                guess[0, ~v.initial.free] = v.initial.guess[e, ~v.initial.free]
+                guesses.append(guess)
+            states = np.concatenate(guesses)
             spread = np.ptp(states, axis=0)
+            # A step of one in z is the range of the state along the records.
             scale = np.where(spread > 0, spread, v.initial.scale)
         else:
             scale = measure_state_ranges(states)
@@ -238,29 +257,68 @@ class SegmentedProblem:
         return self.join(self.pieces.shooting().simulate(self.pieces.variables.here))
 
 
-def _guess_states(variables: DecisionVector, e: int, record: Record, starts: Sequence[int]) -> np.ndarray:
-    """States (segments, nx) at the ``starts`` of record ``e``: measured where a state is an output, else as the record begins."""
-    guess = np.tile(variables.initial.guess[e], (len(starts), 1))
-    for k, column in find_measured_states(variables).items():
-        values = record.y[:, column]
-        measured = np.flatnonzero(np.isfinite(values))
-        if len(measured):
-            places = np.searchsorted(measured, starts)
-            guess[:, k] = values[measured[np.minimum(places, len(measured) - 1)]]
-    is_declared = ~variables.initial.free
-    guess[0, is_declared] = variables.initial.guess[e, is_declared]
-    return guess
-
-
-def find_measured_states(variables: DecisionVector) -> dict[int, int]:
-    """States that are themselves an output: position of the state -> position of the output."""
-    system = variables.model.system
-    outputs = [system.outputs[j] for j in range(system.outputs.numel())]
-    columns = {y.name(): j for j, y in enumerate(outputs) if y.is_symbolic()}
-    return {k: columns[name] for k, name in enumerate(system.state_names) if name in columns}
-
-
 def measure_state_ranges(states: np.ndarray) -> np.ndarray:
     """Range of each state (k, nx), its size where it never moves; one where it is zero."""
     spread, size = np.ptp(states, axis=0), np.abs(states).max(axis=0)
     return np.where(spread > CONSTANT_STATE * size, spread, np.where(size > 0, size, 1.0))
+
+
+# Where a search over segments or by collocation begins: states along the record, and constants without continuity.
+
+
+def estimate_segment_states(segmented: SegmentedProblem) -> ProjectedShooting:
+    """The cost of the segments with the initial state of each estimated in turn, the constants at their start values.
+
+    A state that is an output is taken as measured to begin with, a hidden one from the end of the segment before; then both are
+    estimated from the samples of the segment. A short segment, which a wrong constant cannot spoil much, acts as an observer.
+    """
+    pieces = segmented.pieces.with_plain_squares()
+    projected = ProjectedShooting(pieces.shooting())
+    projected.carry_states(segmented.starts_record)
+    return projected
+
+
+# A positive constant stays within a factor ``e^4.6``, a hundred, of its start; no step of a joined search is longer.
+MAX_LOG_CHANGE = 4.6
+# Steps at most.
+RELAXATION_MAX_STEPS = 15
+# A step is the last one when it gained less than a hundredth of the cost, or hardly anything is left.
+RELAXATION_TERMINATION = TerminationPolicy(negligible_decrease=1e-6, patience=1, little_gain=1e-2)
+# Damped quickly, as the start need not be good.
+RELAXATION_DAMPED = GaussNewtonPolicy(damping_growth=100.0, max_rejections=5)
+# Short segments may leave a constant open, so positive ones are held weakly: a factor ``e^2`` is one standard deviation.
+PRIOR_WEIGHT = 0.25
+
+
+def fit_without_continuity(projected: ProjectedShooting) -> np.ndarray:
+    """A point of the variables near the best for segments that need not meet, by damped Gauss-Newton steps from the start.
+
+    A segment cannot lose its place in an oscillation, so this search is spared the wrong optima of a long run; its result is good to
+    the noise over one segment.
+    """
+    v, start = projected.variables, np.zeros(projected.size)
+    # 1 / std^2 of the logarithm.
+    precision = np.where(v.logarithmic, PRIOR_WEIGHT, 0.0)
+    reach = np.where(v.logarithmic, MAX_LOG_CHANGE, np.inf)
+    low, high = projected.bounds()
+
+    def evaluate(z: np.ndarray) -> Evaluation:
+        e = projected.evaluate(z)
+        cost, hessian = e.cost + precision @ z**2, e.hessian + np.diag(2 * precision)
+        # cost + sum z^2 / std^2.
+        return replace(e, cost=cost, gradient=e.gradient + 2 * precision * z, hessian=hessian)
+
+    low, high = np.minimum(np.maximum(low, -reach), 0.0), np.maximum(np.minimum(high, reach), 0.0)
+    search = Minimisation(evaluate, 1.0, Termination(RELAXATION_TERMINATION, low, high, 1).test, None, MINIMISATION)
+    if np.isfinite(search(start).cost) and not search.test_termination():
+        run_gauss_newton(search, low, high, RELAXATION_DAMPED, steps=RELAXATION_MAX_STEPS)
+    return projected.full(search.best)
+
+
+def initialise_without_continuity(problem: EstimationProblem, cuts: Cuts) -> tuple[EstimationProblem, list[np.ndarray]]:
+    """``problem`` at constants fitted without continuity, and states (N, nx) along each record: a start for `Collocation`."""
+    segmented = SegmentedProblem.of(problem, cuts)
+    arcs = estimate_segment_states(segmented)
+    z = fit_without_continuity(arcs)
+    segmented = segmented.at(segmented.pieces.variables.recentre(z))
+    return segmented.whole, [x for _, x in segmented.simulate()]

@@ -13,10 +13,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.base.findings import Finding, Severity
-from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, TranscriptionChoicePolicy
-from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.solution import TranscriptionReason, make_strategy
+from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
+from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
 from greybox.model.system import System
 from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
@@ -40,7 +38,7 @@ class TranscriptionChoice:
         return make_strategy(self.transcription, reason=code, reason_values=reason_values, **values)
 
 
-def select_transcription(problem: EstimationProblem, options: SolverOptions) -> TranscriptionChoice:
+def select_transcription(problem: EstimationProblem, options: FitOptions) -> TranscriptionChoice:
     """The transcription that was asked for, else the one that suits the model and the longest record at the start values.
 
     A stiff model also gets implicit steps, unless the method or the substeps were given.
@@ -51,7 +49,7 @@ def select_transcription(problem: EstimationProblem, options: SolverOptions) -> 
         problem.model.system,
         p,
         longest,
-        policy=policy.transcription.choice,
+        policy=policy.transcription,
         free_run=options.transcription == Transcription.SINGLE,
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
@@ -84,7 +82,7 @@ def propose_transcription(
     p: np.ndarray,
     record: Record,
     *,
-    policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice,
+    policy: TranscriptionPolicy = DEFAULT_POLICY.transcription,
     free_run: bool = False,
 ) -> TranscriptionProposal:
     """The transcription that suits a model and its record, and why.
@@ -103,14 +101,12 @@ def propose_transcription(
         The longest record.
     policy
         The limits.
-    discretisation
-        How many states the implicit methods take.
     free_run
         Whether a free run was asked for, however errors grow; only its steps are to be chosen.
     """
     jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     duration = record.duration
-    growth = 0.0 if free_run else _compute_growth(system, p, record, jacobians, policy)
+    growth = 0.0 if free_run else estimate_error_growth(system, p, record, policy, jacobians)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
@@ -118,6 +114,7 @@ def propose_transcription(
     if stiff:
         return stiff
     eigenvalues = np.linalg.eigvals(jacobians).ravel()
+    # Modes that forget something over the record: the others integrate.
     decays = -eigenvalues.real[-eigenvalues.real * duration > FORGOTTEN_SHARE]
     slowest = 1 / decays.min() if len(decays) else 0.0
     if not (np.abs(eigenvalues) * duration <= FORGOTTEN_SHARE).any():
@@ -132,11 +129,27 @@ def propose_transcription(
 
 
 def estimate_error_growth(
-    system: System, p: np.ndarray, record: Record, policy: TranscriptionChoicePolicy = DEFAULT_POLICY.choice
+    system: System,
+    p: np.ndarray,
+    record: Record,
+    policy: TranscriptionPolicy = DEFAULT_POLICY.transcription,
+    jacobians: np.ndarray | None = None,
 ) -> float:
-    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay. See `choose_cuts`."""
-    jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
-    return _compute_growth(system, p, record, jacobians, policy)
+    """Mean rate (1/s) at which small errors grow along ``record``; negative where they decay.
+
+    The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record.
+    ``jacobians`` (k, nx, nx): those in some points of the record, if known already.
+    """
+    if jacobians is None:
+        jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
+    if not len(jacobians):
+        return 0.0
+    rates = np.linalg.eigvals(jacobians).real.max(axis=1)
+    duration = record.duration
+    if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
+        return float(rates.mean())
+    # A mode that is unstable in some points only may decay over the record as a whole.
+    return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
 
 
 def _propose(
@@ -152,19 +165,6 @@ def _propose(
 GROWTH_POINTS = 1000
 
 
-def _compute_growth(
-    system: System, p: np.ndarray, record: Record, jacobians: np.ndarray, policy: TranscriptionChoicePolicy
-) -> float:
-    """The largest real part of an eigenvalue; where that changes along the record, the growth that is left of it over the record."""
-    if not len(jacobians):
-        return 0.0
-    rates = np.linalg.eigvals(jacobians).real.max(axis=1)
-    duration = record.duration
-    if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):
-        return float(rates.mean())
-    return _compute_lyapunov_exponent(_linearise_along(system, p, record, GROWTH_POINTS), duration)
-
-
 def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     """Largest Lyapunov exponent (1/s) over the second half of the record, from the product of the transitions.
 
@@ -173,6 +173,7 @@ def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     """
     errors, logarithm = np.eye(jacobians.shape[1]), 0.0
     for k, transition in enumerate(expm(jacobians * (duration / len(jacobians)))):
+        # e(t + h) = exp(J h) e(t), scaled back before it overflows; its logarithm is added up.
         errors = transition @ errors
         size = float(np.linalg.norm(errors))
         if not 0 < size < math.inf:
@@ -197,6 +198,7 @@ def _propose_for_stiff(
 ) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
+    # So many explicit steps keep |h lambda| where they are stable and accurate.
     substeps = fastest * record.period / EXPLICIT_STEP
     if system.linear or substeps <= MAX_EXPLICIT_SUBSTEPS:
         return None

@@ -6,127 +6,21 @@ robust loss that outliers cannot pull.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from enum import StrEnum
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.numerics import (
-    AT_BOUND,
-    NORMAL_QUADRATURE_POINTS,
-    NORMAL_QUADRATURE_WIDTH,
-    NUMBERS_AT_A_TIME,
-    ROWS_AT_A_TIME,
-)
+from greybox.base.numerics import AT_BOUND, NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.options import RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, ExperimentView
-from greybox.estimation.transcription.policy import DEFAULT_POLICY, RobustLossPolicy
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.record import Record
-
-# What a large residual costs: least squares, or a robust loss that outliers cannot pull (Huber 1964; Student's t).
-
-
-class LossKind(StrEnum):
-    """What a residual costs."""
-
-    SQUARES = "squares"
-    HUBER = "huber"
-    STUDENT = "student"
-
-
-# A residual that counts less than this share of its least-squares weight is an outlier.
-OUTLIER_WEIGHT = 0.35
-# The mean curvature of a loss does not fall below this, however many residuals are outliers.
-LEAST_CURVATURE = 0.05
-
-
-@dataclass(frozen=True)
-class RobustLoss:
-    """``cost = sum s^2 rho(r / s)`` of the residuals ``r`` in units of their noise, ``s`` (ny,) being their ``scale`` in that unit.
-
-    ``huber`` with threshold ``k``: ``rho(t) = t^2`` up to ``k`` and ``2 k |t| - k^2`` beyond, where a residual pulls no more than one of
-    ``k``. ``student`` with ``k`` degrees of freedom: ``rho(t) = (k + 1) log(1 + t^2 / k)``, the likelihood of Student's distribution,
-    where a residual far out pulls less and less. For small residuals both are least squares (but for a factor).
-    """
-
-    kind: str
-    threshold: float
-    scale: np.ndarray = field(default_factory=lambda: np.ones(1))
-    policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss
-
-    def __str__(self) -> str:
-        unit = " noise standard deviations" if self.kind == LossKind.HUBER else " degrees of freedom"
-        return f"{self.kind}, {self.threshold:g}{unit}"
-
-    def terms(self, r: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """For residuals (N, ny): cost ``rho``, half its slope ``psi``, weight ``psi / r`` and half its curvature; NaN stays NaN."""
-        t, k = r / self.scale, self.threshold
-        if self.kind == LossKind.HUBER:
-            inside = ~(np.abs(t) > k)
-            size = np.where(inside, 1.0, np.abs(t))
-            rho = np.where(inside, t**2, 2 * k * size - k**2)
-            weight = np.where(inside, 1.0, k / size)
-            curvature = np.where(inside, 1.0, 0.0)
-        else:
-            rho = (k + 1) * np.log1p(t**2 / k)
-            weight = (k + 1) / (k + t**2)
-            curvature = (k + 1) * (k - t**2) / (k + t**2) ** 2
-        return self.scale**2 * rho, weight * r, weight, curvature
-
-    def mean_curvature(self, r: np.ndarray) -> np.ndarray:
-        """The mean of ``rho'' / 2`` over the residuals (N, ny) of each output: what the loss leaves of the information."""
-        is_measured = np.isfinite(r)
-        total = np.where(is_measured, self.terms(np.where(is_measured, r, 0.0))[3], 0.0).sum(axis=0)
-        return np.maximum(total / np.maximum(is_measured.sum(axis=0), 1), LEAST_CURVATURE)
-
-    def least(self) -> np.ndarray:
-        """Mean of ``psi^2`` over that of the curvature (ny,) for normal noise of variance one: 1 for least squares, less otherwise."""
-        t = np.linspace(-NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_WIDTH, NORMAL_QUADRATURE_POINTS)
-        w = np.exp(-(t**2) / 2)
-        _, psi, _, curvature = self.terms(np.repeat(t[:, None], len(self.scale), axis=1))
-        return (w @ psi**2) / (w @ curvature)
-
-    def outliers(self, r: np.ndarray) -> np.ndarray:
-        """Which residuals (N, ny) count for much less than they would in least squares."""
-        is_measured = np.isfinite(r)
-        weight = self.terms(np.where(is_measured, r, 0.0))[2]
-        return is_measured & (weight < OUTLIER_WEIGHT * self.terms(np.zeros_like(r))[2])
-
-
-# Degrees of freedom: tails heavier than those of any sensor that is in order.
-STUDENT_FREEDOM = 4.0
-
-
-def parse_loss(text: str, policy: RobustLossPolicy = DEFAULT_POLICY.robust_loss) -> RobustLoss | None:
-    """``huber``, ``student``, or either with its threshold, ``huber:2``; None for ``squares``. Raises ModelError for other text.
-
-    ``policy`` has the threshold that is taken where none is given.
-    """
-    kind, colon, value = text.partition(":")
-    kinds = [str(known) for known in LossKind]
-    if kind not in kinds:
-        raise ModelError(f"unknown loss {kind!r}; {nearest(kind, kinds)}")
-    if kind == LossKind.SQUARES and not colon:
-        return None
-    try:
-        usual = STUDENT_FREEDOM if kind == LossKind.STUDENT else policy.huber_threshold
-        threshold = float(value) if colon else usual
-    except ValueError:
-        threshold = math.nan
-    if kind == LossKind.SQUARES or not (math.isfinite(threshold) and threshold > 0):
-        raise ModelError(
-            f"loss {text!r}: write huber:K with the threshold K in noise standard deviations, student:K with K degrees of freedom,"
-            " K above zero, or squares"
-        )
-    return RobustLoss(kind, threshold, policy=policy)
 
 
 @dataclass(frozen=True)
@@ -144,6 +38,11 @@ class Evaluation(QuadraticModel):
 
     failed: tuple[int, int] | None = None
     """In which experiment and at which sample the simulation overflowed."""
+
+    @classmethod
+    def failure(cls, size: int, outputs: int, at: tuple[int, int]) -> Evaluation:
+        """The evaluation of a point that cannot be simulated."""
+        return cls(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), at)
 
     @property
     def count(self) -> int:
@@ -196,7 +95,9 @@ class SingleShooting:
         self.variables = variables
         self.step = step
         self.kernel = kernel
-        self.records = tuple(_read_by_step(r, step) for r in records)
+        # A piece of a record that the step has read carries the past of a delayed input already.
+        has_history = [step.past is not None and r.u.shape[1] == step.advance.size1_in(1) for r in records]
+        self.records = tuple(r if has else r.read_by(step) for r, has in zip(records, has_history, strict=True))
         self.weight = weight
         self.rows = [max(2, round(share * len(r.u))) for r in records]
         self._last_coefficients: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
@@ -211,7 +112,8 @@ class SingleShooting:
         for e, (record, view) in enumerate(zip(self.records, self.views, strict=True)):
             sums = self.kernel.sums(record, *self.at(z, e, free), self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
-                return Evaluation(np.inf, gradient, hessian, squares, counts, (e, sums.failed_at or 0))
+                return Evaluation.failure(v.size, ny, (e, sums.failed_at or 0))
+            # cost = sum r^2: its gradient is 2 J'r, and 2 J'J the Gauss-Newton matrix.
             gradient[view.columns] += 2 * sums.gradient
             hessian[view.square] += 2 * sums.gauss_newton
             squares += sums.squares
@@ -230,17 +132,15 @@ class SingleShooting:
     ) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[tuple[np.ndarray, np.ndarray]]]:
         """The outputs (N, ny) of the model with its first states (1, nx), and `residuals`, from one pass where nothing is missing."""
         errors = self.compute_weighted_errors(z)
-        # No name is left for the errors of a record: reweighing gives their memory back.
-        runs = [self._restore_run(z, e, errors[e][0]) for e in range(len(self.records))]
+        runs = []
+        for e, record in enumerate(self.records):
+            if record.rows_per_sample != 1 or not np.isfinite(record.y).all():
+                runs.append(self._simulate(z, e))
+                continue
+            x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
+            # yhat = y - s r. No name is left for the errors of a record: reweighing gives their memory back.
+            runs.append((record.y - errors[e][0] / self.weight, x0[None]))
         return runs, self.reweigh(errors)
-
-    def _restore_run(self, z: np.ndarray, e: int, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs of the model from its weighted ``error`` (N, ny), with its first states; simulated where something is missing."""
-        record = self.records[e]
-        if record.rows_per_sample != 1 or not np.isfinite(record.y).all():
-            return self._simulate(z, e)
-        x0, _ = self.variables.compute_initial_state(z, self.variables.parameters(z, e), e)
-        return record.y - error / self.weight, x0[None]
 
     def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Residuals and Jacobian of weighted errors and theirs."""
@@ -265,31 +165,26 @@ class SingleShooting:
     def at(self, z: np.ndarray, e: int, free: np.ndarray | None = None) -> KernelPoint:
         """What the kernel needs at ``z`` for record ``e``; ``free``: `DecisionVector.constants` there, if known already."""
         p, dp, x0, dx0 = self.views[e].at(z, self.variables.constants(z) if free is None else free)
-        return KernelPoint(*self._compute_coefficients(self.records[e], p, dp), p, dp, x0, dx0)
+        # Records with the same intervals (the arcs of one record) share one matrix exponential.
+        key = p.tobytes(), dp.tobytes(), self.records[e].lengths.tobytes()
+        if self._last_coefficients is None or self._last_coefficients[0] != key:
+            self._last_coefficients = key, self.kernel.coefficients(self.records[e], p, dp)
+        return KernelPoint(*self._last_coefficients[1], p, dp, x0, dx0)
 
     @cached_property
     def views(self) -> list[ExperimentView]:
         """Which entries of ``z`` concern each record."""
         return [ExperimentView(self.variables, e) for e in range(len(self.records))]
 
-    def _compute_coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The step's coefficients; records with the same intervals (the arcs of one record) share one matrix exponential."""
-        key = p.tobytes(), dp.tobytes(), record.lengths.tobytes()
-        if self._last_coefficients is None or self._last_coefficients[0] != key:
-            self._last_coefficients = key, self.kernel.coefficients(record, p, dp)
-        return self._last_coefficients[1]
-
-
-ResidualTerms = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Cost, half its slope and weight of each residual (N, ny)."""
-
 
 class WhitenedShooting(SingleShooting):
     """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
 
-    ``colour`` (ny,) holds the autoregression of each output's noise, and each record how large it is row by row. The filter begins anew
-    after gaps, with the exact weights of the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps the
-    whole Jacobian (N, ny, L) of a record in memory, where white noise needs only sums.
+    With a robust ``loss`` it is ``sum rho(r)`` of the whitened error ``r``, and the Hessian weighs each residual as the loss does,
+    ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never indefinite, and never too small where ``rho`` bends
+    down. ``colour`` (ny,) holds the autoregression of each output's noise, and each record how large it is row by row. The filter begins
+    anew after gaps, with the exact weights of the first samples (`AutoRegression.whiten`). Samples count as evenly spaced. A pass keeps
+    the whole Jacobian (N, ny, L) of a record in memory, where white noise needs only sums.
     """
 
     def __init__(
@@ -302,9 +197,10 @@ class WhitenedShooting(SingleShooting):
         share: float = 1.0,
         *,
         colour: Sequence[AutoRegression],
+        loss: RobustLoss | None = None,
     ):
         super().__init__(variables, step, kernel, records, weight, share)
-        self.colour = tuple(colour)
+        self.colour, self.loss = tuple(colour), loss
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives at ``z``."""
@@ -323,24 +219,34 @@ class WhitenedShooting(SingleShooting):
                     is_lost = is_measured & ~(np.isfinite(r[block]) & np.isfinite(jacobian[block]).all(axis=2))
                     if is_lost.any():
                         failed_at = first + int(np.flatnonzero(is_lost.any(axis=1))[0])
-                        return _make_failed_evaluation(v.size, ny, (e, failed_at))
-                    cost, psi, weight = self.terms(np.where(is_measured, r[block], 0.0))
+                        return Evaluation.failure(v.size, ny, (e, failed_at))
+                    residual = np.where(is_measured, r[block], 0.0)
+                    # Least squares: rho = r^2, psi = rho' / 2 = r, W = 1.
+                    cost, psi, weight = residual**2, residual, np.ones_like(residual)
+                    if self.loss is not None:
+                        cost, psi, weight, _ = self.loss.terms(residual)
                     rows = jacobian[block][is_measured]
+                    # Of sum rho(r): 2 J'psi and 2 J'W J.
                     gradient[columns] += 2 * rows.T @ psi[is_measured]
                     hessian[np.ix_(columns, columns)] += 2 * rows.T @ (weight[is_measured][:, None] * rows)
                     squares += np.where(is_measured, cost, 0.0).sum(axis=0)
                     counts += is_measured.sum(axis=0)
         if not np.isfinite(squares.sum()):
-            return _make_failed_evaluation(v.size, ny, (0, 0))
+            return Evaluation.failure(v.size, ny, (0, 0))
         return add_prior_penalty(v, z, Evaluation(float(squares.sum()), gradient, hessian, squares, counts))
 
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        return r**2, r, np.ones_like(r)
-
     def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Whitened residuals and their Jacobian."""
-        return self.whiten(errors)
+        """Whitened residuals (N, ny) and Jacobian (N, ny, L); with a loss, of the least-squares problem that the optimum also solves.
+
+        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
+        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
+        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
+        """
+        raw = self.whiten(errors)
+        if self.loss is None:
+            return raw
+        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
+        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
 
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
@@ -369,45 +275,6 @@ class WhitenedShooting(SingleShooting):
         return result
 
 
-class RobustShooting(WhitenedShooting):
-    """Cost ``sum rho(r)`` of the free-run error ``r``, whitened first where its colour is known, with the loss ``rho`` of `RobustLoss`.
-
-    The Hessian weighs each residual as the loss does, ``2 J' W J`` with ``W = psi(r) / r`` (iteratively reweighted least squares): never
-    indefinite, and never too small where ``rho`` bends down.
-    """
-
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-        *,
-        colour: Sequence[AutoRegression],
-        loss: RobustLoss,
-    ):
-        super().__init__(variables, step, kernel, records, weight, share, colour=colour)
-        self.loss = loss
-
-    def terms(self, r: np.ndarray) -> ResidualTerms:
-        """Cost, half its slope and weight of each residual (N, ny)."""
-        rho, psi, weight, _ = self.loss.terms(r)
-        return rho, psi, weight
-
-    def reweigh(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Residuals (N, ny) and Jacobian (N, ny, L) of the least-squares problem that the optimum also solves.
-
-        With ``m`` the mean curvature of the loss for each output they are ``psi(r) / sqrt(m)`` and ``sqrt(m) J``: gradient and
-        curvature are those of the robust cost, and the spread of the residual is what outliers leave of it, so that every
-        statement about least squares (covariance, bootstrap, tests) holds for the robust fit (Huber 1981, chapter 7).
-        """
-        raw = self.whiten(errors)
-        m = np.sqrt(self.loss.mean_curvature(np.concatenate([r for r, _ in raw])))
-        return [(self.loss.terms(r)[1] / m, m[:, None] * jacobian) for r, jacobian in raw]
-
-
 def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
     """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
     if not variables.has_prior.any() or not np.isfinite(evaluation.cost):
@@ -423,16 +290,6 @@ def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Eval
 def compute_gauss_newton_step(variables: DecisionVector, evaluation: Evaluation) -> np.ndarray:
     """The undamped step (size,) in ``z``; undetermined directions and what lies on its bound stay."""
     low, high = variables.bounds()
+    # What lies on its bound is held there, on either side of it.
     reach = np.where((np.abs(low) <= AT_BOUND) | (np.abs(high) <= AT_BOUND), 0.0, np.inf)
     return evaluation.bounded_step(-reach, reach)
-
-
-def _read_by_step(record: Record, step: Step) -> Record:
-    """The record as the step reads it; a piece of such a record carries the past of a delayed input already."""
-    has_history = step.past is not None and record.u.shape[1] == step.advance.size1_in(1)
-    return record if has_history else record.read_by(step)
-
-
-def _make_failed_evaluation(size: int, outputs: int, failed: tuple[int, int]) -> Evaluation:
-    """The evaluation of a point that cannot be simulated."""
-    return Evaluation(np.inf, np.zeros(size), np.zeros((size, size)), np.zeros(outputs), np.zeros(outputs, int), failed)

@@ -9,13 +9,24 @@ import numpy as np
 
 from greybox.base.numerics import TINY
 from greybox.estimation.optim.methods import minimise
-from greybox.estimation.optim.minimisation import IterationCallback, MinimisationResult, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import (
+    IterationCallback,
+    MinimisationResult,
+    Termination,
+    TerminationPolicy,
+    TerminationStatus,
+)
+from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.options import SolverOptions, Transcription
-from greybox.estimation.transcription.policy import StepRefinementPolicy
-from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.estimation.transcription.problem import (
+    EstimationProblem,
+    FitProgress,
+    FitProgressCallback,
+    Runs,
+    Solution,
+    make_strategy,
+)
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.estimation.transcription.solution import FitProgress, FitProgressCallback, Runs, Solution, make_strategy
 from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 
@@ -44,6 +55,7 @@ def choose_first_share(problem: EstimationProblem) -> float:
     rows = max(len(r.u) for r in problem.records)
     period = max(float(np.median(r.h[:INSPECTED_ROWS])) for r in problem.records)
     jacobian = problem.model.system.jacobian(v.initial.guess[0], problem.records[0].u[0], v.fixed).full()
+    # 1 / slowest decay is the longest time that the motion takes to forget its start.
     decays = -np.linalg.eigvals(jacobian).real if np.isfinite(jacobian).all() else np.empty(0)
     slowest = 1 / decays[decays > 0].min() if np.any(decays > 0) else 0.0
     first = max(PROGRESSIVE_HORIZON_LEAST_ROWS, ROWS_PER_UNKNOWN * v.size, TIME_CONSTANTS * slowest / period) / rows
@@ -66,6 +78,7 @@ def choose_next_share(
     measure: Callable[[float], Evaluation],
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
+    # A part that is fitted below the noise foretells no more than the noise.
     expected = PROGRESSIVE_HORIZON_SURPRISE * max(_compute_noise_ratio(reached), 1.0)
     for factor in PROGRESSIVE_HORIZON_GROWTH:
         wider = factor * share if factor * share < PROGRESSIVE_HORIZON_ALMOST_WHOLE else 1.0
@@ -81,6 +94,7 @@ def compute_explained_share(problem: EstimationProblem, e: Evaluation, share: fl
     for record in problem.records:
         for j, column in enumerate(record.y[: max(2, round(share * len(record.y)))].T):
             values = column[np.isfinite(column)]
+            # R^2 = 1 - sum r^2 / sum (y - mean)^2, the latter over the noise as well.
             movement[j] += len(values) * np.var(values) if len(values) else 0.0
     total = float(np.sum(movement / problem.noise.std**2))
     return 1.0 - float(e.squares.sum()) / total if total > 0 else 1.0
@@ -116,6 +130,7 @@ def _find_movement_share(y: np.ndarray) -> float:
         if len(finite) == 0:
             continue
         values = column[finite]
+        # Range shown so far, up to each row.
         seen = np.maximum.accumulate(values) - np.minimum.accumulate(values)
         if seen[-1] > 0:
             shares.append(finite[np.argmax(seen >= PROGRESSIVE_HORIZON_MOVEMENT * seen[-1])] / len(column))
@@ -156,7 +171,7 @@ CHECKED_ROWS = 2000
 
 
 def refine_step(
-    solution: Solution, options: SolverOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
+    solution: Solution, options: FitOptions, simulate: Callable[[EstimationProblem], Runs] | None = None
 ) -> Refinement:
     """What half the step changes in the outputs at a solution, and a smaller step if that matters.
 
@@ -172,11 +187,19 @@ def refine_step(
             return replace(problem, records=parts).shooting().simulate(problem.variables.here)
 
     runs, halved = simulate(problem), problem.halve_step()
+    # The change with half the step stands for the error: of a method of order p it is all but 2^-p of it.
     error = compute_change_over_noise(problem, runs, simulate(halved))
     used = problem.step.substeps
     if options.substeps or used >= policy.max_substeps:
         return None, error
-    needed = _find_stable_substeps(problem, np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs]))
+    # Substeps that an explicit method needs at the states it came by to be stable, and a little more.
+    needed, system, p = 1, problem.model.system, problem.variables.fixed
+    if problem.method not in IMPLICIT:
+        visited = np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs])
+        longest = max(float(r.lengths.max()) for r in problem.records)
+        fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
+        rules = problem.policy.discretisation
+        needed = choose_substeps(system, p, visited, longest, relaxing=fast, policy=rules)
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
@@ -218,33 +241,20 @@ def is_too_coarse(
     few = steps <= FEW_STEPS
     noise_share = NOISE_SHARE_OF_FEW if few else STEP_REFINEMENT_NOISE_SHARE
     misfit_share = NOISE_SHARE_OF_FEW if few else MISFIT_SHARE
+    # A share of the noise (of the misfit where that is even less), or of a misfit far above it.
     allowed = np.maximum(noise_share * np.minimum(ratio, 1.0), misfit_share * ratio)
-    allowed = np.maximum(allowed, MOVEMENT_SHARE * _compute_output_movement(problem) / problem.noise.std)
-    measured = evaluation.counts > 0
-    return not np.isfinite(error).all() or bool(np.any((error > allowed)[measured]))
-
-
-def _compute_output_movement(problem: EstimationProblem) -> np.ndarray:
-    """Standard deviation of each output as measured (ny,), zero where it was not."""
+    # Standard deviation of each output as measured, zero where it was not.
     y = np.concatenate([r.y for r in problem.records])
-    measured = np.isfinite(y)
-    count = np.maximum(measured.sum(axis=0), 1)
-    mean = np.where(measured, y, 0.0).sum(axis=0) / count
-    return np.sqrt(np.where(measured, (y - mean) ** 2, 0.0).sum(axis=0) / count)
-
-
-def _find_stable_substeps(problem: EstimationProblem, visited: np.ndarray) -> int:
-    """Substeps that an explicit method needs at the states ``visited`` (k, nx) to be stable and a little more."""
-    system, p = problem.model.system, problem.variables.fixed
-    if problem.method in IMPLICIT:
-        return 1
-    longest = max(float(r.lengths.max()) for r in problem.records)
-    fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
-    return choose_substeps(system, p, visited, longest, relaxing=fast, policy=problem.policy.discretisation)
+    seen = np.isfinite(y)
+    count = np.maximum(seen.sum(axis=0), 1)
+    mean = np.where(seen, y, 0.0).sum(axis=0) / count
+    movement = np.sqrt(np.where(seen, (y - mean) ** 2, 0.0).sum(axis=0) / count)
+    allowed = np.maximum(allowed, MOVEMENT_SHARE * movement / problem.noise.std)
+    return not np.isfinite(error).all() or bool(np.any((error > allowed)[evaluation.counts > 0]))
 
 
 def solve_single_shooting(
-    problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None = None
+    problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None
 ) -> Solution:
     """Minimise the cost of the free run over each record."""
     search = _Search(problem, options, report)
@@ -259,6 +269,10 @@ WEAK_PRIOR = 0.25
 STIFF_GROWTH = 16
 # A first part of whose movement less than this can be followed is too long for that start.
 FOLLOWED_SHARE = 0.5
+# When a search by simulation error has converged.
+CONVERGENCE = TerminationPolicy()
+# The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do.
+CONVERGENCE_IN_PART = replace(CONVERGENCE, negligible_decrease=0.01)
 
 
 class _Search:
@@ -267,9 +281,8 @@ class _Search:
     ``known`` is the evaluation at ``z = 0`` of ``variables`` over the share that comes next, where a former stage has it already.
     """
 
-    def __init__(self, problem: EstimationProblem, options: SolverOptions, report: FitProgressCallback | None) -> None:
+    def __init__(self, problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None) -> None:
         self.options, self.report = options, report
-        self.convergence = options.policy.convergence
         self.first_substeps = problem.step.substeps
         self.progressive = options.progressive and problem.variables.size > 0
         self.known: Evaluation | None = None
@@ -361,13 +374,25 @@ class _Search:
             self.status = TerminationStatus.NO_START
             return None
         self.shares.append(share)
-        variables, start = _rescale(self.variables, start)
-        evaluate = self.problem.shooting(variables, share).evaluate
+        # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
+        variables = self.variables.rescale(start.cost, np.diag(start.hessian) / 2)
+        ratio = variables.units / self.variables.units
+        start = replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
+        shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
-        prior = None if is_whole else _make_weak_prior(variables, start, WEAK_PRIOR)
-        policy = self.convergence if is_whole else self.convergence.in_part
+        # A weak prior on positive constants, in units of the residual variance at the start, where part of the record leaves some open.
+        held = variables.here
+        variance = max(1.0, start.cost / max(start.count, 1))
+        variables.split(held).parameters[variables.logarithmic] = WEAK_PRIOR * variance
+
+        def evaluate_part(z: np.ndarray) -> Evaluation:
+            e = shooting.evaluate(z)
+            cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
+            return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
+
+        policy = CONVERGENCE if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
-            evaluate if prior is None else lambda z: prior(z, evaluate(z)),
+            shooting.evaluate if is_whole else evaluate_part,
             variables.here,
             *low_high,
             scale=max(start.cost, TINY),
@@ -398,25 +423,3 @@ class _Search:
             report(FitProgress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
 
         return progress
-
-
-def _rescale(variables: DecisionVector, start: Evaluation) -> tuple[DecisionVector, Evaluation]:
-    """Variables in which a step of one changes the cost by about itself, and the evaluation along them."""
-    scaled = variables.rescale(start.cost, np.diag(start.hessian) / 2)
-    ratio = scaled.units / variables.units
-    return scaled, replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
-
-
-def _make_weak_prior(
-    v: DecisionVector, start: Evaluation, precision: float
-) -> Callable[[np.ndarray, Evaluation], Evaluation]:
-    """Adds to a cost a weak prior on positive constants, in units of the residual variance at the start."""
-    held = np.zeros(v.size)
-    v.split(held).parameters[v.logarithmic] = precision * max(1.0, start.cost / max(start.count, 1))
-
-    def add_prior(z: np.ndarray, e: Evaluation) -> Evaluation:
-        return replace(
-            e, cost=e.cost + held @ z**2, gradient=e.gradient + 2 * held * z, hessian=e.hessian + np.diag(2 * held)
-        )
-
-    return add_prior

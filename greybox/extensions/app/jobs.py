@@ -202,7 +202,7 @@ def _hear(connection: Connection, stop: threading.Event, interrupts: bool) -> No
 
 def _fit(connection: Connection, stop: threading.Event, model: Any, records: Any, **options: Any) -> Any:
     from greybox.estimation.fit import fit
-    from greybox.estimation.transcription.solution import FitProgress
+    from greybox.estimation.transcription.problem import FitProgress
 
     passed_on = False
 

@@ -15,8 +15,8 @@ from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import NEARLY_NORMAL
 from greybox.data.experiment import Experiment
 from greybox.estimation.fit import fit
+from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
-from greybox.estimation.restore import restore_noise
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import IntervalKind
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour

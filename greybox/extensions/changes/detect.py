@@ -20,9 +20,9 @@ from greybox.data.noise.noise_model import AutoRegression, join_series
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
+from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import ljung_box_test
-from greybox.estimation.restore import restore_noise
 from greybox.estimation.result import Fit
 from greybox.extensions.changes.constants import (
     DifferenceTest,

@@ -162,9 +162,7 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     )
     # The estimation problem of one record that begins in the declared state, its initial state estimated where a fit would.
     options = question.options
-    problem = prepare_problem(
-        model, template, noise, at_rest=True, method=options.method, substeps=options.substeps, policy=options.policy
-    )
+    problem = prepare_problem(model, template, noise, replace(options.integration, at_rest=True))
     declared = guess_initial_states(model, problem.records, True)
     free = np.array([not options.at_rest or s.free_start for s in model.all_states], bool)
     variables = DecisionVector.of(model, replace(declared, free=free))
@@ -198,16 +196,7 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         for name, values in e.outputs.items()
         if name in known_outputs and name not in question.noise
     }
-    options = question.options
-    problem = prepare_problem(
-        model,
-        question.earlier,
-        question.noise_model(others),
-        at_rest=options.at_rest,
-        method=options.method,
-        substeps=options.substeps,
-        policy=options.policy,
-    )
+    problem = prepare_problem(model, question.earlier, question.noise_model(others), question.options.integration)
     variables = problem.variables
     # The same here: priors were added above.
     without = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])

@@ -12,10 +12,9 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.texts import to_identifier, to_identifiers
-from greybox.estimation.linear.findings import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.linear.plant import to_plant
+from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (

@@ -7,11 +7,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from greybox.base.findings import Finding
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
-from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.optimum import compute_record_misfits, has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
-from greybox.estimation.restore import has_free_run
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
 from greybox.show.figures.figure import typeset_unit

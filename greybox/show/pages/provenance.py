@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from greybox.base.extensions import read_versions
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
-from greybox.estimation.versions import read_versions
 from greybox.model.model import Model
 from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.pages.page import Block, CodeBlock, Details, PageTable, Section, Text, format_range

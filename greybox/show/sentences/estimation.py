@@ -11,10 +11,10 @@ import numpy as np
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
-from greybox.estimation.transcription.solution import SolutionCode, TranscriptionReason
+from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
 from greybox.show.sentences.data import describe_source
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 from greybox.show.sentences.wording import (
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Estimate, FitNoise, Misfit, SolverReport
-    from greybox.estimation.uncertainty.profile import Profile
+    from greybox.estimation.uncertainty import Profile
 
 STATUS = {
     "converged": "converged",

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
-from greybox.estimation.linear.findings import ExportFinding
+from greybox.estimation.linear.plant import ExportFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentences
 from greybox.show.sentences.wording import format_table

@@ -214,18 +214,14 @@ def test_the_whitened_cost_is_the_dense_generalised_least_squares_cost():
         TRUTH,
         replace(record, outputs=gap),
         LEVEL,
-        at_rest=False,
-        method="automatic",
-        substeps=0,
+        FitOptions(),
         quiet=quiet_record(rng, 0.9),
     )
     shooting = problem.shooting()
     assert isinstance(shooting, WhitenedShooting)
     z = problem.variables.here
     value = shooting.evaluate(z)
-    plain = prepare_problem(
-        TRUTH, replace(record, outputs=gap), LEVEL, at_rest=False, method="automatic", substeps=0
-    ).shooting(problem.variables)
+    plain = prepare_problem(TRUTH, replace(record, outputs=gap), LEVEL, FitOptions()).shooting(problem.variables)
     ((r, jacobian),) = plain.residuals(z)
     cost, gradient, hessian = 0.0, 0.0, 0.0
     for j, colour in enumerate(problem.noise.colour):

@@ -14,7 +14,7 @@ from greybox import Balance, Input, Model, Output, Parameter, State, fit
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
 from greybox.estimation.check import check
-from greybox.estimation.identifiability.findings import IdentifiabilityCode as Code
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode as Code
 from greybox.shell.commands import app
 from greybox.simulation.simulate import simulate
 from models.cascaded_tanks import cascaded_tanks

@@ -12,8 +12,8 @@ from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Param
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
 from greybox.estimation.identifiability.excitation import analyse_excitation, excitation_order
-from greybox.estimation.identifiability.findings import IdentifiabilityCode as Code
 from greybox.estimation.identifiability.practical import analyse_practical_identifiability, recommend_after_fit
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode as Code
 from greybox.estimation.identifiability.structural import IdentifiabilityVerdict as Verdict
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
 from greybox.simulation.simulate import simulate

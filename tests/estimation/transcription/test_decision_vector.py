@@ -21,10 +21,7 @@ def variables() -> DecisionVector:
         model,
         records,
         {"x": 1e-7, "i": 1e-3},
-        at_rest=False,
-        method="automatic",
-        substeps=0,
-        policy=FitOptions().policy,
+        FitOptions(),
     )
     noise = NoiseLevels(problem.noise.std, np.array([False, True]), 1e-4 * problem.noise.std, 25.0)
     return replace(problem.variables, noise=noise)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.base.errors import DataError
+from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.transcription.segments import SegmentedProblem, cut_in_rows, cut_in_seconds, split_into_arcs
 from models.micro_actuator import micro_actuator
@@ -37,7 +38,7 @@ def actuator():
         for seed, rows in ((1, 100), (2, 70))
     ]
     noise = {"x": 1e-7, "i": 1e-3}
-    return prepare_problem(micro_actuator, records, noise, at_rest=False, method="automatic", substeps=0)
+    return prepare_problem(micro_actuator, records, noise, FitOptions())
 
 
 def test_records_are_cut_in_rows_or_in_seconds(actuator):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from greybox.estimation.transcription.policy import TranscriptionChoicePolicy
+from greybox.estimation.options import TranscriptionPolicy
+from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
-from greybox.estimation.transcription.solution import TranscriptionReason
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -73,7 +73,7 @@ def test_a_model_is_stiff_beyond_the_explicit_substeps_of_the_policy(rate, is_st
 
 
 def test_the_limits_are_those_of_the_policy():
-    tolerant = TranscriptionChoicePolicy(max_error_growth=1e3)
+    tolerant = TranscriptionPolicy(max_error_growth=1e3)
     assert propose(first_order(4.0)).transcription == "multiple"
     assert propose(first_order(4.0), policy=tolerant).transcription == "single"
 

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.transcription.options import SolverOptions
-from greybox.estimation.transcription.policy import StepRefinementPolicy
-from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
+from greybox.estimation.options import FitOptions, StepRefinementPolicy
+from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
-from greybox.estimation.transcription.solution import Solution
 from tests.oracles.independent import solved_record
 from tests.support.oscillator import oscillator
 
@@ -21,7 +19,7 @@ POLICY = StepRefinementPolicy(halvings=3)
 def problem() -> EstimationProblem:
     model = oscillator("duffing", 0.3, 4.0, 6.0, 2.0)
     data = solved_record(model, np.sin(np.arange(60) * 0.3), np.arange(60) * 0.1, [0.3, 0.0])
-    return prepare_problem(model, data, {"x": 1e-3}, at_rest=False, method="rk4", substeps=1)
+    return prepare_problem(model, data, {"x": 1e-3}, FitOptions(method="rk4", substeps=1))
 
 
 def solved(problem, status=TerminationStatus.CONVERGED):
@@ -69,29 +67,29 @@ def test_where_there_is_nothing_to_go_on_from_no_step_is_judged(problem, status)
 
 
 def test_a_coarse_step_is_told_by_half_of_it(problem):
-    finer, error = refine_step(solved(problem), SolverOptions())
+    finer, error = refine_step(solved(problem), FitOptions())
     assert error > 1e-6
     assert finer is not None
     assert finer.step.substeps >= 2
 
 
 def test_a_step_is_made_no_finer_than_the_policy_allows(problem):
-    policy = SolverOptions().policy
+    policy = FitOptions().policy
     limited = replace(policy, step_refinement=replace(policy.step_refinement, max_substeps=1))
-    finer, error = refine_step(solved(problem), SolverOptions(policy=limited))
+    finer, error = refine_step(solved(problem), FitOptions(policy=limited))
     assert finer is None
     assert error > 1e-6
 
 
 def test_steps_that_were_asked_for_are_judged_and_kept(problem):
-    finer, error = refine_step(solved(problem), SolverOptions(substeps=1))
+    finer, error = refine_step(solved(problem), FitOptions(substeps=1))
     assert finer is None
     assert error > 1e-6
 
 
 def test_an_exact_step_has_no_error(problem):
     exact = replace(problem, step=replace(problem.step, per_interval=True))
-    assert refine_step(solved(problem), SolverOptions())[0] is not None
-    finer, error = refine_step(replace(solved(problem), problem=exact), SolverOptions())
+    assert refine_step(solved(problem), FitOptions())[0] is not None
+    finer, error = refine_step(replace(solved(problem), problem=exact), FitOptions())
     assert finer is None
     assert error == 0.0

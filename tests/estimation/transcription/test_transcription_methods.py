@@ -9,23 +9,23 @@ import pytest
 from scipy.integrate import ode, solve_ivp
 
 from greybox.base.errors import ModelError
+from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.collocation import Collocation
+from greybox.estimation.transcription.eliminated_states import ProjectedShooting
 from greybox.estimation.transcription.multiple_shooting import MultipleShooting
-from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.projected_initial_states import ProjectedShooting, initialise_without_continuity
+from greybox.estimation.transcription.problem import TranscriptionReason, prepare_problem
 from greybox.estimation.transcription.segments import (
     SegmentedProblem,
     choose_segment_rows,
     cut_in_rows,
     cut_in_seconds,
+    initialise_without_continuity,
     split_into_arcs,
 )
 from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
-from greybox.estimation.transcription.solution import TranscriptionReason
-from greybox.estimation.transcription.solve import solve
 from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
@@ -92,7 +92,7 @@ def pneumatic():
 
 
 def problem(start, data, noise, at_rest, substeps=0):
-    return prepare_problem(start, data, noise, at_rest=at_rest, method="automatic", substeps=substeps)
+    return prepare_problem(start, data, noise, FitOptions(at_rest=at_rest, substeps=substeps))
 
 
 def by_single(p, at_rest, substeps):
@@ -282,14 +282,14 @@ def test_a_stiff_plant_gets_implicit_steps_or_collocation_and_is_fitted_by_radau
         MAX_IMPLICIT_STATES - 1: ("collocation-radau", False),
     }.items():
         larger = stiff(line)
-        prepared = prepare_problem(larger, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
+        prepared = prepare_problem(larger, data, {"x": 1e-4}, FitOptions(at_rest=True, substeps=1))
         transcription, reason, implicit = propose_transcription(larger.system, p, prepared.records[0])
         assert (transcription, implicit) == expected
         assert reason.values["fastest"] == pytest.approx(2e-5, rel=0.05)
         code = TranscriptionReason.STIFF_IMPLICIT if implicit else TranscriptionReason.STIFF_COLLOCATION
         assert reason.code == code
     start = model.start(a=3.0, c=0.2)
-    prepared = prepare_problem(start, data, {"x": 1e-4}, at_rest=True, method="automatic", substeps=1)
+    prepared = prepare_problem(start, data, {"x": 1e-4}, FitOptions(at_rest=True, substeps=1))
     program = Collocation(prepared, [np.column_stack([u, np.array(y)])])
     outcome = solve_sparse(**program.problem())
     assert outcome.status.success
@@ -398,6 +398,6 @@ def test_segments_of_several_records_keep_their_own_initial_states(duffing):
     found = lifted(p, (100, 40)).solve()
     assert found.status.success
     assert [len(places) - 1 for places in found.segmented.cuts] == [5, 7]  # 20 rows of 40 stay a segment
-    assert len(found.states) == 12
+    assert len(found.segmented.starts_record) == 12
     np.testing.assert_allclose(found.variables.initial.guess, [[0.3, 0.0], [-0.2, 1.0]], atol=1e-6)
     assert p.shooting(found.variables).evaluate(found.variables.here).cost < 1e-6

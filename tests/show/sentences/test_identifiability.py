@@ -5,7 +5,7 @@ import pytest
 from greybox.base.findings import Finding
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.excitation import Excitation
-from greybox.estimation.identifiability.findings import IdentifiabilityCode
+from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.estimation.identifiability.structural import StructuralIdentifiability
 from greybox.show.sentences.identifiability import describe_closing
 from greybox.show.sentences.registry import sentence

@@ -2,8 +2,8 @@
 
 import pytest
 
+from greybox.base.files import JournalCode
 from greybox.base.findings import Finding
-from greybox.base.journal import JournalCode
 from greybox.show.sentences.registry import sentence
 
 GOLDEN = [

@@ -3,7 +3,7 @@
 import pytest
 
 from greybox.base.findings import Finding
-from greybox.estimation.transcription.solution import SolutionCode, TranscriptionReason
+from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
 
 STIFF = {"fastest": 2e-5, "substeps": 512.4}
 STIFF_TEXT = "the model is stiff: its fastest mode has a time constant of 2e-05 s and needs 512 explicit steps a sample"

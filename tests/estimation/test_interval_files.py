@@ -7,9 +7,16 @@ import pytest
 
 from greybox.base.errors import DataError
 from greybox.base.json_file import ResultKind
-from greybox.estimation.uncertainty.bootstrap import Bootstrap, BootstrapPolicy, load_bootstrap
-from greybox.estimation.uncertainty.profile import Profile, ProfilePolicy, load_profile, profile
-from tests.estimation.uncertainty.test_intervals import saturation_fit
+from greybox.estimation.uncertainty import (
+    Bootstrap,
+    BootstrapPolicy,
+    Profile,
+    ProfilePolicy,
+    load_bootstrap,
+    load_profile,
+    profile,
+)
+from tests.estimation.test_intervals import saturation_fit
 from tests.support.result_schema import strict_offences
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.estimation.transcription.condensing import LinearisedSegment, condense
+from greybox.estimation.transcription.eliminated_states import LinearisedSegment, condense
 
 
 def test_segments_next_to_overflow_give_no_step():

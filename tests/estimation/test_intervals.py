@@ -12,13 +12,12 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.base.errors import FitError, ModelError
 from greybox.data.experiment import Experiment
-from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
 from greybox.estimation.sandwich import compute_toeplitz_form
-from greybox.estimation.uncertainty.bootstrap import bootstrap
-from greybox.estimation.uncertainty.profile import profile
+from greybox.estimation.uncertainty import bootstrap, profile
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import experiment, linear_record, multisine
