@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from greybox.base.linear_algebra import SymmetricDecomposition, decompose_symmetric, eliminate, pseudo_inverse
-from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, RANK_CUTOFF, TINY
+from greybox.base.numerics import PRIOR_INFORMATION_CUTOFF, TINY
 from greybox.estimation.objective import LikelihoodMaximum, ResidualRows
 from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
@@ -102,6 +102,11 @@ class ParameterCovariance:
         )
 
 
+# Share of a constant's information below which what is left beside the initial states is the rounding of sums over a record. (An unstable
+# plant, whose runs hang on their start, keeps a few 1e-12.)
+LOST_INFORMATION = 1e-13
+
+
 @np.errstate(over="ignore", invalid="ignore")  # of numbers near the largest there are; what is not finite is told
 def estimate_covariance(
     variables: DecisionVector,
@@ -132,7 +137,7 @@ def estimate_covariance(
     projector = eliminate(data + known, inside, np.arange(n, variables.size))
     information = _symmetrise(projector @ data[:, inside])
     # An offset that a free initial state can take the place of has no information left but rounding, of either sign.
-    lost = np.diag(information) <= RANK_CUTOFF * np.diag(data)[inside]
+    lost = np.diag(information) <= LOST_INFORMATION * np.diag(data)[inside]
     information[lost], information[:, lost] = 0.0, 0.0
     decomposition = decompose_symmetric(information + held)
     inverse = decomposition.pseudo_inverse
