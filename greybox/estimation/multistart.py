@@ -31,6 +31,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantModel, as_model
 
 
 @dataclass
@@ -74,6 +75,7 @@ def hash_start(
     """The hash by which a start is known: equal if everything that decides its end is."""
     system = model.system
     identity = [
+        model.identity if isinstance(model, PlantModel) else "",
         str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
         [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
         [(tie.name, tie.formula) for tie in model.ties],
@@ -151,7 +153,7 @@ class MultiStartResult(Printable):
 
 
 def multistart(
-    model: Model,
+    model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],
     *,
     starts: int = 20,
@@ -175,7 +177,7 @@ def multistart(
     Parameters
     ----------
     model
-        The model; its values are the first start.
+        The model, or a plant as in `greybox.fit`; its values are the first start.
     experiments
         Estimation records.
     starts
@@ -212,6 +214,7 @@ def multistart(
         If a cluster is lost. The starts that are finished are in the journal.
     """
     began, options = time.perf_counter(), resolve_options(options)
+    model = as_model(model)
     if not time_limit > 0:
         raise ModelError(f"a time limit of {time_limit:g} s: give a number of seconds above 0")
     if starts < 1:

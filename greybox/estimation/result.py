@@ -39,6 +39,7 @@ from greybox.estimation.result_parts import (
 )
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_name
+from greybox.simulation.plant import Plant, as_model
 
 
 class ResultCode(StrEnum):
@@ -207,7 +208,7 @@ def _least_ratios(fit: Fit, misfit: Mapping[str, Misfit]) -> dict[str, float]:
     return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
-def load_fit(path: str | Path, model: Model) -> Fit:
+def load_fit(path: str | Path, model: Model | Plant) -> Fit:
     """Read a fit that `Fit.save` wrote.
 
     Parameters
@@ -215,7 +216,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     path
         The ``fit.json``.
     model
-        States the equations, effects included; it gets the fitted values.
+        States the equations, effects included, or the plant; it gets the fitted values.
 
     Returns
     -------
@@ -232,7 +233,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     >>> load_fit("results/fit.json", micro_actuator).parameters["K"].value  # doctest: +SKIP
     5895.47
     """
-    return restore_fit(read_json(path, ResultKind.FIT), model, str(path))
+    return restore_fit(read_json(path, ResultKind.FIT), as_model(model), str(path))
 
 
 def restore_fit(data: Mapping[str, Any], model: Model, source: str) -> Fit:

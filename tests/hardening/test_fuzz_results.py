@@ -31,8 +31,8 @@ from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.problem import CampaignCode, DesignPolicy
-from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.effects import fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.model import Model
 from greybox.shell.own_effects import find_own_effects, keep_effect
 from greybox.shell.study_file import read_study
@@ -203,7 +203,9 @@ def make_later_ones(folder: Path, search: Path) -> dict[Path, tuple[object, Call
     todo = Finding(CampaignCode.MEASURE, subject="02/input.csv", values={"record": "02/record.csv"})
     campaigns._save(plan, folder, campaigns.CampaignStatus.MEASURING, [step, replace(step, number=2)], todo)
     plant = read_fmu(gb.export.to_fmu(silverbox, folder / "plant.fmu", dt=period))
-    around = fit_fmu(plant, records[0], free=[silverbox.free_parameters[0].name], noise={"y": 1e-4})
+    fitted = gb.fit(plant.with_values([silverbox.free_parameters[0].name]), records[0], noise={"y": 1e-4})
+    prepared = prepare_fmu(fitted, records[0])
+    around = fit_fmu_effects(prepared, [e for e in prepared.local.candidates if e.name == "sensor_lag"])
     return {
         law: (None, use_law),
         gb.detect_changes(fit, records[1], search_effects=False).save(folder / "changed.json"): (None, use_change),

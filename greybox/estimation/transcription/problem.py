@@ -22,6 +22,7 @@ from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOpti
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import (
     Evaluation,
+    PlantShooting,
     SingleShooting,
     WhitenedShooting,
 )
@@ -31,6 +32,7 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import PlantKernel, PlantModel, make_plant_step
 from greybox.simulation.records import to_experiments, to_record
 
 
@@ -68,6 +70,8 @@ class EstimationProblem:
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
+        if isinstance(self.kernel, PlantKernel):
+            return PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
         if self.loss is None and not self.is_whitened:
             return SingleShooting(*base)
         return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
@@ -169,15 +173,18 @@ def prepare_problem(
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
     p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
-    step = discretise(
-        model.system,
-        p,
-        beginning.guess,
-        lengths,
-        method=options.method,
-        substeps=options.substeps,
-        policy=policy.discretisation,
-    )
+    if isinstance(model, PlantModel):
+        step = make_plant_step(model)
+    else:
+        step = discretise(
+            model.system,
+            p,
+            beginning.guess,
+            lengths,
+            method=options.method,
+            substeps=options.substeps,
+            policy=policy.discretisation,
+        )
     if not step.per_interval:
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
@@ -189,7 +196,7 @@ def prepare_problem(
         noise,
         variables,
         step,
-        make_kernel(step, variables.which),
+        PlantKernel(model) if isinstance(model, PlantModel) else make_kernel(step, variables.which),
         options.method,
         constant_outputs=constant,
         policy=policy,

@@ -19,7 +19,7 @@ from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.model_family import ModelFamily, sample_family
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.linear.transfer_channel import describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import format_json, to_json_data
@@ -229,14 +229,14 @@ def to_numpy(
 
 
 def write_json(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
     return write_file(Path(path).with_suffix(".json"), format_json(linear_model_data(model, plant, family)) + "\n")
 
 
 def linear_model_data(
-    model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> dict[str, Any]:
     """What `write_json` writes."""
     channels = {}
@@ -262,7 +262,7 @@ def linear_model_data(
 
 
 def write_npz(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
     contents = _contents(model) | _origin(plant)
@@ -274,7 +274,7 @@ def write_npz(
 
 
 def write_mat(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` for MATLAB: ``A, B, C, D, Ts`` and the names and units that ``ss`` takes, as cell arrays.
 
@@ -322,7 +322,7 @@ def write_mat(
 
 
 def write_control(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight.
 
@@ -376,7 +376,7 @@ def _contents(model: Linearisation) -> dict[str, Any]:
     return {key: getattr(model, key) for key in CONTENTS} | {"parameters": dict(model.parameters), "notes": notes}
 
 
-def _origin(plant: Plant | None) -> dict[str, Any]:
+def _origin(plant: ExportedModel | None) -> dict[str, Any]:
     if plant is None:
         return {}
     origin: dict[str, Any] = {

@@ -17,8 +17,9 @@ from greybox.shell.study import CHECK, COMPARE, DISCOVER, FIT, Study, fields_of
 if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
+    from greybox.estimation.result import Fit
     from greybox.extensions.fmu.effects import PreparedFmu
-    from greybox.extensions.fmu.fit_fmu import FmuFit
+    from greybox.simulation.plant import PlantModel
 
     Records = tuple[Experiment, ...]
 
@@ -34,8 +35,7 @@ USED = {
 
 
 def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
-    """Fit the FMU of a study to its records, print the result and write fmu_fit.json. Raises GreyboxError."""
-    from greybox.estimation.result_parts import format_json
+    """Fit the FMU of a study to its records, print the result and write fit.json (fmu_fit.json with effects). Raises GreyboxError."""
     from greybox.extensions.fmu.effects import prepare_fmu
     from greybox.show.sentences.shell import written
 
@@ -43,8 +43,8 @@ def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
     answer: Any = result
     if study.effects:
         answer = _fit_effects(prepare_fmu(result, records, validation), study.effects, study)
-    saved = answer.save(folder / "fmu_fit.json")
-    typer.echo(format_json(answer.as_dict()) if json else f"{answer}\n\n{written([saved])}")
+    saved = answer.save(folder / ("fmu_fit.json" if study.effects else "fit.json"))
+    typer.echo(saved.read_text(encoding="utf-8") if json else f"{answer}\n\n{written([saved])}", nl=not json)
     if not (answer.agrees if study.effects else result.success):
         raise typer.Exit(ExitCode.UNSUCCESSFUL)
 
@@ -52,13 +52,13 @@ def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
 def run_fmu_check(study: Study, output: Path | None) -> tuple[Any, Path]:
     """The check of an FMU at its start values, and the folder for it. Raises GreyboxError."""
     from greybox.estimation.check import check
-    from greybox.extensions.fmu.effects import AT_REST, prepare_fmu
+    from greybox.extensions.fmu.effects import AT_REST, prepare_plant
 
     if not study.estimation:
         raise DataError(f"{study.model}: an FMU is checked over records; give one")
-    result, records, _, folder = _fit(study, CHECK, output, search=False)
-    prepared = prepare_fmu(result, records)
-    return check(prepared.local.model, prepared.estimation, noise=dict(study.noise), options=AT_REST), folder
+    model, records, _, folder = _read(study, CHECK, output)
+    local, (extended, _), _ = prepare_plant(model, records)
+    return check(local.model, extended, noise=dict(study.noise), options=AT_REST), folder
 
 
 def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str], **options: Any) -> PlantDiscovery:
@@ -82,7 +82,8 @@ def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str],
         **options,
     )
     fitted = answer.with_effects or prepared.fit
-    return PlantDiscovery(answer.discovery, str(answer), folder, lambda: fitted.save(folder / "fmu_fit.json"))
+    name = "fmu_fit.json" if answer.with_effects else "fit.json"
+    return PlantDiscovery(answer.discovery, str(answer), folder, lambda: fitted.save(folder / name))
 
 
 def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, Records, Records, Path]:
@@ -102,13 +103,10 @@ def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, R
     return comparison, prepared.records, prepared.others, folder
 
 
-def _fit(
-    study: Study, command: str, output: Path | None, *, search: bool = True
-) -> tuple[FmuFit, tuple[Experiment, ...], tuple[Experiment, ...], Path]:
-    """The fit of the FMU alone (its start values without a ``search``), the records and the folder."""
+def _read(study: Study, command: str, output: Path | None) -> tuple[PlantModel, Records, Records, Path]:
+    """The FMU with its start values, the records and the folder."""
     from greybox.data.read import read_experiments
-    from greybox.extensions.fmu.description import read_fmu
-    from greybox.extensions.fmu.fit_fmu import fit_fmu
+    from greybox.extensions.fmu.plant import read_fmu
 
     idle = [
         study.label(name)
@@ -118,13 +116,12 @@ def _fit(
     if idle:
         raise GreyboxError(f"{', '.join(idle)}: no effect on an FMU, whose equations are closed; leave out")
     plant = read_fmu(study.model)
-    model = plant.record_model
-    folder = check_writable(output or Path("results") / f"{model.name}-{command}")
+    folder = check_writable(output or Path("results") / f"{plant.name}-{command}")
     layout = layout_of(study)
     records, validation = (
         read_experiments(
             files,
-            model,
+            plant.model,
             hold=study.hold,  # type: ignore[arg-type]
             split=study.split_holes,
             allow_constant_input=study.free_decay or not plant.inputs,
@@ -135,18 +132,18 @@ def _fit(
         for files in (study.estimation, study.validation)
     )
     print_record_notes(records, validation)
-    names = {v.name for v in plant.parameters} | {v.label for v in plant.parameters}
+    names = {v.name for v in plant.fmu.parameters} | {v.label for v in plant.fmu.parameters}
     start = {name: value for name, value in study.start.items() if name in names or not study.effects}
-    result = fit_fmu(
-        plant,
-        records,
-        free=study.free,
-        start=start,
-        fixed={name: value for name, value in study.fixed.items() if value is not None},
-        noise=dict(study.noise) or None,
-        validation=validation,
-        search=search,
-    )
+    fixed = {name: value for name, value in study.fixed.items() if value is not None}
+    return plant.with_values(study.free, start, fixed), records, validation, folder
+
+
+def _fit(study: Study, command: str, output: Path | None) -> tuple[Fit, Records, Records, Path]:
+    """The fit of the FMU alone, the records and the folder."""
+    from greybox.estimation.fit import fit
+
+    model, records, validation, folder = _read(study, command, output)
+    result = fit(model, records, noise=dict(study.noise) or None, validation=validation)
     return result, records, validation, folder
 
 

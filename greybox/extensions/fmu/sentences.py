@@ -12,9 +12,8 @@ from greybox.show.sentences.wording import format_table, format_with_std
 
 if TYPE_CHECKING:
     from greybox.estimation.result_parts import Estimate, Misfit
-    from greybox.extensions.fmu.description import FmuPlant
-    from greybox.extensions.fmu.effects import FmuDiscovery, FmuEffectFit
-    from greybox.extensions.fmu.fit_fmu import FmuFit
+    from greybox.extensions.fmu.effects import FmuDiscovery, FmuWithEffects
+    from greybox.extensions.fmu.plant import FmuPlant
 
 
 @renders("FmuPlant")
@@ -22,29 +21,20 @@ def write_plant(plant: FmuPlant) -> str:
     """Its kind, signals and parameters."""
     parameters = [
         [v.label, f"{v.start:.6g}", format_unit(v.unit) or "-", "initial state" if v.is_initial else v.description]
-        for v in plant.parameters
+        for v in plant.fmu.parameters
     ]
     return "\n".join(
         [
-            f"{plant.title}: FMI {plant.fmi_version}, {plant.kind}",
-            f"  inputs: {', '.join(v.label for v in plant.inputs) or 'none'}",
-            f"  outputs: {', '.join(v.label for v in plant.outputs)}",
+            f"{plant.fmu.title}: FMI {plant.fmu.fmi_version}, {plant.fmu.kind}",
+            f"  inputs: {', '.join(v.name for v in plant.inputs) or 'none'}",
+            f"  outputs: {', '.join(v.name for v in plant.outputs)}",
             *format_table(["parameter", "value", "unit", ""], parameters),
         ]
     )
 
 
-@renders("FmuFit")
-def write_fit(result: FmuFit) -> str:
-    """Parameters with intervals, misfits, and the runs that it took."""
-    failed = f", {result.failures} of them failed" if result.failures else ""
-    cost = f"{result.runs} runs{failed}, in all as long as {result.equivalents:.3g} of all records"
-    lines = [f"{result.plant.title}: {result.status} after {cost}", ""]
-    return "\n".join([*lines, *_tables(result.parameters, result.misfits, result.validation)])
-
-
-@renders("FmuEffectFit")
-def write_effect_fit(result: FmuEffectFit) -> str:
+@renders("FmuWithEffects")
+def write_effect_fit(result: FmuWithEffects) -> str:
     """The same of an FMU with effects."""
     failed = f", {result.prepared.failures} of them failed" if result.prepared.failures else ""
     agreement = (
@@ -59,7 +49,7 @@ def write_discovery(result: FmuDiscovery) -> str:
     """The FMU alone, the answer, and the FMU with the effects of the answer."""
     parts = [str(result.prepared.fit)]
     response = result.prepared.local.response
-    if response is None and result.prepared.fit.plant.inputs:
+    if response is None and result.prepared.fit.model.inputs:
         parts.append("No effect at an input was tried: no linear response to the inputs could be found.")
     elif response is not None:
         share = min(response.explained.values())

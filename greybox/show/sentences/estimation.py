@@ -292,6 +292,10 @@ register(
             "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
             " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
         ),
+        EstimationCode.PLANT_RUN_FAILED: (
+            "{subject} does not run over experiment {experiment} from its start values ({reason}): give others"
+            " (model.start(...), shell: --start)"
+        ),
         EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
             f"not determined by these data: {write_direction(f.values['direction'])}"
