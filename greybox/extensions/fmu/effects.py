@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.base.errors import ModelError
 from greybox.base.files import write_file
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import NamedModel, compare_named
@@ -27,7 +28,7 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit, Trace, format_json, to_json_data
+from greybox.estimation.result_parts import Estimate, Misfit, Trace
 from greybox.extensions.fmu.local_model import (
     LocalModel,
     build_local_model,
