@@ -183,7 +183,8 @@ def test_only_noise_is_left(fitted):
     case, result = fitted
     misfit = result.prediction.one_step if predicts(case) else result.misfit
     for name in case.noise:
-        assert misfit[name].noise_ratio == pytest.approx(1, abs=0.5 if predicts(case) else 0.15)
+        # One sample ahead what pushed the state since is left as well.
+        assert 0.85 < misfit[name].noise_ratio < (2 if predicts(case) else 1.15)
         assert result.misfit[name].unit == {o.name: o.unit for o in case.model.outputs}[name]
 
 
@@ -237,9 +238,12 @@ def test_a_bound_stops_a_constant_and_is_said(case):
 
 def test_a_prior_holds_a_constant(case):
     name, true = next(iter(case.truth.items()))
-    result = gb.fit(case.model.prior(**{name: (1.1 * true, 1e-6 * true)}), case.records, noise=case.noise)
-    assert result.parameters[name].value == pytest.approx(1.1 * true, rel=1e-4)
-    assert result.constraints.priors[name].conflict is not None and abs(result.constraints.priors[name].conflict) > 3
+    std = known(case.name)[1].parameters[name].std
+    mean = true + 6 * std
+    result = gb.fit(case.model.prior(**{name: (mean, std)}), case.records, noise=case.noise)
+    # As sure as the data: half way between both, to what the other constants give.
+    assert result.parameters[name].value == pytest.approx(true + 3 * std, abs=2 * std)
+    assert abs(result.constraints.priors[name].conflict) > 2
 
 
 def test_a_tie_holds_exactly(case):
@@ -375,7 +379,7 @@ def test_two_of_them_are_compared(fitted):
     case, result = fitted
     name = next(iter(case.truth))
     worse = gb.fit(case.model.fix(**{name: 1.3 * case.truth[name]}), case.records, noise=case.noise)
-    compared = gb.compare([("right", result), ("wrong", worse)], case.records[1])
+    compared = gb.compare({"right": result, "wrong": worse}, case.records[1])
     assert "right" in str(compared) and "wrong" in str(compared)
 
 
@@ -397,7 +401,7 @@ def test_what_needs_equations_says_so(case):
         lambda: case.model.with_process_noise("a"),
         lambda: case.model + gb.effect("coulomb_friction"),
         lambda: gb.predict(gb.fit(case.plant, case.records[0], noise=case.noise), case.records[0]),
-        lambda: gb.discover(case.model, case.records[0], validation=case.records[1]),
+        lambda: gb.smooth(case.model, case.records[0], noise=case.noise),
         lambda: gb.design(case.model, limits={}, duration=1.0),
     ):
         with pytest.raises(

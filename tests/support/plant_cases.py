@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from math import sin
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import odeint
@@ -90,6 +95,13 @@ class Reaction:
         return np.stack([np.column_stack(slopes[name]) for name in names], axis=2)
 
 
+def move_oscillator(x, u, p):
+    return [
+        Balance("position", "m/s", 1.0, "x", speed=x.v),
+        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damper=-p.B * x.v),
+    ]
+
+
 def oscillator() -> Model:
     """A mass on a spring, in equations."""
     return Model(
@@ -102,10 +114,7 @@ def oscillator() -> Model:
             Parameter("B", "N*s/m", 0.4, (0.01, 10.0)),
             Parameter("M", "kg", 1.0, fixed=True),
         ],
-        lambda x, u, p: [
-            Balance("position", "m/s", 1.0, "x", speed=x.v),
-            Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damper=-p.B * x.v),
-        ],
+        move_oscillator,
     )
 
 
@@ -173,4 +182,23 @@ def make_filtered() -> PlantCase:
     )
 
 
+def make_fmu() -> PlantCase:
+    """The oscillator as an FMU for co-simulation, its input held; the exact motion by scipy's `lsim`."""
+    from scipy.signal import lsim
+
+    from greybox.extensions.export import to_fmu
+    from greybox.extensions.fmu.plant import read_fmu
+
+    path = to_fmu(oscillator(), Path(tempfile.mkdtemp()) / "oscillator.fmu", dt=0.05)
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    truth, noise, records = {"K": 30.0, "B": 1.5}, {"x": 1e-3}, []
+    for seed in (0, 1):
+        time, force = drive(seed, 200, 0.05)
+        x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=False)[1]
+        records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}), noise, seed))
+    return PlantCase("fmu", read_fmu(path).with_values(["K", "B"]), truth, tuple(records), noise)
+
+
+HAS_FMU = find_spec("fmpy") is not None and any(map(shutil.which, ("cc", "gcc", "clang")))
 CASES = {"model": make_oscillator, "filter": make_filtered, "scipy": make_pendulum, "closed_form": make_reaction}
+CASES |= {"fmu": make_fmu} if HAS_FMU else {}

@@ -149,6 +149,7 @@ def prepare_problem(
     group = to_experiments(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
+    arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
             model,
@@ -165,7 +166,7 @@ def prepare_problem(
     constant = tuple(
         n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
-    records = tuple(_spread_noise(to_record(model, e), e, noise) for e in group)
+    records = tuple(_spread_noise(r, e, noise) for r, e in zip(arrays, group, strict=True))
     if constant:
         dead = [o.name in constant for o in model.outputs]
         records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError, ModelError, OutputError
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.data.experiment import Experiment
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.extensions.fmu.plant import read_fmu
@@ -216,8 +216,8 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     done = CliRunner().invoke(app, [*words, "--output", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "converged" in done.stdout
-    data = read_json(tmp_path / "out" / "fit.json", ResultKind.FIT)
-    assert strict_offences(data, ResultKind.FIT) == [] and set(data["free"]) == {"K", "B"}
+    data = read_json(tmp_path / "out" / "fit.json", gb.Fit)
+    assert strict_offences(data, gb.Fit) == [] and set(data["free"]) == {"K", "B"}
     refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
     assert refused.exit_code == 2 and "coulomb_friction" in refused.stderr
 
