@@ -17,6 +17,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable, ReadOnly
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation.result_parts import (
@@ -183,6 +184,7 @@ def fit_data(fit: Fit) -> dict[str, Any]:
         "noise_log_std": fit.noise.log_std,
         "noise_units": fit.noise.units,
         "noise_bounds": {name: asdict(bound) for name, bound in fit.noise.bounds.items()},
+        "noise_growth": {name: asdict(growth) for name, growth in fit.noise.growth.items()},
         "interval_kind": fit.uncertainty.kind,
         "inflation": fit.uncertainty.inflation,
         "discretisation_shift": fit.discretisation.shift,
@@ -261,7 +263,7 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
-    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds"):
+    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds", "noise_growth"):
         if not set(data.get(key, {})) <= set(data["noise"]):
             return f"{key} names an output that noise does not"
     if set(data.get("noise_log_std", {})) - set(data.get("noise_units", {})):
@@ -273,7 +275,7 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
             return f"{place}: {error}"
     for key in ("traces", "validation_traces"):
         for k, trace in enumerate(data[key]):
-            for group in ("measured", "simulated", "inputs"):
+            for group in ("measured", "simulated", "inputs", "noise"):
                 for name, values in trace.get(group, {}).items():
                     if len(values) != len(trace["time"]):
                         rows = f"{len(values)} rows, its time {len(trace['time'])}"
@@ -331,6 +333,10 @@ def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
                     float(b["relative_error"]),
                 )
                 for name, b in get("noise_bounds", {}).items()
+            },
+            {
+                name: GrowingNoise(g["floor"], g["share"], g["logarithmic"], tuple(g["estimated"]))
+                for name, g in get("noise_growth", {}).items()
             },
         ),
         uncertainty=FitUncertainty(
@@ -476,6 +482,7 @@ def _traces(data: Sequence[dict]) -> tuple[Trace, ...]:
             arrays(t.get("inputs", {})),
             t.get("hold", "zero"),
             t.get("conditions", {}),
+            arrays(t.get("noise", {})),
         )
         for t in data
     )

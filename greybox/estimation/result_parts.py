@@ -6,7 +6,7 @@ import json
 import math
 import secrets
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from types import NoneType
 from typing import Any, ClassVar
@@ -18,7 +18,8 @@ from greybox.base.findings import Finding
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
-from greybox.data.noise.noise_model import NoiseBound, NoiseSource
+from greybox.data.noise.growing import GrowingNoise
+from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
 
 
 class IntervalKind(StrEnum):
@@ -112,11 +113,14 @@ class Trace(ReadOnly):
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
     hold: Hold = "zero"
     conditions: Mapping[str, float] = field(default_factory=dict)
+    noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Standard deviation of each row (N,) of the outputs whose noise the record tells row by row."""
 
     @property
     def experiment(self) -> Experiment:
         """The record without the model's run."""
-        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions)
+        given = {"conditions": self.conditions, "noise": self.noise}
+        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, **given)  # type: ignore[arg-type]
 
     def residual(self, output: str) -> np.ndarray:
         """Measured minus simulated (N,), NaN in gaps."""
@@ -166,6 +170,8 @@ class FitNoise(Printable, ReadOnly):
         Unit of each of these.
     bounds
         What is known of each level: about as large, at most or at least, and for how long it remembers.
+    growth
+        How the noise grows with the signal, of the outputs of which this is so; ``std`` is then its rms over the records.
     """
 
     std: Mapping[str, float]
@@ -174,10 +180,19 @@ class FitNoise(Printable, ReadOnly):
     log_std: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
+    growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
+
+    @property
+    def given(self) -> dict[str, float | GrowingNoise]:
+        """The noise of each output as a fit takes it: its level, or how it grows with the signal."""
+        told = {name: replace(noise, estimated=()) for name, noise in self.growth.items() if not noise.unknown}
+        return {**self.std, **told}
 
     def bound(self, output: str) -> NoiseBound | None:
         """What is known of the noise of an output: as it was found, or what its source says in general; None without a source."""
         source = self.sources.get(output)
+        if output in self.growth and source is not None:  # of each row, and not of the rms of all rows
+            return NoiseBound(self.std[output], BoundDirection.ABOUT, source)
         if output in self.bounds or source is None:
             return self.bounds.get(output)
         return NoiseBound(self.std.get(output, float("nan")), source.direction, source)
