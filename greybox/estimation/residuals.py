@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -188,6 +189,13 @@ class ResidualTest(Printable):
     lags: int = 0
     input: str = ""
     colour: AutoRegression = field(default_factory=AutoRegression, repr=False, compare=False)
+
+    KEYS: ClassVar[str] = "output kind statistic p_value alarm lags input order=colour.order correlation"
+
+    @property
+    def correlation(self) -> float:
+        """Of the residual from one sample to the next."""
+        return float(self.colour.autocorrelation(2)[1]) if self.colour.order else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -404,9 +412,18 @@ def run_residual_tests(
 
 @dataclass(frozen=True)
 class OutputScore:
-    """Root mean square errors of one output in ``unit``: ``free_run``, and ``prediction`` by the number of samples ahead.
+    """Root mean square errors of one output.
 
-    ``movement`` is the standard deviation of the measurement itself; ``predictor`` says what corrects the model at each sample.
+    Attributes
+    ----------
+    unit
+        Of the output.
+    free_run, prediction
+        Error of the free run, and by the number of samples ahead.
+    movement
+        Standard deviation of the measurement itself.
+    predictor
+        What corrects the model at each sample.
     """
 
     unit: str
@@ -418,7 +435,13 @@ class OutputScore:
 
 @dataclass(frozen=True)
 class PredictionScores(Printable):
-    """Scores by output."""
+    """Errors of free runs and of predictions.
+
+    Attributes
+    ----------
+    outputs
+        Errors of the free run and of predictions some samples ahead, by output.
+    """
 
     outputs: Mapping[str, OutputScore]
 

@@ -12,7 +12,6 @@ from scipy.optimize import curve_fit, minimize
 import greybox as gb
 from greybox import Balance, Experiment, GrowingNoise, Model, Output, Parameter, State
 from greybox.base.errors import DataError, ModelError
-from greybox.base.json_file import ResultKind
 from greybox.extensions.changes.result import ChangeVerdict
 from tests.support.result_schema import strict_offences
 
@@ -82,7 +81,8 @@ def test_estimated_parts_are_the_most_likely_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("told", "unknown"), [(GrowingNoise(floor=0.02), "share"), (GrowingNoise(share=0.1), "floor"), (GrowingNoise(0.0), "share")]
+    ("told", "unknown"),
+    [(GrowingNoise(floor=0.02), "share"), (GrowingNoise(share=0.1), "floor"), (GrowingNoise(0.0), "share")],
 )
 def test_what_is_told_stays_and_the_rest_is_estimated(told: GrowingNoise, unknown: str) -> None:
     floor = told.floor if told.floor is not None else 0.02
@@ -175,7 +175,7 @@ def test_a_saved_fit_is_read_back_with_its_noise(tmp_path) -> None:
     path = result.save(tmp_path / "fit.json")
     again = gb.load_fit(path, decay())
     assert again.noise.growth == result.noise.growth and str(again.noise) == str(result.noise)
-    assert strict_offences(json.loads(path.read_text()), ResultKind.FIT) == []
+    assert strict_offences(json.loads(path.read_text()), gb.Fit) == []
     assert gb.uncertainty.profile(again, "k").interval == gb.uncertainty.profile(result, "k").interval
 
 
@@ -204,15 +204,14 @@ def test_the_noise_is_said_in_one_line(noise: GrowingNoise, text: str) -> None:
 def test_what_is_no_noise_is_refused() -> None:
     with pytest.raises(ModelError, match="both zero"):
         GrowingNoise(0.0, 0.0)
-    with pytest.raises(ModelError, match="share is -0.1"):
+    with pytest.raises(ModelError, match=r"share is -0\.1"):
         GrowingNoise(share=-0.1)
-    with pytest.raises(ModelError, match="a floor of 0.1 with a logarithmic output"):
+    with pytest.raises(ModelError, match=r"a floor of 0\.1 with a logarithmic output"):
         GrowingNoise(floor=0.1, logarithmic=True)
-    below = record(15)
+    y = record(15).outputs["y"].copy()
+    y[2] = -1.0
     with pytest.raises(DataError, match=r"y is -1 in row 3; its noise is that of log\(y\)"):
-        y = below.outputs["y"].copy()
-        y[2] = -1.0
-        fit(below.with_outputs({"y": y}), GrowingNoise(logarithmic=True))
+        fit(record(15).with_outputs({"y": y}), GrowingNoise(logarithmic=True))
     with pytest.raises(ModelError, match="noise that grows with the signal: a fit with process noise"):
         gb.fit(decay().with_process_noise("y"), record(16), noise={"y": GrowingNoise()}, options=OPTIONS)
     with pytest.raises(ModelError, match="noise of y grows with the signal; a search takes"):
