@@ -176,9 +176,9 @@ def fit(
         )
         grows = bool(noise.growth) if isinstance(noise, NoiseModel) else levels != (noise or {})
         if grows or any(e.noise for e in to_experiments(experiments)):
-            told = "that grows with the signal" if grows else "told row by row"
+            which = "that grows with the signal" if grows else "told row by row"
             raise ModelError(
-                f"noise {told}: a fit with process noise takes one standard deviation for each output; leave out one of the two"
+                f"noise {which}: a fit with process noise takes one standard deviation for each output; leave out one of the two"
             )
         estimate = estimate_by_prediction_error(
             model, experiments, levels, options, report, quiet=quiet, initial=initial

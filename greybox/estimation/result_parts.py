@@ -246,8 +246,8 @@ class FitNoise(Printable, ReadOnly):
     @property
     def given(self) -> dict[str, float | GrowingNoise]:
         """The noise of each output as a fit takes it: its level, or how it grows with the signal."""
-        told = {name: replace(noise, estimated=()) for name, noise in self.growth.items() if not noise.unknown}
-        return {**self.std, **told}
+        growing = {name: replace(noise, estimated=()) for name, noise in self.growth.items() if not noise.unknown}
+        return {**self.std, **growing}
 
     def bound(self, output: str) -> NoiseBound | None:
         """What is known of the noise of an output: as it was found, or what its source says in general; None without a source."""

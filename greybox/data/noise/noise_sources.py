@@ -119,8 +119,8 @@ def estimate_noise(
     check_given_noise(model, given)
     growth = {name: noise for name, noise in given.items() if isinstance(noise, GrowingNoise)}
     _check_logarithms(growth, experiments)
-    told = {name: noise for name, noise in given.items() if not isinstance(noise, GrowingNoise)}
-    told |= _level_of_rows(model, experiments, given)
+    levels_given = {name: noise for name, noise in given.items() if not isinstance(noise, GrowingNoise)}
+    levels_given |= _level_of_rows(model, experiments, given)
     _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}
     std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
@@ -130,7 +130,9 @@ def estimate_noise(
             if output.name in growth:
                 level = _level_of_growth(growth[output.name], np.concatenate(columns))
             else:
-                level = _estimate_level(model, experiments, quiet_records, output.name, told, robust, alike, policy)
+                level = _estimate_level(
+                    model, experiments, quiet_records, output.name, levels_given, robust, alike, policy
+                )
             colour[j], levels[output.name] = level.colour, level
     if common:
         levels = _share_level(model, levels, growth)
