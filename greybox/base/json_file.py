@@ -30,6 +30,7 @@ class ResultKind(StrEnum):
     DESIGN = "design"
     CAMPAIGN = "campaign"
     CHANGE = "change"
+    FLEET = "fleet"
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
     FMU_FIT = "fmu_fit"
@@ -46,6 +47,7 @@ TITLES: Mapping[ResultKind, tuple[str, str]] = {
     ResultKind.DESIGN: ("a design", "design.json that greybox design has written"),
     ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
     ResultKind.CHANGE: ("a change detection", "changed.json that greybox changed has written"),
+    ResultKind.FLEET: ("a fleet", "fleet.json that greybox fleet has written"),
     ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
     ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
     ResultKind.FMU_FIT: ("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
@@ -210,6 +212,7 @@ PRINTED: Mapping[str, tuple[str, ...]] = {
     "discover": (ResultKind.DISCOVERY,),
     "app": ("app_address",),
     "changed": (ResultKind.CHANGE,),
+    "fleet": (ResultKind.FLEET,),
     "design": (ResultKind.DESIGN,),
     "campaign": (ResultKind.CAMPAIGN,),
     "check": (ResultKind.MODEL_CHECK, "file_survey", "file_surveys"),
