@@ -23,6 +23,7 @@ import numpy as np
 from greybox.base.errors import DataError, GreyboxError, ModelError, WorkersLostError
 from greybox.base.extensions import read_versions
 from greybox.base.files import add_entry, read_journal
+from greybox.base.json_shape import from_json_data, to_json_data
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, open_local_pool
 from greybox.data.experiment import Experiment, as_records
@@ -109,11 +110,11 @@ class FleetJournal:
     def add(self, keys: Sequence[str], estimates: Sequence[RecordEstimate]) -> None:
         """Keep some more, on the disk when this returns. Raises OutputError."""
         self.known |= dict(zip(keys, estimates, strict=True))
-        add_entry(self.path, {"estimates": {k: e.to_data() for k, e in zip(keys, estimates, strict=True)}})
+        add_entry(self.path, {"estimates": to_json_data(dict(zip(keys, estimates, strict=True)))})
 
 
 def _parse_entry(data: Mapping[str, Any]) -> dict[str, RecordEstimate]:
-    return {str(key): RecordEstimate.from_data(each) for key, each in data["estimates"].items()}
+    return {str(key): from_json_data(RecordEstimate, each) for key, each in data["estimates"].items()}
 
 
 # Records that are fitted here before the others are shared out: they tell where the others begin and how long one takes, and compile what

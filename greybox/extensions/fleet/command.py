@@ -122,3 +122,6 @@ FLEET = Command(
         "greybox fleet my/rig.py bench.parquet --record serial_number --output results/bench",
     ),
 )
+
+PRINTS = {"fleet": ("greybox.extensions.fleet.result:FleetResult",)}
+"""Command -> types of what it prints with ``--json``."""

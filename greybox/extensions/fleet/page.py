@@ -30,7 +30,7 @@ LISTED_RECORDS = 200
 
 def build_fleet_page(fleet: FleetResult, *, command: str = "") -> Page:
     """The page of a fleet; ``command`` is what was typed."""
-    total = len(fleet.records) + fleet.left
+    total = fleet.total
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
     counts = [f for f in fleet.findings if f.code == FleetCode.FINDING_COUNT]
     tone = Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else Tone.CAUTION

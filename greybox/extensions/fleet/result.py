@@ -9,23 +9,20 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import cached_property
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from greybox.base.errors import GreyboxError
 from greybox.base.files import write_file
 from greybox.base.findings import Finding, Severity
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json, write_json
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
+from greybox.estimation.result_parts import Estimate, Misfit
 from greybox.model.model import Model
-
-FORMAT = 1
-"""Version of ``fleet.json``."""
 
 
 class FleetCode(StrEnum):
@@ -102,25 +99,6 @@ class RecordEstimate:
     def is_usable(self) -> bool:
         """Whether the constants mean something: the search succeeded, and the model follows the record."""
         return self.success and not any(f.severity is Severity.ERROR for f in self.findings)
-
-    def to_data(self) -> dict[str, Any]:
-        """Itself as JSON data."""
-        return to_json_data(self)
-
-    @classmethod
-    def from_data(cls, data: Mapping[str, Any]) -> RecordEstimate:
-        """What `to_data` gave. Raises KeyError, TypeError or ValueError for anything else."""
-        parameters = {
-            name: Estimate(**{**each, "interval": each["interval"] and tuple(each["interval"])})
-            for name, each in data["parameters"].items()
-        }
-        known: dict[str, dict[str, Any]] = {
-            name: {key: math.nan if value is None else value for key, value in each.items()}
-            for name, each in data["misfit"].items()
-        }
-        misfit = {name: Misfit(**each) for name, each in known.items()}
-        findings = tuple(Finding(**{**each, "severity": Severity(each["severity"])}) for each in data["findings"])
-        return cls(**{**data, "parameters": parameters, "misfit": misfit, "findings": findings})
 
 
 @dataclass(frozen=True)
@@ -220,6 +198,32 @@ class FleetResult(Printable):
     left: int = 0
     seconds: float = 0.0
 
+    FILE: ClassVar[FileKind] = FileKind("a fleet", "fleet.json that greybox fleet has written")
+    KEYS: ClassVar[str] = """
+        model=model.name records=total fitted left statuses without_result=reasons population misfit_over_noise=noise_ratios start
+        noise options notes=str(findings) findings seconds
+        """
+
+    @property
+    def total(self) -> int:
+        """Records of the fleet, those that were not begun included."""
+        return len(self.records) + self.left
+
+    @property
+    def fitted(self) -> int:
+        """Records whose search succeeded."""
+        return sum(r.success for r in self.records)
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """How a search ended, in a word -> number of records."""
+        return dict(Counter(r.status for r in self.records))
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """Record that could not be read or fitted -> why."""
+        return {r.name: r.reason for r in self.without_result}
+
     @property
     def usable(self) -> tuple[RecordEstimate, ...]:
         """The records whose constants mean something."""
@@ -230,29 +234,28 @@ class FleetResult(Printable):
         """The records that could not be read or fitted, each with its ``reason``."""
         return tuple(r for r in self.records if not r.success)
 
-    @cached_property
-    def population(self) -> Mapping[str, ConstantDistribution]:
+    @property
+    def population(self) -> dict[str, ConstantDistribution]:
         """Free constant -> its distribution over the records."""
         usable = self.usable
         free = [q.name for q in self.model.free_parameters]
         return {name: ConstantDistribution.of([r.parameters[name] for r in usable]) for name in free} if usable else {}
 
-    @cached_property
-    def noise_ratios(self) -> Mapping[str, tuple[float, float, float]]:
+    @property
+    def noise_ratios(self) -> dict[str, tuple[float, float, float]]:
         """Output -> 5th percentile, median and 95th percentile of misfit over noise of the records that were fitted."""
         names = [o.name for o in self.model.outputs]
         ratios = {n: [r.misfit[n].noise_ratio for r in self.records if r.success and n in r.misfit] for n in names}
         finite = {n: [v for v in values if math.isfinite(v)] for n, values in ratios.items()}
         return {n: tuple(np.quantile(values, (0.05, 0.5, 0.95)).tolist()) for n, values in finite.items() if values}
 
-    @cached_property
+    @property
     def findings(self) -> tuple[Finding, ...]:
         """How many records have a result, which have none and why, and what is said of how many, the most frequent first."""
-        fitted, total = sum(r.success for r in self.records), len(self.records) + self.left
-        severity = Severity.NOTE if fitted == total else Severity.WARNING
-        result = [Finding(FleetCode.RECORDS_FITTED, severity, "", {"fitted": fitted, "records": total})]
+        severity = Severity.NOTE if self.fitted == self.total else Severity.WARNING
+        result = [Finding(FleetCode.RECORDS_FITTED, severity, "", {"fitted": self.fitted, "records": self.total})]
         if self.left:
-            values = {"left": self.left, "records": total}
+            values = {"left": self.left, "records": self.total}
             result.append(Finding(FleetCode.RECORDS_LEFT, Severity.WARNING, "", values))
         result += [
             Finding(FleetCode.RECORD_WITHOUT_RESULT, Severity.WARNING, r.name, {"reason": r.reason})
@@ -349,7 +352,7 @@ class FleetResult(Printable):
         Path
             The file that was written.
         """
-        return write_file(path, format_json(to_json_data(fleet_data(self))) + "\n")
+        return write_json(path, self)
 
 
 def _label(name: str, unit: str) -> str:
@@ -369,31 +372,6 @@ def _write_parquet(columns: Mapping[str, Sequence[Any]], file: BinaryIO) -> None
             f"a Parquet file needs the package {error.name}; install it with: pip install 'greybox-sysid[parquet]', or write CSV"
         ) from error
     pq.write_table(pa.table(dict(columns)), file)
-
-
-def fleet_data(fleet: FleetResult) -> dict[str, Any]:
-    """A fleet under the keys of ``fleet.json``."""
-    total = len(fleet.records) + fleet.left
-    return {
-        "format": FORMAT,
-        "model": fleet.model.name,
-        "records": total,
-        "fitted": sum(r.success for r in fleet.records),
-        "left": fleet.left,
-        "statuses": dict(Counter(r.status for r in fleet.records)),
-        "without_result": [{"name": r.name, "status": r.status, "reason": r.reason} for r in fleet.without_result],
-        "population": fleet.population,
-        "misfit_over_noise": {
-            name: {"low": low, "median": median, "high": high}
-            for name, (low, median, high) in fleet.noise_ratios.items()
-        },
-        "start": fleet.start,
-        "noise": fleet.noise,
-        "options": fleet.options,
-        "notes": list(map(str, fleet.findings)),
-        "findings": fleet.findings,
-        "seconds": fleet.seconds,
-    }
 
 
 def load_fleet(path: str | Path) -> dict[str, Any]:
@@ -418,4 +396,4 @@ def load_fleet(path: str | Path) -> dict[str, Any]:
     --------
     >>> gb.fleet.load_fleet("results/rig-fleet/fleet.json")["population"]["K"]["median"]  # doctest: +SKIP
     """
-    return read_json(path, ResultKind.FLEET)
+    return read_json(path, FleetResult)

@@ -673,7 +673,7 @@ def write_residual_test(test: ResidualTest) -> str:
 
 @renders("ResidualTests")
 def write_residual_tests(tests: ResidualTests) -> str:
-    """A table with a row for each test."""
+    """A table with a row for each test, and what could not be tested."""
     rows = [
         ("output", "test", "statistic", "p", ""),
         *((t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)) for t in tests.tests),
@@ -682,10 +682,20 @@ def write_residual_tests(tests: ResidualTests) -> str:
     lines = [
         "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[4]]).rstrip() for row in rows
     ]
+    if not tests.tests:
+        lines = []
     if tests.whitened:
         outputs = ", ".join(tests.whitened)
         lines.append(f"the residual of {outputs} was whitened with the noise model before the tests")
-    return "\n".join(lines)
+    return "\n".join(lines + [f"not tested: {sentence}" for sentence in list_tests_not_made(tests)])
+
+
+def list_tests_not_made(tests: ResidualTests) -> list[str]:
+    """``y has too few values for normality, equal variance``: one for each output that could not be tested for everything."""
+    return [
+        f"{output} has too few values for {', '.join(kind.value.replace('_', ' ') for kind in kinds)}"
+        for output, kinds in tests.not_made.items()
+    ]
 
 
 @renders("PredictionScores")

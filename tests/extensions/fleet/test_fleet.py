@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
+from greybox.base.json_shape import from_json_data, to_json_data
 from greybox.estimation.result_parts import Estimate
 from greybox.extensions.fleet import batch
 from greybox.extensions.fleet.batch import PILOTS
@@ -268,10 +269,10 @@ def test_the_table_holds_every_number_and_comes_back(tmp_path: Path) -> None:
     table = pq.read_table(fleet.save_table(tmp_path / "fleet.parquet")).to_pydict()
     assert table == fleet.table()
     data = gb.fleet.load_fleet(fleet.save(tmp_path / "fleet.json"))
-    assert strict_offences(data, "fleet") == [] and data["fitted"] == 1 and data["records"] == 2
+    assert strict_offences(data, gb.fleet.FleetResult) == [] and data["fitted"] == 1 and data["records"] == 2
     assert data["population"]["lag"]["median"] == estimate.value
     for r in fleet.records:
-        assert vars(RecordEstimate.from_data(json.loads(json.dumps(r.to_data())))) == vars(r)
+        assert vars(from_json_data(RecordEstimate, json.loads(json.dumps(to_json_data(r))))) == vars(r)
 
 
 def test_the_page_and_the_text_say_the_same() -> None:
@@ -310,10 +311,6 @@ def test_the_command_writes_table_summary_and_page(tmp_path: Path, monkeypatch: 
     done = CliRunner().invoke(app, [*words, "--json", "--no-report", "--fix", "lag=0.5"])
     assert done.exit_code == 1
     data = json.loads(done.stdout)
-    assert (
-        data["fitted"] == 6
-        and [r["name"] for r in data["without_result"]] == ["6"]
-        and set(data["population"]) == {"gain"}
-    )
+    assert data["fitted"] == 6 and list(data["without_result"]) == ["6"] and set(data["population"]) == {"gain"}
     done = CliRunner().invoke(app, ["fleet", "lag.py", "bench/6.csv"])
     assert done.exit_code == 2 and "none of 1 records has a result; 6: " in done.output
