@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from greybox.base.errors import DataError, GreyboxError, nearest, shorten
+from greybox.base.extensions import ExtensionKind, list_extensions
 from greybox.base.files import write_file
 from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions
 
@@ -228,7 +229,17 @@ PRINTED: Mapping[str, tuple[str, ...]] = {
     "demo": (ResultKind.DISCOVERY,),
     "schema": ("json_schema",),
 }
-"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given."""
+"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given. A module with the command
+of an extension has a table ``PRINTS`` for its own."""
+
+
+def list_printed() -> dict[str, tuple[str, ...]]:
+    """Command -> kinds of what it prints, those of extensions included."""
+    printed = dict(PRINTED)
+    for entry in list_extensions(ExtensionKind.COMMANDS):
+        if not entry.failure:
+            printed |= getattr(import_module(entry.place.partition(":")[0]), "PRINTS", {})
+    return printed
 
 
 def schema_of_command(command: str) -> dict[str, Any]:
@@ -249,11 +260,12 @@ def schema_of_command(command: str) -> dict[str, Any]:
     GreyboxError
         For a command that does not exist.
     """
-    if command not in PRINTED:
-        raise GreyboxError(f"no command {command!r}; {nearest(command, list(PRINTED))}")
-    classes = [_find_class(place) for place in PRINTED[command] if ":" in place]
+    printed = list_printed()
+    if command not in printed:
+        raise GreyboxError(f"no command {command!r}; {nearest(command, list(printed))}")
+    classes = [_find_class(place) for place in printed[command] if ":" in place]
     references, definitions = make_definitions(*classes)
-    references += [{"$ref": f"#/$defs/{kind}"} for kind in PRINTED[command] if ":" not in kind]
+    references += [{"$ref": f"#/$defs/{kind}"} for kind in printed[command] if ":" not in kind]
     everything = {**read_schema()["$defs"], **definitions}
     needed = _collect_definitions(re.findall(r"'#/\$defs/(\w+)'", repr(references)), everything)
     return {
