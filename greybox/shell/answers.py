@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from greybox.base.errors import ExitCode
 from greybox.base.values import Printable
 
 if TYPE_CHECKING:
@@ -17,6 +18,26 @@ if TYPE_CHECKING:
     from greybox.estimation.result_parts import Misfit
     from greybox.estimation.uncertainty import Bootstrap, Profile
     from greybox.simulation.simulate import Simulation
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, and what is to be done with it: `greybox.shell.command_line` shows it.
+
+    ``text``: what ``print`` shows of it. ``json``: the same for programs, given the report that was written, if any. ``files`` that were
+    written; ``page`` writes the report, ``pictures`` the figures, where they are wanted; ``kept``: what there is if that is interrupted.
+    ``failure``: why the command ends with ``code``.
+    """
+
+    text: object
+    json: Callable[[Path | None], str]
+    files: Sequence[Path] = ()
+    page: Callable[[], Path] | None = None
+    pictures: Callable[[], list[Path]] | None = None
+    kept: str = ""
+    failure: str = ""
+    code: ExitCode = ExitCode.SUCCESS
+
 
 RecordMisfit = tuple[str, str, "Misfit"]
 """Name of a record, name of an output, and the misfit there."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.shell.commands import app

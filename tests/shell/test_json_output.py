@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Callable
@@ -10,22 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from jsonschema import Draft202012Validator
-from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
 from greybox.base.json_file import PRINTED, ResultKind, schema_of_command
 from greybox.estimation.result import load_fit
-from greybox.shell.commands import app
+from greybox.shell.commands import COMMANDS, app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences
 
 
 def test_every_command_has_it_and_a_schema() -> None:
-    commands = {c.callback.__name__: c.callback for c in app.registered_commands}
-    printing = {name for name, c in commands.items() if "json" in inspect.signature(c).parameters}
-    assert printing == set(commands) == set(PRINTED)
+    printing = {name for name, command in COMMANDS.items() if "json" in command.table}
+    assert printing == set(COMMANDS) == set(PRINTED)
 
 
 @pytest.mark.parametrize("command", PRINTED)
