@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
@@ -15,7 +16,7 @@ from typing import Any, NoReturn
 
 from greybox.base.errors import DataError, GreyboxError, nearest, shorten
 from greybox.base.files import write_file
-from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions
+from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions, to_json_data
 
 # How large a JSON file may be.
 
@@ -28,26 +29,12 @@ class ResultKind(StrEnum):
     """The kinds of files whose schema is written by hand, by their names in it."""
 
     DISCOVERY = "discovery"
-    COMPARISON = "comparison"
-    DESIGN = "design"
-    CAMPAIGN = "campaign"
-    CHANGE = "change"
-    MODEL_CHECK = "model_check"
-    LINEAR_MODEL = "linear_model"
-    FMU_FIT = "fmu_fit"
     REFIT = "refit"
     """One line of a journal."""
 
 
 TITLES: Mapping[ResultKind, FileKind] = {
     ResultKind.DISCOVERY: FileKind("a discovery", "discovery.json that greybox discover has written"),
-    ResultKind.COMPARISON: FileKind("a comparison", "compare.json that greybox compare has written"),
-    ResultKind.DESIGN: FileKind("a design", "design.json that greybox design has written"),
-    ResultKind.CAMPAIGN: FileKind("a campaign", "campaign.json that greybox campaign has written"),
-    ResultKind.CHANGE: FileKind("a change detection", "changed.json that greybox changed has written"),
-    ResultKind.MODEL_CHECK: FileKind("a check", "check.json that greybox check has written"),
-    ResultKind.LINEAR_MODEL: FileKind("a linear model", "file that greybox export --to json has written"),
-    ResultKind.FMU_FIT: FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
     ResultKind.REFIT: FileKind("a journal entry", "journal.jsonl that greybox discover has written", None),
 }
 """What messages call each kind, and what to give in the place of another file."""
@@ -63,7 +50,31 @@ def read_schema() -> Mapping[str, Any]:
 LARGEST_FILE = 1000000000
 
 
-def write_json(path: str | Path, value: Any) -> Path:
+class StoredResult:
+    """A result that is written to a file of its own, under the keys of its class."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of its file as numbers, texts, lists and dictionaries; what is not finite is None."""
+        data: dict[str, Any] = to_json_data(self)
+        return data
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it as JSON.
+
+        Parameters
+        ----------
+        path
+            The file; folders are made. Numbers that are not finite become null.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
+        return write_json(path, self)
+
+
+def write_json(path: str | os.PathLike[str], value: Any) -> Path:
     """Write a result to its file, under the keys of its class. Folders are made; numbers that are not finite become null."""
     return write_file(path, iterate_json(value))
 
@@ -211,22 +222,30 @@ def _write_value(value: Any) -> str:
 # Which JSON a command prints with ``--json``, and the schema of that alone.
 
 PRINTED: Mapping[str, tuple[str, ...]] = {
-    "fit": ("greybox.shell.answers:FitAnswer", ResultKind.FMU_FIT),
-    "compare": (ResultKind.COMPARISON,),
+    "fit": (
+        "greybox.shell.answers:FitAnswer",
+        "greybox.extensions.fmu.fit_fmu:FmuFit",
+        "greybox.extensions.fmu.effects:FmuEffectFit",
+    ),
+    "compare": ("greybox.shell.answers:ComparisonAnswer",),
     "discover": (ResultKind.DISCOVERY,),
-    "app": ("app_address",),
-    "changed": (ResultKind.CHANGE,),
-    "design": (ResultKind.DESIGN,),
-    "campaign": (ResultKind.CAMPAIGN,),
-    "check": (ResultKind.MODEL_CHECK, "file_survey", "file_surveys"),
-    "export": ("export",),
-    "simulate": ("simulation",),
-    "models": ("model_list", "model_outline"),
-    "effects": ("effect_list",),
-    "init": ("project",),
-    "extensions": ("extension_list",),
+    "app": ("greybox.extensions.app.command:PrintedAddress",),
+    "changed": ("greybox.extensions.changes.result:ChangeDetection",),
+    "design": ("greybox.extensions.design.result:Design",),
+    "campaign": ("greybox.extensions.design.campaign:Campaign",),
+    "check": (
+        "greybox.estimation.check:ModelCheck",
+        "greybox.data.survey:FileSurvey",
+        "greybox.data.survey:FileSurveys",
+    ),
+    "export": ("greybox.extensions.export.linear_files:PrintedExport",),
+    "simulate": ("greybox.shell.answers:PrintedSimulation",),
+    "models": ("greybox.shell.answers:ModelList", "greybox.shell.answers:ModelOutline"),
+    "effects": ("greybox.shell.answers:EffectList",),
+    "init": ("greybox.shell.answers:PrintedProject",),
+    "extensions": ("greybox.shell.answers:ExtensionList",),
     "demo": (ResultKind.DISCOVERY,),
-    "schema": ("json_schema",),
+    "schema": ("greybox.shell.answers:JsonSchema",),
 }
 """Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given."""
 
@@ -251,7 +270,7 @@ def schema_of_command(command: str) -> dict[str, Any]:
     """
     if command not in PRINTED:
         raise GreyboxError(f"no command {command!r}; {nearest(command, list(PRINTED))}")
-    classes = [_find_class(place) for place in PRINTED[command] if ":" in place]
+    classes = [_find_type(place) for place in PRINTED[command] if ":" in place]
     references, definitions = make_definitions(*classes)
     references += [{"$ref": f"#/$defs/{kind}"} for kind in PRINTED[command] if ":" not in kind]
     everything = {**read_schema()["$defs"], **definitions}
@@ -265,11 +284,10 @@ def schema_of_command(command: str) -> dict[str, Any]:
     }
 
 
-def _find_class(place: str) -> type:
-    """The class ``module:name``."""
+def _find_type(place: str) -> Any:
+    """The type ``module:name``."""
     module, _, name = place.partition(":")
-    shape: type = getattr(import_module(module), name)
-    return shape
+    return getattr(import_module(module), name)
 
 
 def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -285,6 +285,11 @@ class FitOptions:
     per_experiment: tuple[str, ...] = ()
     common_noise: bool = False
     other_starts: int = 6
+
+    KEYS: ClassVar[str] = """
+        method substeps progressive iterations tolerance thorough transcription arc_length hessian at_rest loss per_experiment
+        common_noise other_starts policy
+        """
 
     def __post_init__(self) -> None:
         object.__setattr__(
