@@ -263,7 +263,7 @@ def _conclude(
     for report in outside:
         for name in report.outlying:
             common, constant = population[name], report.constants[name]
-            values: dict[str, Any] = {
+            values: dict[str, object] = {
                 "constant": name,
                 "value": constant["value"],
                 "unit": common.unit,
