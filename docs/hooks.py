@@ -268,7 +268,8 @@ def result_files() -> str:
     from greybox.extensions.design.result import Design
     from greybox.extensions.export.linear_files import LinearFile
     from greybox.extensions.fmu.fit_fmu import FmuFit
-    from greybox.shell.answers import ComparisonAnswer, FitAnswer
+    from greybox.shell.answers import FitAnswer
+    from greybox.shell.printed import ComparisonAnswer
 
     kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
     kinds += (ModelCheck, LinearFile, FmuFit)

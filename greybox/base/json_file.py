@@ -9,14 +9,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import cache
-from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greybox.base.errors import DataError, GreyboxError, nearest, shorten
+from greybox.base.errors import DataError, shorten
 from greybox.base.files import write_file
-from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions, to_json_data
+from greybox.base.json_shape import FileKind, iterate_json, make_definitions, to_json_data
 
 # How large a JSON file may be.
 
@@ -217,85 +216,3 @@ def _write_value(value: Any) -> str:
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:
         return "a number out of range"
     return shorten(json.dumps(value, ensure_ascii=False), 60)
-
-
-# Which JSON a command prints with ``--json``, and the schema of that alone.
-
-PRINTED: Mapping[str, tuple[str, ...]] = {
-    "fit": (
-        "greybox.shell.answers:FitAnswer",
-        "greybox.extensions.fmu.fit_fmu:FmuFit",
-        "greybox.extensions.fmu.effects:FmuEffectFit",
-    ),
-    "compare": ("greybox.shell.answers:ComparisonAnswer",),
-    "discover": (ResultKind.DISCOVERY,),
-    "app": ("greybox.extensions.app.command:PrintedAddress",),
-    "changed": ("greybox.extensions.changes.result:ChangeDetection",),
-    "design": ("greybox.extensions.design.result:Design",),
-    "campaign": ("greybox.extensions.design.campaign:Campaign",),
-    "check": (
-        "greybox.estimation.check:ModelCheck",
-        "greybox.data.survey:FileSurvey",
-        "greybox.data.survey:FileSurveys",
-    ),
-    "export": ("greybox.extensions.export.linear_files:PrintedExport",),
-    "simulate": ("greybox.shell.answers:PrintedSimulation",),
-    "models": ("greybox.shell.answers:ModelList", "greybox.shell.answers:ModelOutline"),
-    "effects": ("greybox.shell.answers:EffectList",),
-    "init": ("greybox.shell.answers:PrintedProject",),
-    "extensions": ("greybox.shell.answers:ExtensionList",),
-    "demo": (ResultKind.DISCOVERY,),
-    "schema": ("greybox.shell.answers:JsonSchema",),
-}
-"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given."""
-
-
-def schema_of_command(command: str) -> dict[str, Any]:
-    """The JSON Schema of what ``greybox COMMAND --json`` prints, whole in itself.
-
-    Parameters
-    ----------
-    command
-        ``fit``, ``discover``, ``changed`` ...
-
-    Returns
-    -------
-    dict
-        A schema of draft 2020-12 that refers to nothing outside itself.
-
-    Raises
-    ------
-    GreyboxError
-        For a command that does not exist.
-    """
-    if command not in PRINTED:
-        raise GreyboxError(f"no command {command!r}; {nearest(command, list(PRINTED))}")
-    classes = [_find_type(place) for place in PRINTED[command] if ":" in place]
-    references, definitions = make_definitions(*classes)
-    references += [{"$ref": f"#/$defs/{kind}"} for kind in PRINTED[command] if ":" not in kind]
-    everything = {**read_schema()["$defs"], **definitions}
-    needed = _collect_definitions(re.findall(r"'#/\$defs/(\w+)'", repr(references)), everything)
-    return {
-        "$schema": DRAFT,
-        "$id": f"urn:greybox:command:{command}:1",
-        "title": f"What greybox {command} --json prints",
-        **(references[0] if len(references) == 1 else {"anyOf": references}),
-        "$defs": {name: everything[name] for name in needed},
-    }
-
-
-def _find_type(place: str) -> Any:
-    """The type ``module:name``."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
-
-
-def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:
-    """Names of these definitions and of all that they refer to, in the order of the file."""
-    needed, pending = set[str](), list(kinds)
-    while pending:
-        name = pending.pop()
-        if name not in needed:
-            needed.add(name)
-            pending += re.findall(r"'#/\$defs/(\w+)'", repr(everything[name]))
-    return [name for name in everything if name in needed]

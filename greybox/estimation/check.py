@@ -63,7 +63,7 @@ class Doubt(TypedDict):
     doubt: str
 
 
-class PlacedEffect(TypedDict):
+class FoundPlace(TypedDict):
     """An effect that finds a place in a model.
 
     Attributes
@@ -76,7 +76,7 @@ class PlacedEffect(TypedDict):
     site: str
 
 
-class UnplacedEffect(TypedDict):
+class MissingPlace(TypedDict):
     """An effect that finds no place in a model.
 
     Attributes
@@ -199,12 +199,12 @@ class ModelCheck(Printable, StoredResult):
         return {"doubt": self.doubt} if self.structure is None else self.structure
 
     @property
-    def placed(self) -> tuple[PlacedEffect, ...]:
+    def placed(self) -> tuple[FoundPlace, ...]:
         """Effects of the catalogue that find a place in the model, and where."""
         return tuple({"name": p.name, "site": p.site} for p in self.placements if p.effect is not None)
 
     @property
-    def without_place(self) -> tuple[UnplacedEffect, ...]:
+    def without_place(self) -> tuple[MissingPlace, ...]:
         """Effects of the catalogue that find none, and what the model lacks for each."""
         return tuple(
             {

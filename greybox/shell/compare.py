@@ -247,7 +247,7 @@ def _write(
     from greybox.base.extensions import read_versions
     from greybox.base.json_file import write_json
     from greybox.data.experiment import collect_record_findings
-    from greybox.shell.answers import ComparisonAnswer
+    from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences.registry import sentences
     from greybox.show.sentences.shell import report_line, written
 

@@ -284,3 +284,6 @@ COMMAND = Command(
         "greybox app study.toml",
     ),
 )
+
+PRINTS = {"app": ("greybox.extensions.app.command:PrintedAddress",)}
+"""Command -> types of what it prints with ``--json``."""

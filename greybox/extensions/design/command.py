@@ -467,3 +467,9 @@ CAMPAIGN = Command(
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
 )
+
+PRINTS = {
+    "design": ("greybox.extensions.design.result:Design",),
+    "campaign": ("greybox.extensions.design.campaign:Campaign",),
+}
+"""Command -> types of what it prints with ``--json``."""

@@ -288,3 +288,6 @@ EXPORT = Command(
         "greybox export fit.json --to c --output firmware/plant.c",
     ),
 )
+
+PRINTS = {"export": ("greybox.extensions.export.linear_files:PrintedExport",)}
+"""Command -> types of what it prints with ``--json``."""

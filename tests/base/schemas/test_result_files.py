@@ -23,7 +23,8 @@ from greybox.extensions.design.result import Design
 from greybox.extensions.export.linear_files import LinearFile
 from greybox.extensions.fmu.effects import FmuEffectFit
 from greybox.extensions.fmu.fit_fmu import FmuFit
-from greybox.shell.answers import ComparisonAnswer, FitAnswer
+from greybox.shell.answers import FitAnswer
+from greybox.shell.printed import ComparisonAnswer
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.result_schema import find_schema, strict_offences
