@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from greybox.comparison.compare import compare
     from greybox.data import signals
     from greybox.data.experiment import Experiment
+    from greybox.data.noise.growing import GrowingNoise
     from greybox.data.read import read_csv, read_experiments
     from greybox.data.signals import SignalLimit
     from greybox.discovery.pipeline import discover
@@ -73,6 +74,7 @@ _NAMES = {
     "estimation.result": ("Fit", "load_fit"),
     "estimation.validate": ("validate",),
     "data.experiment": ("Experiment",),
+    "data.noise.growing": ("GrowingNoise",),
     "data.read": ("read_csv", "read_experiments"),
     "extensions.changes.detect": ("detect_changes",),
     "extensions.design.next_record": ("design",),
@@ -117,6 +119,7 @@ __all__ = [
     "Fit",
     "FitOptions",
     "GreyboxError",
+    "GrowingNoise",
     "Input",
     "Model",
     "Output",

@@ -21,6 +21,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.fit import draw_starts, fit
 from greybox.estimation.fit_issues import EstimationCode
@@ -82,6 +83,7 @@ def hash_start(
         [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
         noise.std.tolist(),
         [c.reflection for c in noise.colour],
+        *([repr(sorted(noise.growth.items()))] if noise.growth else []),
         repr(options),
         sorted(begin.items()),
         sorted(read_versions().items()),
@@ -157,7 +159,7 @@ def multistart(
     starts: int = 20,
     seed: int = 0,
     factor: float = 3.0,
-    noise: Mapping[str, float] | NoiseModel | None = None,
+    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
