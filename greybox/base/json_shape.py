@@ -435,8 +435,9 @@ def _follow(kind: Any, path: Sequence[str]) -> Iterator[_Attribute]:
     for name in path:
         if is_typeddict(kind):
             hint = _hints(kind)[name]
-            hint = get_args(hint)[0] if get_origin(hint) is NotRequired else hint
-            attribute = _Attribute(hint, _describe_fields(kind).get(name, ""), True, name in kind.__required_keys__)
+            may_lack = get_origin(hint) is NotRequired
+            hint = get_args(hint)[0] if may_lack else hint
+            attribute = _Attribute(hint, _describe_fields(kind).get(name, ""), True, not may_lack)
         elif (field := kind.__dataclass_fields__.get(name)) is not None:
             is_needed = field.default is MISSING and field.default_factory is MISSING
             attribute = _Attribute(_hints(kind)[name], _describe_fields(kind).get(name, ""), True, is_needed)
@@ -480,7 +481,7 @@ def _first_paragraph(described: Any) -> str:
 
 
 _SECTION = re.compile(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", re.MULTILINE | re.DOTALL)
-_ENTRY = re.compile(r"^(\w[\w, ]*)(?: :.*)?\n((?:[ ]+.*\n?|\n)+)", re.MULTILINE)
+_ENTRY = re.compile(r"^([\w$][\w$, ]*)(?: :.*)?\n((?:[ ]+.*\n?|\n)+)", re.MULTILINE)
 
 
 @cache

@@ -286,7 +286,15 @@ class ExtensionList(TypedDict):
 
 
 JsonSchema = TypedDict("JsonSchema", {"$schema": str, "$id": str, "title": str, "$defs": Mapping[str, Any]})
-JsonSchema.__doc__ = """A JSON Schema of draft 2020-12: what ``greybox schema`` prints."""
+JsonSchema.__doc__ = """A JSON Schema of draft 2020-12: what ``greybox schema`` prints.
+
+Attributes
+----------
+$schema, $id, title
+    The draft, its name, and what it describes.
+$defs
+    All that it refers to.
+"""
 
 
 @dataclass(frozen=True)
