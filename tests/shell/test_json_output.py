@@ -62,6 +62,7 @@ EXAMPLES = {
     "app": "micro_actuator train.csv",
     "changed": "fit.json test.csv --no-effects --no-report",
     "design": "fit.json --limit u=-1:1 --duration 0.02 --no-report",
+    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
     "check": "train.csv test.csv",
     "export": "fit.json --to json --samples 2 --no-report",
