@@ -5,8 +5,6 @@ from __future__ import annotations
 import json as json_format
 from pathlib import Path
 
-from greybox.base.files import write_file
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import (
     build_model,
     check_substeps,
@@ -24,6 +22,7 @@ from greybox.shell.study import (
     READING,
     SHOWING,
     SUBSTEPS,
+    Answer,
     Command,
     Idle,
     Study,
@@ -42,6 +41,7 @@ def check(study: Study) -> Answer:
     A file in the place of MODEL is looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to
     name. Nothing is written.
     """
+    from greybox.base.json_shape import format_json
     from greybox.estimation.check import check as check_model
 
     if is_record(study):
@@ -60,9 +60,10 @@ def check(study: Study) -> Answer:
             outputs=list(study.outputs) or None,
             options=fit_options(study),
         )
-    text = json_format.dumps(result.as_dict(), indent=2)
-    saved = write_file(folder / "check.json", text + "\n")
-    return Answer(result, lambda _: text, [saved], lambda: write_report(result, folder / "report.html"))
+    saved = result.save(folder / "check.json")
+    return Answer(
+        result, lambda _: format_json(result.as_dict()), [saved], lambda: write_report(result, folder / "report.html")
+    )
 
 
 def is_record(study: Study) -> bool:

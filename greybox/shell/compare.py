@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import (
     STARTS_FILE,
     add_effects,
@@ -34,6 +33,7 @@ from greybox.shell.study import (
     STARTING,
     SUBSTEPS,
     VALIDATING,
+    Answer,
     Command,
     Study,
     sharing,
@@ -209,18 +209,16 @@ def _answer(
     fits: Mapping[str, Fit],
 ) -> Answer:
     from greybox.base.extensions import read_versions
-    from greybox.comparison.result import save_comparison
+    from greybox.base.json_file import write_json
     from greybox.data.experiment import collect_record_findings
+    from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences.registry import sentences
 
     known = sentences(collect_record_findings([*records, *validation]))
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
     constants = {title: fit.parameters for title, fit in fits.items()}
-    saved = save_comparison(
-        result,
-        folder / "compare.json",
-        {"data": fingerprints, "remarks": known, "constants": constants, "versions": read_versions()},
-    )
+    answer = ComparisonAnswer(result, fingerprints, known, constants, read_versions())
+    saved = write_json(folder / "compare.json", answer)
     return Answer(
         result,
         lambda _: saved.read_text(encoding="utf-8"),

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 from greybox.base.errors import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import (
     build_model,
     check_skip,
@@ -19,7 +18,7 @@ from greybox.shell.inputs import (
 )
 from greybox.shell.plants import PlantKind, plant_kind
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Command, Study
+from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Study
 from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, load_extensions
-from greybox.shell.answers import Answer
-from greybox.shell.study import Idle, Option, Study
+from greybox.shell.study import Answer, Idle, Option, Study
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,9 @@ import click
 
 from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import SHOWING, Command, Excludes, Idle, Needs, Study
+from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
@@ -125,7 +124,7 @@ def _list(listing: ModelListing) -> dict[str, Any]:
 
 
 def _outline(model: Model) -> dict[str, Any]:
-    from greybox.estimation.result_parts import to_json_data
+    from greybox.base.json_shape import to_json_data
     from greybox.model.equations import equations_text
 
     return dict(
@@ -267,7 +266,7 @@ def schema(study: Study) -> Answer:
     For scripts and agents: what a key means, its unit, and what may be null. What a command writes to its folder (fit.json, discovery.json,
     changed.json ...) has the same content. Draft 2020-12, whole in itself. With or without --json the output is the same.
     """
-    from greybox.base.json_file import schema_of_command
+    from greybox.shell.printed import schema_of_command
 
     text = json_format.dumps(schema_of_command(study.json_command), indent=1, ensure_ascii=False)
     return Answer(text, lambda _: text)

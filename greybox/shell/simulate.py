@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell.answers import Answer, SimulationAnswer
 from greybox.shell.inputs import (
     add_effects,
     check_substeps,
@@ -19,7 +18,7 @@ from greybox.shell.inputs import (
     refuse_broken_limits,
     set_parameters,
 )
-from greybox.shell.study import LAYOUT, SHOWING, SUBSTEPS, Command, Idle, Needs, Study
+from greybox.shell.study import LAYOUT, SHOWING, SUBSTEPS, Answer, Command, Idle, Needs, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
@@ -69,6 +68,8 @@ def simulate(study: Study) -> Answer:
     write_csv(run.record(noise_std, generator), plant, target)
     if replaced:
         print_findings([Finding(CommandCode.FILE_OVERWRITTEN, subject=str(target))])
+    from greybox.shell.answers import SimulationAnswer
+
     units = {q.name: format_unit(q.unit) for q in plant.outputs}
     added = ", ".join(f"{name} {std:g} {units[name]}".rstrip() for name, std in noise_std.items())
     return Answer(

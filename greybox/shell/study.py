@@ -8,17 +8,17 @@ made from these values (`greybox.shell.command_line`, `greybox.shell.study_file`
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar, overload
 
-from greybox.base.errors import GreyboxError
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.shell import completion
-from greybox.shell.answers import Answer
 from greybox.shell.study_values import (
+    Band,
     Choice,
     CommaNames,
     Conditions,
@@ -27,7 +27,6 @@ from greybox.shell.study_values import (
     File,
     Files,
     Headers,
-    Interval,
     Kind,
     Limits,
     MaybeNumber,
@@ -245,7 +244,7 @@ class Study:
     step = Option(MaybeNumber(), "--step HEIGHT", "step", "Test signal: a step at the first row.")
     multisine = Option(MaybeNumber(), "--multisine RMS", "multisine", "Test signal: sines of equal amplitude and random phase in --band.")
     chirp = Option(MaybeNumber(), "--chirp AMPLITUDE", "chirp", "Test signal: a sine swept through --band.")
-    band = Option(Interval(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
+    band = Option(Band(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
     offset = Option(Number(), "--offset VALUE", "offset", "Offset added to the test signal.")
     duration = Option(Quantity(), "--duration SECONDS", "duration", "Duration of the record.")
     initial = Option(Numbers("STATE=VALUE", "x=0.001"), "--initial STATE=VALUE", "initial.",
@@ -409,6 +408,36 @@ class Idle:
 
 
 Relation = Needs | Excludes | Idle
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, and what is to be done with it: `greybox.shell.command_line` shows it.
+
+    Attributes
+    ----------
+    text
+        What ``print`` shows of it.
+    json
+        The same for programs, given the report that was written, if any.
+    files
+        What was written.
+    page, pictures
+        Write the report and the figures, where they are wanted.
+    kept
+        What there is if that is interrupted.
+    failure
+        Why the command ends with ``code``.
+    """
+
+    text: object
+    json: Callable[[Path | None], str]
+    files: Sequence[Path] = ()
+    page: Callable[[], Path] | None = None
+    pictures: Callable[[], list[Path]] | None = None
+    kept: str = ""
+    failure: str = ""
+    code: ExitCode = ExitCode.SUCCESS
 
 
 @dataclass(frozen=True)

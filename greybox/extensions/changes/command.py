@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.base.errors import DataError
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import (
     check_skip,
     load_fit_with_model,
@@ -17,7 +14,7 @@ from greybox.shell.inputs import (
     result_folder,
 )
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import SHARING, SHOWING, VALIDATING, Command, Excludes, Idle, Option, Study
+from greybox.shell.study import SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
 from greybox.shell.study_values import Switch
 from greybox.shell.terminal import write_report
 
@@ -72,6 +69,7 @@ def changed(study: ChangeStudy) -> Answer:
 
 def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.detect import detect_changes
 
     files = list_record_files(study.estimation)
@@ -95,6 +93,7 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 
 def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import survey_population
 
     machines = {
@@ -106,6 +105,7 @@ def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 
 def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(study.estimation)
@@ -113,32 +113,6 @@ def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
     refuse_repeated_records(files, records)
     print_record_notes(records)
     return chart_changes(known, records)
-
-
-def list_record_files(paths: Sequence[Path]) -> list[Path]:
-    """The files, and in the place of each folder the records in it, in the order of their names, numbers by their size.
-
-    Raises DataError for a folder without a record.
-    """
-    from greybox.data.formats import record_suffixes
-
-    files: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        inside = sorted(
-            (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in record_suffixes()), key=_by_number
-        )
-        if not inside:
-            raise DataError(f"{path}: a folder without records; give a folder with CSV, MAT or other record files")
-        files += inside
-    return files
-
-
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    """A name in pieces, so that day 10 comes after day 9."""
-    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", path.name)]
 
 
 def read_like(known: Fit, files: Sequence[Path], sampling_time: float) -> tuple[Experiment, ...]:
@@ -193,3 +167,6 @@ CHANGED = Command(
     ),
     study=ChangeStudy,
 )
+
+PRINTS = {"changed": ("greybox.extensions.changes.result:ChangeDetection",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import limits_of, load_fit_with_model, result_folder, set_parameters
-from greybox.shell.study import SHARING, SHOWING, Command, Idle, Option, Study
+from greybox.shell.study import SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_note, write_report
 
@@ -54,10 +53,9 @@ def design(study: DesignStudy) -> Answer:
 
     Exit code 0: done. 2: bad input, or limits that cannot be met; nothing was written.
     """
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.estimation.result import Fit
-    from greybox.estimation.result_parts import format_json, to_json_data
     from greybox.extensions.design.next_record import design as design_record
-    from greybox.extensions.design.result import design_data
 
     known, plain, rivals = read_source(study)
     folder = result_folder(study, (known.model if isinstance(known, Fit) else known).name)
@@ -80,7 +78,7 @@ def design(study: DesignStudy) -> Answer:
     written = result.save(folder)
     return Answer(
         result,
-        lambda _: format_json(to_json_data(design_data(result))),
+        lambda _: format_json(to_json_data(result)),
         [folder / "input.csv", written],
         lambda: write_report(result, folder / "report.html"),
         kept=f"the design is in {written}",
@@ -208,9 +206,9 @@ def campaign(study: DesignStudy) -> Answer:
     """
     from dataclasses import replace
 
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.base.parallel.jobs import open_workers
-    from greybox.estimation.result_parts import format_json, to_json_data
-    from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, campaign_data, run_campaign
+    from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, run_campaign
     from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem
     from greybox.extensions.design.rig import check_command
     from greybox.model.effects.catalogue import effect
@@ -259,7 +257,7 @@ def campaign(study: DesignStudy) -> Answer:
     is_open = result.status in (CampaignStatus.BUDGET_SPENT, CampaignStatus.LIMIT_BROKEN)
     return Answer(
         result,
-        lambda _: format_json(to_json_data(campaign_data(result))),
+        lambda _: format_json(to_json_data(result)),
         page=lambda: write_report(result, folder / "report.html"),
         kept=f"the campaign is in {folder}",
         code=ExitCode.UNSUCCESSFUL if is_open else ExitCode.SUCCESS,
@@ -339,3 +337,9 @@ CAMPAIGN = Command(
     ),
     study=DesignStudy,
 )
+
+PRINTS = {
+    "design": ("greybox.extensions.design.result:Design",),
+    "campaign": ("greybox.extensions.design.campaign:Campaign",),
+}
+"""Command -> types of what it prints with ``--json``."""

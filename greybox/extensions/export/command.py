@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.extensions.export.target import ExportTarget
-from greybox.shell.answers import Answer, CodeAnswer, LinearAnswer
 from greybox.shell.inputs import check_writable, load_fit_with_model
-from greybox.shell.study import SHOWING, Command, Idle, Needs, Option, Study
+from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study
 from greybox.shell.study_values import Choice, Count, MaybeNumber, Number, Numbers, Switch
 from greybox.shell.terminal import print_note, write_report
 
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.result import Fit
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import CodeAnswer, LinearAnswer
 
 
 class ExportStudy(Study):
@@ -78,13 +78,17 @@ def _kind(study: ExportStudy) -> ExportTarget:
 
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.estimation.linear.plant import to_plant
-    from greybox.estimation.result_parts import format_json
-    from greybox.extensions.export.linear_files import linear_model_data
+    from greybox.extensions.export.linear_files import LinearFile, PrintedExport
 
-    linear = linear_model_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
-    files = [str(file) for file in made.files]
-    return format_json({"target": to, "files": files, "report": str(report) if report else None, "linear": linear})
+    printed: PrintedExport = {
+        "target": to,
+        "files": [str(file) for file in made.files],
+        "report": str(report) if report else None,
+        "linear": LinearFile(made.linear, to_plant(made.fit), made.family) if made.linear else None,
+    }
+    return format_json(to_json_data(printed))
 
 
 def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
@@ -95,6 +99,7 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
     from greybox.estimation.linear.model_family import sample_family
     from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import LinearAnswer
 
     at, samples = dict(study.at), study.samples
     sampled: dict[str, Any] = {"dt": study.dt, "method": study.sampling or "zoh", "delay": study.delay}
@@ -119,6 +124,7 @@ def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tup
     from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.observer import design_observer
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import CodeAnswer
 
     for finding in to_plant(fit).findings:
         print_note(f"warning: {finding}")
@@ -204,3 +210,6 @@ EXPORT = Command(
     ),
     study=ExportStudy,
 )
+
+PRINTS = {"export": ("greybox.extensions.export.linear_files:PrintedExport",)}
+"""Command -> types of what it prints with ``--json``."""

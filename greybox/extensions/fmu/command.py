@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode
-from greybox.shell.answers import Answer
 from greybox.shell.inputs import layout_of, print_record_notes, result_folder
 from greybox.shell.plants import PlantDiscovery, PlantKind
-from greybox.shell.study import READING, Study
+from greybox.shell.study import READING, Answer, Study
 
 if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
@@ -36,7 +35,7 @@ USED = {
 
 def run_fmu_fit(study: Study) -> Answer:
     """Fit the FMU of a study to its records, and write fmu_fit.json. Raises GreyboxError."""
-    from greybox.estimation.result_parts import format_json
+    from greybox.base.json_shape import format_json
     from greybox.extensions.fmu.effects import prepare_fmu
 
     result, records, validation, folder = _fit(study)
@@ -164,3 +163,6 @@ def _fit_effects(prepared: PreparedFmu, names: Sequence[str], study: Study) -> A
 CLOSED = "on an FMU, whose equations are closed"
 FMU = PlantKind((".fmu",), CLOSED, USED, run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
 """An FMU in the place of a model."""
+
+PRINTS = {"fit": ("greybox.extensions.fmu.fit_fmu:FmuFit", "greybox.extensions.fmu.effects:FmuEffectFit")}
+"""Command -> types of what it prints with ``--json``."""
