@@ -221,7 +221,10 @@ BAD_FITS = [
     (["micro_actuator", "DATA", "--validate", "DATA", "--skip", "1500"], "shortest validation record has 1500"),
     (["micro_actuator", "DATA", "--validate", "DATA", "--skip", "1491"], "at least 10 must be left; leave out fewer"),
     (["micro_actuator", "DATA", "--skip", "100"], "--skip 100 has no effect: it leaves out rows of validation records"),
-    (["micro_actuator", "DATA", "--method", "exact", "--substeps", "4"], "--method exact has no substeps"),
+    (
+        ["micro_actuator", "DATA", "--method", "exact", "--substeps", "4"],
+        "--substeps: no effect with --method exact, which has no substeps",
+    ),
     (["micro_actuator", "DATA", "--validate", "none.csv"], "none.csv: file not found"),
     (["micro_actuator", "DATA", "--output", "DATA"], "it is a file; give a folder"),
     (["micro_actuator", "DATA", "--output", "/proc/none"], "cannot be written to"),

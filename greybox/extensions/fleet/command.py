@@ -87,12 +87,11 @@ FLEET = Command(
     fleet,
     "Fit a model to each of many records.",
     (
-        *(Study.model, Study.fixed, FleetStudy.record, *SHARING, *SHOWING),
+        *(Study.model, Study.fixed, Study.noise, FleetStudy.record, *SHARING, *SHOWING),
         Study.estimation.but(
             usage="RECORDS", help="Records, folders of records, or Parquet files of many records.", required=True
         ),
         Study.start.but(help="Value of a parameter of MODEL."),
-        Study.noise.but(help="Standard deviation of the sensor noise of an output. [default: that of the fit]"),
         Study.hold.but(help="How the input moves between samples."),
         Study.at_rest.but(help="Every record begins in the state that the model declares."),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
