@@ -18,7 +18,6 @@ from typing import Any, Generic, Self, TypeVar, overload
 from greybox.base.errors import ExitCode, GreyboxError
 from greybox.shell import completion
 from greybox.shell.study_values import (
-    Band,
     Choice,
     CommaNames,
     Conditions,
@@ -26,6 +25,7 @@ from greybox.shell.study_values import (
     Counts,
     File,
     Files,
+    FrequencyBand,
     Headers,
     Kind,
     Limits,
@@ -244,7 +244,7 @@ class Study:
     step = Option(MaybeNumber(), "--step HEIGHT", "step", "Test signal: a step at the first row.")
     multisine = Option(MaybeNumber(), "--multisine RMS", "multisine", "Test signal: sines of equal amplitude and random phase in --band.")
     chirp = Option(MaybeNumber(), "--chirp AMPLITUDE", "chirp", "Test signal: a sine swept through --band.")
-    band = Option(Band(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
+    band = Option(FrequencyBand(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
     offset = Option(Number(), "--offset VALUE", "offset", "Offset added to the test signal.")
     duration = Option(Quantity(), "--duration SECONDS", "duration", "Duration of the record.")
     initial = Option(Numbers("STATE=VALUE", "x=0.001"), "--initial STATE=VALUE", "initial.",

@@ -301,7 +301,7 @@ class ModelName(Word):
 
 
 @dataclass(frozen=True)
-class Band(Kind[tuple[float, float] | None]):
+class FrequencyBand(Kind[tuple[float, float] | None]):
     """Two ends, the lower one first: ``5:800``, or ``[5, 800]``."""
 
     empty: tuple[float, float] | None = None

@@ -235,7 +235,7 @@ def test_every_option_of_a_command_has_one_place_and_one_flag(name: str) -> None
 
 def test_every_command_that_computes_reads_a_study() -> None:
     assert set(study_commands(COMMANDS)) == {
-        *("fit", "compare", "discover", "check", "simulate", "design", "campaign", "changed", "export")
+        *("fit", "compare", "discover", "check", "simulate", "design", "campaign", "changed", "export", "fleet")
     }
 
 
