@@ -5,16 +5,15 @@ from functools import partial
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.linalg import expm
 from scipy.signal import lfilter
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import with_code
-from greybox.base.json_file import ResultKind
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import ComparisonPolicy, load_comparison, save_comparison
+from greybox.comparison.result import Comparison, ComparisonPolicy, load_comparison, save_comparison
 from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv
@@ -197,7 +196,7 @@ def test_the_file_has_the_promised_form(compared, tmp_path):
     _, found = compared
     saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
     assert load_comparison(tmp_path / "compare.json") == saved
-    assert strict_offences(saved, ResultKind.COMPARISON) == []
+    assert strict_offences(saved, Comparison) == []
     for name, entry in saved["models"].items():
         assert entry["kind"] in ("grey", "black") and isinstance(entry["parameters"], int)
         score = entry["validation"]["y"]
@@ -326,10 +325,7 @@ def test_bad_input_is_one_message_and_nothing_is_written(run, tmp_path, model, r
 
 
 def test_compare_takes_the_options_of_fit():
-    from typer.main import get_command
-
-    commands = get_command(app).commands
-    fit, compare = ({name for p in commands[c].params for name in p.opts} for c in ("fit", "compare"))
+    fit, compare = ({name for p in app.commands[c].params for name in p.opts} for c in ("fit", "compare"))
     # Options about the intervals of parameters, which are not compared, and the time for the starts of one model.
     assert fit - compare == {"--profile", "--bootstrap", "--time"}
 

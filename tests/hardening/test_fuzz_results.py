@@ -20,7 +20,7 @@ import pytest
 import greybox as gb
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.comparison.result import load_comparison
 from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome
@@ -31,9 +31,10 @@ from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.problem import CampaignCode, DesignPolicy
-from greybox.extensions.fmu.effects import fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.effects import FmuWithEffects, fit_fmu_effects, prepare_fmu
 from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.model import Model
+from greybox.shell.commands import COMMANDS
 from greybox.shell.own_effects import find_own_effects, keep_effect
 from greybox.shell.study_file import read_study
 from models.micro_actuator import micro_actuator
@@ -170,7 +171,7 @@ def use_design(path: Path, plan: object) -> None:
 
 
 def use_fmu_fit(path: Path, _: object) -> None:
-    assert all(entry["unit"] is not None for entry in read_json(path, ResultKind.FMU_FIT)["parameters"].values())
+    assert all(entry["unit"] is not None for entry in read_json(path, FmuWithEffects)["parameters"].values())
 
 
 SHORT = DesignPolicy(
@@ -309,8 +310,8 @@ def test_mutated_results_journals_and_studies(tmp_path):
         journal.add(f"k{k}", outcome if k % 4 else None)
     files[journal.path] = (None, use_journal, True)
     (tmp_path / "study.toml").write_text(STUDY)
-    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
-    read_study(tmp_path / "study.toml", "fit")
+    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit", COMMANDS), False)
+    read_study(tmp_path / "study.toml", "fit", COMMANDS)
     each = size_of(5000 // len(files) + 1)
     outcomes, wrong = attack(files, each)
     figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"

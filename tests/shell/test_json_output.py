@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Callable
@@ -10,23 +9,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from jsonschema import Draft202012Validator
-from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
-from greybox.base.json_file import list_printed, schema_of_command
 from greybox.estimation.result import load_fit
 from greybox.shell.answers import FitAnswer
-from greybox.shell.commands import app
+from greybox.shell.commands import COMMANDS, app
+from greybox.shell.printed import list_printed, schema_of_command
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences
 
 
 def test_every_command_has_it_and_a_schema() -> None:
-    commands = {c.callback.__name__: c.callback for c in app.registered_commands}
-    printing = {name for name, c in commands.items() if "json" in inspect.signature(c).parameters}
-    assert printing == set(commands) == set(list_printed())
+    printing = {name for name, command in COMMANDS.items() if "json" in command.table}
+    assert printing == set(COMMANDS) == set(list_printed())
 
 
 @pytest.mark.parametrize("command", list_printed())
@@ -61,8 +59,8 @@ EXAMPLES = {
     "discover": "micro_actuator train.csv --validate test.csv --fix M --fix Ra --effects cubic_stiffness --workers 1 --no-report",
     "app": "micro_actuator train.csv",
     "changed": "fit.json test.csv --no-effects --no-report",
-    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "design": "fit.json --limit u=-1:1 --duration 0.02 --no-report",
+    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
     "check": "train.csv test.csv",
     "export": "fit.json --to json --samples 2 --no-report",

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from greybox.base.errors import ModelError
-from greybox.base.files import write_file
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import StoredResult
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import NamedModel, compare_named
@@ -41,9 +39,6 @@ from greybox.model.model import Model
 from greybox.simulation.plant import PlantKernel, PlantModel, PlantRunError
 from greybox.simulation.simulate import simulate
 
-# Version of the keys in fmu_fit.json.
-FORMAT = 1
-
 AT_REST = FitOptions(at_rest=True)
 """The added states begin at zero: a record starts as the FMU starts."""
 
@@ -64,6 +59,8 @@ class PreparedFmu:
         The records as they were.
     runs, failures
         Runs that this took, and those of them that failed.
+    equivalents
+        What these runs cost: their rows over those of all records.
     """
 
     fit: Fit
@@ -74,10 +71,11 @@ class PreparedFmu:
     others: tuple[Experiment, ...]
     runs: int
     failures: int
+    equivalents: float
 
 
 @dataclass(frozen=True, eq=False)
-class FmuWithEffects(Printable):
+class FmuWithEffects(Printable, StoredResult):
     """Effects and parameters fitted with the FMU itself.
 
     Parameters
@@ -107,6 +105,23 @@ class FmuWithEffects(Printable):
     agrees: bool
     prepared: PreparedFmu
 
+    FILE: ClassVar[FileKind] = FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written")
+    # Earlier versions wrote fits without effects so, too: without effects and rounds, and with what the runs cost.
+    KEYS: ClassVar[str] = """
+        fmu! effects? status! parameters! misfit=misfits validation runs! failures=prepared.failures rounds?
+        simulation_equivalents?=prepared.equivalents
+        """
+
+    @property
+    def fmu(self) -> str:
+        """Name of the FMU's file."""
+        return str(self.plant.plant.fmu.path.name)
+
+    @property
+    def status(self) -> TerminationStatus:
+        """How the search ended: an FMU that errs more than its local model was not reached."""
+        return TerminationStatus.CONVERGED if self.agrees else TerminationStatus.ITERATION_LIMIT
+
     @property
     def runs(self) -> int:
         """Runs of one record."""
@@ -118,42 +133,6 @@ class FmuWithEffects(Printable):
         local = self.prepared.local.model
         added = {q.name for q in local.parameters} - {q.name for q in local.free_parameters}
         return {name: e for name, e in self.fit.parameters.items() if name not in added}
-
-    def as_dict(self) -> dict[str, Any]:
-        """The results as numbers, texts and dictionaries, ready for JSON; what is not finite is None."""
-        data: dict[str, Any] = to_json_data(effect_fit_data(self))
-        return data
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the results as JSON.
-
-        Parameters
-        ----------
-        path
-            The file, ``fmu_fit.json`` by custom.
-
-        Returns
-        -------
-        Path
-            The file.
-        """
-        return write_file(path, format_json(self.as_dict()) + "\n")
-
-
-def effect_fit_data(result: FmuWithEffects) -> dict[str, Any]:
-    """A fit of effects around an FMU under the keys of ``fmu_fit.json``."""
-    return {
-        "format": FORMAT,
-        "fmu": result.plant.plant.fmu.path.name,
-        "effects": list(result.effects),
-        "status": str(TerminationStatus.CONVERGED if result.agrees else TerminationStatus.ITERATION_LIMIT),
-        "parameters": result.parameters,
-        "misfit": result.misfits,
-        "validation": result.validation,
-        "runs": result.runs,
-        "failures": result.prepared.failures,
-        "rounds": result.rounds,
-    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,7 +183,7 @@ def prepare_fmu(
     """
     local, groups, kernel = prepare_plant(result.model, as_records(estimation), as_records(validation))
     records, others = as_records(estimation), as_records(validation)
-    return PreparedFmu(result, local, groups[0], groups[1], records, others, kernel.runs, kernel.failures)
+    return PreparedFmu(result, local, *groups, records, others, **_sum_costs([kernel], records))
 
 
 def prepare_plant(
@@ -265,7 +244,7 @@ def fit_fmu_effects(
     names, hold = [q.name for q in plant.free_parameters], prepared.records[0].hold
     values = dict(start or {})
     std = dict(noise) if noise else None
-    agrees, rounds, runs, failures = False, 0, 0, 0
+    agrees, rounds, kernels = False, 0, list[PlantKernel]()
     while not agrees and rounds < FMU_RESPONSE_ROUNDS:
         rounds += 1
         model = _add(local.model, effects).start(**values)
@@ -277,6 +256,7 @@ def fit_fmu_effects(
         assert isinstance(moved, PlantModel)
         plant = moved
         kernel = PlantKernel(plant)
+        kernels.append(kernel)
         with_inputs = _add(build_local_model(plant, hold, local.response, show_inputs=True).model, effects)
         with_inputs = with_inputs.start(**values)
         behind = _apply(prepared.records, records, with_inputs, plant)
@@ -291,16 +271,14 @@ def fit_fmu_effects(
         expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
         # The FMU itself errs as much as its local model: then what was fitted on that holds for the FMU.
         agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
-        runs, failures = runs + kernel.runs, failures + kernel.failures
     checked: dict[str, Misfit] = {}
     validation: tuple[Experiment, ...] = ()
     if prepared.others:
-        before = kernel.runs, kernel.failures
         behind = _apply(prepared.others, prepared.validation, with_inputs, plant)
         validation = _extend(kernel, behind, local, prepared.others)
         checked = _measure(model, prepared.others, validation, prepared.fit)
-        runs, failures = runs + kernel.runs - before[0], failures + kernel.failures - before[1]
-    about = replace(prepared, local=local, estimation=records, validation=validation, runs=runs, failures=failures)
+    costs = _sum_costs(kernels, prepared.records)
+    about = replace(prepared, local=local, estimation=records, validation=validation, **costs)
     return FmuWithEffects(plant, tuple(e.name for e in effects), fitted, errors, checked, rounds, agrees, about)
 
 
@@ -432,6 +410,16 @@ def compare_fmu(
         steps=[k for k in steps if k],
         findings=findings,
     )
+
+
+def _sum_costs(kernels: Sequence[PlantKernel], records: Sequence[Experiment]) -> dict[str, Any]:
+    """The runs of all of ``kernels``, their failures, and their rows over those of the records."""
+    rows = sum(kernel.rows for kernel in kernels) / sum(record.rows for record in records)
+    return {
+        "runs": sum(kernel.runs for kernel in kernels),
+        "failures": sum(kernel.failures for kernel in kernels),
+        "equivalents": rows,
+    }
 
 
 def _extend(
