@@ -1,23 +1,20 @@
-"""A page as a value: sections of text, tables, equations and figures, in the order in which they are read.
+"""What is said of a result, as a value: facts, sentences, tables, equations and figures, in the order in which they are read.
 
-Texts are strings, or findings, whose sentences stand in `greybox.show.sentences`. Numbers in them are written as a terminal has
-them (``-5.01e-04 +- 3e-06``); the printer of the page typesets them.
+``result.describe()`` gives a `Document`; `greybox.show.printers` prints it, as plain text for a terminal and as a page. Texts are strings,
+or findings, whose sentences stand in `greybox.show.sentences`. Numbers and units are written as a terminal has them
+(``-5.01e-04 +- 3e-06``); the printer of the page typesets them.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TypeAlias
+from functools import cached_property
+from typing import Any, TypeAlias
 
-import numpy as np
-
+from greybox.base.figure import Figure
 from greybox.base.findings import Finding
-from greybox.show.figures.figure import Figure, typeset_exponents, typeset_unit
-from greybox.show.figures.sheet import PAGE
-from greybox.show.sentences.wording import format_number
 
 Text: TypeAlias = Finding | str
 
@@ -54,13 +51,35 @@ class BulletList:
 
 
 @dataclass(frozen=True)
-class PageTable:
-    """``rows`` of cells as text below ``head``; ``caption`` says what it shows. The first cell of a row names the row."""
+class Facts:
+    """Names and what there is to say of each: ``discretisation``, ``exact, zero-order hold``. A page has the ``title`` above them.
+
+    ``width``: letters from the beginning of a line of plain text to what is said, for a list that is looked through; else a colon follows
+    the name.
+    """
+
+    items: Sequence[tuple[str, Text]]
+    title: str = ""
+    width: int = 0
+
+
+REMARK = "remark"
+"""Head of the last column of a table, where its cells speak for themselves: plain text leaves it out, a screen reader needs it."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """``rows`` of cells as text below ``head``; the first cell of a row names the row.
+
+    A page has ``caption`` above it and ``note`` below. Plain text has ``corner`` in place of the first head, where the table stands for
+    itself.
+    """
 
     caption: Text
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     note: Text = ""
+    corner: str = ""
 
 
 @dataclass(frozen=True)
@@ -80,6 +99,10 @@ class EquationList:
     text: str = ""
 
 
+# By so many stretches a long curve of a page is drawn: as fine as a wide screen shows.
+MOST_STRETCHES = 2000
+
+
 @dataclass(frozen=True)
 class FigureBlock:
     """A figure to look into closely, with a button for each of its panels.
@@ -97,7 +120,7 @@ class FigureBlock:
     """
 
     figure: Figure
-    stretches: int = PAGE.most_stretches
+    stretches: int = MOST_STRETCHES
     group: str = ""
     switch: str = ""
 
@@ -118,7 +141,29 @@ class Details:
     blocks: Sequence[Block]
 
 
-Block: TypeAlias = "Paragraphs | Subheading | BulletList | PageTable | EquationList | FigureBlock | CodeBlock | Details"
+Block: TypeAlias = (
+    "Paragraphs | Subheading | BulletList | Facts | Table | EquationList | FigureBlock | CodeBlock | Details"
+)
+
+
+class Later(Sequence[Any]):
+    """Blocks that are made when somebody reads them: plain text of a fit should not draw its figures, nor test its residual.
+
+    ``Later(make, *arguments)`` is the list of what ``make(*arguments)`` yields.
+    """
+
+    def __init__(self, make: Callable[..., Iterable[Any]], *arguments: Any, **options: Any) -> None:
+        self._make = lambda: list(make(*arguments, **options))
+
+    @cached_property
+    def _made(self) -> list[Any]:
+        return self._make()
+
+    def __getitem__(self, place: Any) -> Any:
+        return self._made[place]
+
+    def __len__(self) -> int:
+        return len(self._made)
 
 
 @dataclass(frozen=True)
@@ -131,31 +176,27 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Page:
-    """A report: its title, the ``question`` it answers, the ``verdict`` with the one figure that convinces beside it, then the rest."""
+class Document:
+    """What is said of a result.
+
+    Parameters
+    ----------
+    title
+        What it is.
+    brief
+        What plain text shows, at a glance.
+    question, verdict
+        What a page answers, and the answer; with ``evidence``, the one figure that convinces, beside it.
+    sections
+        The rest of the page; a result without sections has no page of its own.
+    kind
+        What the page is called above its title.
+    """
 
     title: Text
-    question: Text
-    verdict: Paragraphs
-    sections: Sequence[Section]
+    brief: Sequence[Block] = ()
+    question: Text = ""
+    verdict: Paragraphs = Paragraphs(())
+    sections: Sequence[Section] = ()
     kind: str = "report"
-    evidence: FigureBlock | None = None
-
-
-# How a page writes numbers, units and ranges: with the signs that a terminal may lack.
-
-# The hyphen in front of a negative number, not the one within a name or between two numbers.
-NEGATIVE = re.compile(r"(?<![^\s(\[,;=])-(?=\d)")
-
-__all__ = ["format_number", "format_range", "typeset_number", "typeset_unit"]
-
-
-def typeset_number(text: str) -> str:
-    """A text with numbers as print has it: ``-5.01e-04 +- 3e-06`` is −5.01·10⁻⁴ ± 3·10⁻⁶."""
-    return NEGATIVE.sub("−", typeset_exponents(text.replace("+-", "±").replace(" x noise", " × noise")))
-
-
-def format_range(values: np.ndarray) -> str:
-    """``-3.1 to 2.7``, of the finite ``values`` (N,)."""
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g}".replace("-", "−") if len(known) else "nothing"
+    evidence: Sequence[FigureBlock] = ()

@@ -1,60 +1,60 @@
-"""The page of a design: the input to play, what it should bring, the limits, and what would bring more."""
+"""A design: the input to play, what it should bring, the limits, and what would bring more; and a campaign of them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import isinf
+from math import inf, isinf
 
+from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, Table, Tone
 from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
-from greybox.extensions.design.result import Design
-from greybox.extensions.design.sentences import (
-    CAMPAIGN_HEAD,
-    constant_rows,
-    detection_rows,
-    gain_text,
-    limit_rows,
-    name_alternative,
-    step_row,
-)
+from greybox.extensions.design.result import Alternative, Design
+from greybox.extensions.design.sentences import name_explanation
 from greybox.model.effects.catalogue import effect
-from greybox.show.figures.figure import Role
-from greybox.show.figures.records import plot_signals
-from greybox.show.figures.sheet import PAGE
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.page import Block, FigureBlock, Page, PageTable, Paragraphs, Section, Tone, typeset_number
-from greybox.show.pages.provenance import hidden_states, provenance_section, signal_units
-from greybox.show.sentences.wording import format_number, join_names
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.simulation import run_figures
+from greybox.show.sentences.wording import change_text, count_noun, format_number, join_names, quantity_text
 from greybox.simulation.simulate import simulate
 
+GOALS = {
+    "precision": "narrow intervals",
+    "discrimination": "telling explanations apart",
+    "detection": "effects that may hide",
+}
 
-def build_design_page(design: Design, *, command: str = "") -> Page:
-    """The page of a design; ``command`` is what was typed."""
-    model = design.model
-    sections = [
-        Section("input", "The input", list(_figures(design))),
-        Section("brings", "What it brings", list(_gains(design))),
-        Section(
-            "limits",
-            "Limits",
-            [
-                PageTable(
-                    "Limits, and what is predicted under every explanation with a margin for what is not known",
-                    ["signal", "limits", "predicted"],
-                    limit_rows(design),
-                )
-            ],
-        ),
-        Section("alternatives", "Alternatives", [_alternatives(design)]),
-        Section("model", "The model", [typeset_equations(model)]),
-        provenance_section(command),
-    ]
-    title, question = (
-        f"The next record of {model.title}",
-        f"Which record of {model.title} should be taken next, within what the rig allows?",
+
+def describe_design(design: Design, *, command: str = "") -> Document:
+    """What is said of a design; ``command`` is what was typed."""
+    title = design.model.title
+    return Document(
+        f"The next record of {title}",
+        Later(_brief, design),
+        f"Which record of {title} should be taken next, within what the rig allows?",
+        _verdict(design),
+        Later(_sections, design, command),
+        "design",
     )
-    return Page(title, question, _verdict(design), sections, "design")
+
+
+def _brief(design: Design) -> Iterator[Block]:
+    """The record, what it should bring, the limits, the alternatives, the findings."""
+    rows, duration = design.experiment.rows, design.experiment.rows * (design.experiment.sampling_time or 0.0)
+    record = f"{format_number(duration)} s, {count_noun(rows, 'row')}"
+    yield Paragraphs([f"{design.model.title}: {design.kind} input for {GOALS[design.goal]}, {record}"])
+    yield from (*_gains(design), _limits(design), _alternatives(design))
+    yield Facts([(str(f.severity), f) for f in design.findings])
+
+
+def _sections(design: Design, command: str) -> Iterator[Section]:
+    run = simulate(design.model, design.experiment)
+    yield Section("input", "The input", list(run_figures(run, design.model, ("inputs", "outputs", "states"))))
+    yield Section("brings", "What it brings", list(_gains(design)))
+    yield Section("limits", "Limits", [_limits(design)])
+    yield Section("alternatives", "Alternatives", [_alternatives(design)])
+    yield Section("model", "The model", [typeset_equations(design.model)])
+    yield provenance_section(command)
 
 
 def _verdict(design: Design) -> Paragraphs:
@@ -86,53 +86,66 @@ def _brings(design: Design) -> Iterator[str]:
         yield f"{known_to} (standard deviation); {least} is the least certain."
 
 
-def _figures(design: Design) -> Iterator[Block]:
-    """The input, and what the best explanation does under it."""
-    model, record = design.model, design.experiment
-    run = simulate(model, record)
-    units = signal_units(model) | {s.name: s.unit for s in model.all_states}
-    groups = (
-        ("inputs", run.inputs, "Inputs.", Role.INPUT),
-        ("outputs", run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
-        ("states", hidden_states(run), "States.", Role.STATE),
-    )
-    stretches = PAGE.stretches(sum(len(signals) for _, signals, _, _ in groups))
-    for name, signals, caption, role in groups:
-        if signals:
-            held = role is Role.INPUT and record.hold == "zero"
-            figure = plot_signals(name, run.time, signals, units, role, caption, held=held)
-            yield FigureBlock(figure, stretches, group="designed")
-
-
-def _gains(design: Design) -> Iterator[Block]:
+def _gains(design: Design) -> Iterator[Table]:
+    """What the record tells: of effects that may hide, of explanations, of parameters."""
+    if design.detection:
+        rows = [
+            [
+                name,
+                d.parameter,
+                *("nothing" if a is None else f"{a:.2g} {d.unit}".rstrip() for a in (d.before, d.after)),
+            ]
+            for name, d in design.detection.items()
+        ]
+        caption = "Smallest amount of each effect that is seen now, and with this record"
+        yield Table(caption, ["effect", "amount", "seen now from", "seen then from"], rows)
     if design.separation:
         rows = [[pair, f"{cost:.3g}"] for pair, cost in design.separation.items()]
-        yield PageTable(
-            "Cost by which the wrong explanation of each pair would lose, after a refit", ["explanations", "cost"], rows
-        )
-    if design.detection:
-        head = ["effect", "amount", "now", "then"]
-        yield PageTable(
-            "Smallest amount of each effect that is seen now, and with this record",
-            head,
-            detection_rows(design.detection),
-        )
-    head = ["parameter", "value", "now", "then"]
-    rows = [[name, *map(typeset_number, cells)] for name, *cells in constant_rows(design.predicted)]
-    yield PageTable("Standard deviation of each parameter now, and with this record", head, rows)
+        caption = "Cost by which the wrong explanation of each pair would lose, after a refit"
+        yield Table(caption, ["explanations", "cost by which the wrong one loses"], rows)
+    rows = [
+        [
+            name,
+            f"{format_number(c.value)} {c.unit}".rstrip(),
+            *("open" if s is None else f"{s:.2g}" for s in (c.std_before, c.std_after)),
+        ]
+        for name, c in design.predicted.items()
+    ]
+    caption = "Standard deviation of each parameter now, and with this record"
+    yield Table(caption, ["parameter", "value", "std now", "std then"], rows)
 
 
-def _alternatives(design: Design) -> PageTable:
-    rows = [[name_alternative(a), gain_text(a)] for a in design.alternatives]
-    return PageTable(
-        "What could be done instead",
-        ["instead", "brings"],
-        rows,
-        "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen.",
-    )
+def _limits(design: Design) -> Table:
+    """Signal, limits, and the range that is predicted."""
+    rows = []
+    for name, limit in design.limits.items():
+        predicted = change_text(limit.predicted_low, limit.predicted_high, limit.unit)
+        rows.append([name, change_text(limit.low, limit.high, limit.unit), predicted])
+        if limit.rate < inf:
+            rate = f"{limit.unit}/s"
+            rows.append([f"rate of {name}", quantity_text(limit.rate, rate), quantity_text(limit.predicted_rate, rate)])
+    caption = "Limits, and what is predicted under every explanation with a margin for what is not known"
+    return Table(caption, ["signal", "limits", "predicted"], rows)
 
 
-# The page of a campaign: how it stands, and its experiments in their order.
+def _alternatives(design: Design) -> Table:
+    rows = [[name_alternative(a), f"{a.gain:.3g} times as much"] for a in design.alternatives]
+    note = "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen."
+    return Table("What could be done instead", ["instead", "brings"], rows, note)
+
+
+def name_alternative(alternative: Alternative) -> str:
+    """What the alternative is, in words."""
+    return {
+        "input": f"{alternative.name} input",
+        "repeat": f"this record {alternative.name} times",
+        "longer": f"{alternative.name} s instead",
+        "sample_faster": f"a row every {alternative.name} s",
+        "sensor": f"with a sensor for {alternative.name}",
+    }[alternative.kind]
+
+
+# A campaign: how it stands, and its experiments in their order.
 
 FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
 """What a folder of an experiment may hold for a reader, in the order in which it comes there."""
@@ -144,27 +157,52 @@ TONES = {
 }
 
 
-def build_campaign_page(campaign: Campaign, *, command: str = "") -> Page:
-    """The page of a campaign; ``command`` is what was typed."""
+def describe_campaign(campaign: Campaign, *, command: str = "") -> Document:
+    """What is said of a campaign; ``command`` is what was typed."""
+    machine = campaign.plan.model.title
+    head = f"{machine}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}"
+    return Document(
+        f"Campaign on {machine}",
+        [Paragraphs([head]), _experiments(campaign), Paragraphs(campaign.findings)],
+        f"Which effects does the rig of {machine} have, and how precisely are its parameters known?",
+        Paragraphs(campaign.findings, TONES[campaign.status]),
+        Later(_campaign_sections, campaign, command),
+        "campaign",
+    )
+
+
+def _campaign_sections(campaign: Campaign, command: str) -> Iterator[Section]:
     model = campaign.plan.model
-    rows = [step_row(step) for step in campaign.steps]
     for name in campaign.steps[-1].effects if campaign.steps else ():
         model = model + effect(name)
-    tables = [PageTable("The experiments, in their order", CAMPAIGN_HEAD, rows), _widths(campaign), _files(campaign)]
-    sections = [
-        Section("steps", "Experiments", [table for table in tables if table is not None]),
-        Section("model", "The model", [typeset_equations(model)]),
-        provenance_section(command),
+    yield Section("steps", "Experiments", [_experiments(campaign), *_widths(campaign), _files(campaign)])
+    yield Section("model", "The model", [typeset_equations(model)])
+    yield provenance_section(command)
+
+
+def _experiments(campaign: Campaign) -> Table:
+    head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
+    return Table("The experiments, in their order", head, [_step_row(step) for step in campaign.steps])
+
+
+def _step_row(step: CampaignStep) -> list[str]:
+    others = ", ".join(map(name_explanation, step.alternatives))
+    known = bool(step.widths)
+    width = max(step.widths.values(), default=0.0)
+    return [
+        str(step.number),
+        step.goal,
+        step.kind,
+        step.verdict or "none",
+        name_explanation(step.effects) if known else "not measured",
+        others or "none",
+        f"{step.misfit:.3g} x noise" if known else "",
+        ("open" if isinf(width) else f"{100 * width:.2g} %") if known else "",
     ]
-    verdict = Paragraphs(list(campaign.findings), TONES[campaign.status])
-    machine = campaign.plan.model.title
-    title = f"Campaign on {machine}"
-    question = f"Which effects does the rig of {machine} have, and how precisely are its parameters known?"
-    return Page(title, question, verdict, sections, "campaign")
 
 
-def _widths(campaign: Campaign) -> PageTable | None:
-    """How the interval of each parameter became narrower; None before the first record."""
+def _widths(campaign: Campaign) -> Iterator[Table]:
+    """How the interval of each parameter became narrower; none before the first record."""
     measured = [step for step in campaign.steps if step.widths]
     names = list(dict.fromkeys(name for step in measured for name in step.widths))
     values = _last_values(campaign, measured[-1]) if measured else {}
@@ -174,15 +212,11 @@ def _widths(campaign: Campaign) -> PageTable | None:
         shares = ("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)
         rows.append([name, *shares, values.get(name, "")])
     head = ["parameter", *(f"experiment {step.number}" for step in measured), "value"]
-    return (
-        PageTable(
-            "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now",
-            head,
-            rows,
-        )
-        if rows
-        else None
+    caption = (
+        "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now"
     )
+    if rows:
+        yield Table(caption, head, rows)
 
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
@@ -193,25 +227,22 @@ def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
         return {}
     parameters = read_json(path, kind)["parameters"]
     return {
-        name: typeset_number(f"{format_number(entry['value'])} {entry.get('unit') or ''}".rstrip())
+        name: f"{format_number(entry['value'])} {entry.get('unit') or ''}".rstrip()
         for name, entry in parameters.items()
         if entry["value"] is not None
     }
 
 
-def _files(campaign: Campaign) -> PageTable:
+def _files(campaign: Campaign) -> Table:
     """What each folder holds."""
     rows = []
     for step in campaign.steps:
         folder = f"{step.number:02d}"
         present = [name for name in FILES if (campaign.folder / folder / name).exists()]
         rows.append([folder, ", ".join(present)])
-    return PageTable(
-        "What the folder of each experiment holds: the input and why, the record, what was learnt from it",
-        ["folder", "files"],
-        rows,
-    )
+    caption = "What the folder of each experiment holds: the input and why, the record, what was learnt from it"
+    return Table(caption, ["folder", "files"], rows)
 
 
-PAGES = {"Design": build_design_page, "Campaign": build_campaign_page}
-"""Class of a result -> the function that builds its page."""
+DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}
+"""Class of a result -> the function that describes it."""

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from greybox.estimation.linear.linearisation import Linearisation
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.result import Fit
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
 
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ def _linear(
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.linear.model_family import sample_family
     from greybox.estimation.linear.plant import to_plant
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
     linear = minimal_realisation(whole) if minimal else whole
@@ -210,8 +210,8 @@ def _code(
 ) -> tuple[CodeAnswer, Export]:
     """``observer_noise``: process noise of an observer, empty for that of the fit; None for the model itself."""
     from greybox.estimation.linear.plant import to_plant
+    from greybox.extensions.export.document import Export
     from greybox.extensions.export.observer import design_observer
-    from greybox.extensions.export.page import Export
 
     for finding in to_plant(fit).findings:
         print_note(f"warning: {finding}")

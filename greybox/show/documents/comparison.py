@@ -1,47 +1,50 @@
-"""The page of a comparison: grey and black boxes on the same rows of the same records."""
+"""A comparison: grey and black boxes on the same rows of the same records."""
 
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
-from greybox.base.findings import Finding, with_code
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
-from greybox.estimation.result import Fit
-from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.show.figures.figure import typeset_unit
-from greybox.show.figures.sheet import PAGE
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import OPEN_RECORDS, not_drawn, parameters_table
-from greybox.show.pages.page import (
+from greybox.base.document import (
     Block,
     BulletList,
     Details,
+    Document,
+    Facts,
     FigureBlock,
-    Page,
-    PageTable,
+    Later,
     Paragraphs,
     Section,
     Subheading,
-    Text,
+    Table,
     Tone,
-    typeset_number,
 )
-from greybox.show.pages.provenance import provenance_section
-from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
+from greybox.base.findings import Finding, with_code
+from greybox.base.units import format_unit
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.estimation.result import Fit
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.tables import parameters_table
+from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
+from greybox.show.figures.sheet import PAGE
+from greybox.show.sentences.registry import sentence, sentences
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text, shorten
 
 
-def build_comparison_page(
+def describe_comparison(
     comparison: Comparison,
     *,
     command: str = "",
     fits: Mapping[str, Fit] | None = None,
     data: Mapping[str, str] | None = None,
     known: Sequence[Finding | str] = (),
-) -> Page:
-    """The page of a comparison.
+) -> Document:
+    """What is said of a comparison.
 
     Parameters
     ----------
@@ -56,22 +59,50 @@ def build_comparison_page(
     known
         What is to be known of the records.
     """
-    sections = [
-        Section("errors", "Errors", list(_error_tables(comparison))),
-        Section("runs", "Runs", list(_runs(comparison))),
-        Section("models", "Models", [models_table(comparison), *_findings(comparison)]),
-    ]
-    if fits:
-        sections.append(Section("physics", "The physical models", list(_physics(fits))))
-    sections += [_data(comparison, data or {}, known), provenance_section(command)]
     records = "records that no model was fitted to" if comparison.validation else "the records that they were fitted to"
     question = (
         f"Which model of {join_names(list(comparison.outputs))} is best? {count_noun(len(comparison.entries), 'model')},"
         f" compared on the same rows of {records}."
     )
-    title = "Comparison of grey-box and black-box models"
-    evidence = FigureBlock(plot_model_errors(comparison))
-    return Page(title, question, comparison_verdict(comparison), sections, "comparison", evidence)
+    return Document(
+        "Comparison of grey-box and black-box models",
+        Later(_brief, comparison),
+        question,
+        comparison_verdict(comparison),
+        Later(_sections, comparison, fits or {}, data or {}, known, command),
+        "comparison",
+        Later(lambda: [FigureBlock(plot_model_errors(comparison))]),
+    )
+
+
+def _sections(
+    comparison: Comparison,
+    fits: Mapping[str, Fit],
+    data: Mapping[str, str],
+    known: Sequence[Finding | str],
+    command: str,
+) -> Iterator[Section]:
+    yield Section("errors", "Errors", list(error_blocks(comparison)))
+    yield Section("runs", "Runs", list(_runs(comparison)))
+    yield Section("models", "Models", list(_models(comparison)))
+    if fits:
+        yield Section("physics", "The physical models", list(_physics(fits)))
+    yield _data(comparison, data, known)
+    yield provenance_section(command)
+
+
+# Columns of a terminal, and letters of a name in a table on it.
+LINE_WIDTH, NAME_WIDTH = 100, 42
+
+
+def _brief(comparison: Comparison) -> Iterator[Block]:
+    """Errors by output, best first, on validation and estimation records; what each model is; the verdict."""
+    tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
+    for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
+        yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
+    yield structures(comparison)
+    said = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
+    yield Paragraphs([textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in said])
 
 
 def comparison_verdict(comparison: Comparison) -> Paragraphs:
@@ -93,50 +124,73 @@ def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
 
 
 def error_blocks(comparison: Comparison) -> Iterator[Block]:
-    """Figure and tables of the errors on the judging records, and on the training records where there are others."""
-    yield FigureBlock(plot_model_errors(comparison))
-    yield from _error_tables(comparison)
-
-
-def _error_tables(comparison: Comparison) -> Iterator[Block]:
-    if comparison.validation:
-        yield from (_error_table(comparison, output, validation=True) for output in comparison.outputs)
+    """Tables of the errors on the judging records, and on the estimation records where there are others."""
+    training = _error_tables(comparison, "training")
+    if not comparison.validation:
+        yield from training
+        return
+    yield from _error_tables(comparison, "validation")
+    yield from _record_tables(comparison)
     if comparison.training:
-        tables = [_error_table(comparison, output, validation=False) for output in comparison.outputs]
-        yield from [Details("On the estimation records", tables)] if comparison.validation else tables
+        yield Details("On the estimation records", list(training))
 
 
-def _error_table(comparison: Comparison, output: str, *, validation: bool) -> PageTable:
-    scores: dict[str, ComparisonScore] = {}
-    for e in comparison.entries:
-        of_entry = e.validation if validation else e.training
-        if output in of_entry:
-            scores[e.name] = of_entry[output]
-    ranked = sorted(scores.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf)
-    unit = typeset_unit(comparison.outputs[output])
+def _error_tables(comparison: Comparison, group: str) -> Iterator[Table]:
+    """Errors on the validation or the training records, an output a table, the best model first."""
+    if getattr(comparison, group):
+        yield from (_error_table(comparison, group, output) for output in comparison.outputs)
+
+
+def _error_table(comparison: Comparison, group: str, output: str) -> Table:
+    of_group: dict[str, Mapping[str, ComparisonScore]] = {e.name: getattr(e, group) for e in comparison.entries}
+    scores = {name: by_output[output] for name, by_output in of_group.items() if output in by_output}
     steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
     rows = [
         [
             name,
             str(comparison[name].kind),
-            _error(s.rmse, unit),
-            f"{s.best_fit_percent:.2f} %" if math.isfinite(s.best_fit_percent) else "–",
-            _error(s.one_step_rmse, unit),
-            *(_error(s.ahead_rmse.get(k, math.nan), unit) for k in steps),
+            _error(s.rmse),
+            f"{s.best_fit_percent:.2f} %" if math.isfinite(s.best_fit_percent) else "-",
+            _error(s.one_step_rmse),
+            *(_error(s.ahead_rmse.get(k, math.nan)) for k in steps),
         ]
-        for name, s in ranked
+        for name, s in sorted(scores.items(), key=lambda item: _finite_or_last(item[1].rmse))
     ]
-    ahead = ["one sample ahead (rms)", *(f"{k} samples ahead (rms)" for k in steps)]
     counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
     unequal = ": not the same for every model" if len(counts) != 1 else ""
-    title = f"{output}, {'validation' if validation else 'estimation'} records, {join_names(counts)} rows{unequal}"
-    return PageTable(title, ["model", "box", "free run (rms)", "best fit", *ahead], rows)
+    unit = format_unit(comparison.outputs[output])
+    return Table(
+        f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
+        ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
+        rows,
+        f"Free run, one step and {'several steps ' * bool(steps)}ahead: rms errors{f' in {unit}' if unit else ''}.",
+        f"{group}: {output}" + (f" [{unit}]" if unit else ""),
+    )
 
 
-def _error(value: float, unit: str) -> str:
+def _record_tables(comparison: Comparison) -> Iterator[Table]:
+    """Best fit of each validation record, where there are several."""
+    shown = comparison.validation[:5]
+    left_out = len(comparison.validation) - len(shown)
+    for output in comparison.outputs if len(comparison.validation) > 1 else ():
+        rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.entries]
+        title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
+        yield Table(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
+
+
+def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
+    scores = entry.records.get(record, {})
+    return f"{scores[output].best_fit_percent:.2f}" if output in scores else "-"
+
+
+def _finite_or_last(value: float) -> float:
+    return value if math.isfinite(value) else math.inf
+
+
+def _error(value: float) -> str:
     if math.isnan(value):
-        return "–"
-    return typeset_number(f"{format_number(value, 4)} {unit}".rstrip()) if math.isfinite(value) else "diverges"
+        return "-"
+    return format_number(value, 4) if math.isfinite(value) else "diverges"
 
 
 # The same of a comparison.
@@ -161,35 +215,44 @@ def _runs(comparison: Comparison) -> Iterator[Block]:
         yield Paragraphs([not_drawn(len(records) - len(drawn))])
 
 
-def models_table(comparison: Comparison) -> PageTable:
-    """Structure, numbers, BIC, stability, feed-through and time of each model."""
+def models_table(comparison: Comparison) -> Table:
+    """Numbers, BIC, stability, feed-through and time of each model."""
     rows = [
         [
             e.name,
             str(e.kind),
-            ", ".join(dict.fromkeys(e.structure.values())),
             str(e.parameters),
-            f"{e.bic:.0f}".replace("-", "−") if math.isfinite(e.bic) else "–",
+            f"{e.bic:.0f}" if math.isfinite(e.bic) else "-",
             "yes" if e.stable else "no",
-            typeset_number(", ".join(format_number(v, 3) for v in e.feedthrough.values())) or "none",
-            f"{e.seconds:.1f} s" if e.seconds else "–",
+            ", ".join(format_number(v, 3) for v in e.feedthrough.values()) or "none",
+            f"{e.seconds:.1f} s" if e.seconds else "-",
         ]
         for e in comparison.entries
     ]
-    head = ["model", "box", "structure", "numbers", "BIC", "stable", "feed-through", "time"]
-    return PageTable(
+    return Table(
         "Models",
-        head,
+        ["model", "box", "parameters", "BIC", "stable", "feed-through", "time"],
         rows,
-        "Numbers: fitted parameters or coefficients. BIC: of the free run on the estimation records; lower is better.",
+        "Parameters: fitted ones, or coefficients. BIC: of the free run on the estimation records; lower is better.",
     )
 
 
-def _findings(comparison: Comparison) -> Iterator[Block]:
+def structures(comparison: Comparison) -> Facts:
+    """What each model is."""
+    return Facts([(e.name, ", ".join(dict.fromkeys(e.structure.values()))) for e in comparison.entries], "Structures")
+
+
+def _notes(comparison: Comparison) -> list[str]:
+    """What is to be known of the comparison and of its models."""
     of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
-    items: list[Text] = [*comparison.findings, *of_models]
-    if items:
-        yield BulletList(items)
+    return [*sentences(comparison.findings), *of_models]
+
+
+def _models(comparison: Comparison) -> Iterator[Block]:
+    yield models_table(comparison)
+    yield structures(comparison)
+    if notes := _notes(comparison):
+        yield BulletList(notes)
 
 
 def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
@@ -207,7 +270,7 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
     note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
-    table = PageTable("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
+    table = Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
     return Section(
         "data",
         "Data",

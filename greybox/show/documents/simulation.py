@@ -1,33 +1,33 @@
-"""The page of a simulation: what the model did, and what it was driven by."""
+"""A simulation: what the model did, and what it was driven by."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
+from greybox.base.document import Document, FigureBlock, Paragraphs, Section, Table, Tone
 from greybox.base.errors import ModelError
+from greybox.base.figure import Role
+from greybox.base.units import format_unit
 from greybox.model.model import Model
-from greybox.show.figures.figure import Role, scale_to_prefix, typeset_unit
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.provenance import (
+    format_range,
+    format_sampling_time,
+    hidden_states,
+    provenance_section,
+    signal_units,
+)
+from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.figures.records import plot_signals
 from greybox.show.figures.sheet import PAGE
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.page import (
-    Block,
-    FigureBlock,
-    Page,
-    PageTable,
-    Paragraphs,
-    Section,
-    Tone,
-    format_range,
-    typeset_number,
-)
-from greybox.show.pages.provenance import format_sampling_time, hidden_states, provenance_section, signal_units
 from greybox.show.sentences.wording import count_noun, format_number, join_names
 from greybox.simulation.simulate import Simulation
 
 
-def build_simulation_page(run: Simulation, *, model: Model | None = None, command: str = "", noise: str = "") -> Page:
-    """The page of a simulation.
+def describe_simulation(run: Simulation, *, model: Model | None = None, command: str = "", noise: str = "") -> Document:
+    """What is said of a simulation.
 
     Parameters
     ----------
@@ -47,31 +47,38 @@ def build_simulation_page(run: Simulation, *, model: Model | None = None, comman
     """
     if model is None:
         raise ModelError("report of a simulation: no model; give model=")
-    units = signal_units(model) | {s.name: s.unit for s in model.all_states}
-    stretches = PAGE.stretches(len(run.inputs) + len(run.outputs) + len(run.states))
-    held = run.source.hold == "zero"
-    groups = (
-        ("outputs", run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
-        ("inputs", run.inputs, "Inputs.", Role.INPUT),
-        ("states", hidden_states(run), "States.", Role.STATE),
+    verdict = _verdict(run, noise)
+    return Document(
+        f"Simulation of {model.title}",
+        [verdict],
+        f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?",
+        verdict,
+        [
+            Section("run", "The run", [*run_figures(run, model), _ranges(run, model)]),
+            Section("model", "The model", [_parameters(model), typeset_equations(model)]),
+            provenance_section(command),
+        ],
+        "simulation",
     )
-    figures: list[Block] = [
-        FigureBlock(
-            plot_signals(name, run.time, signals, units, role, caption, held=role is Role.INPUT and held),
-            stretches,
-            group="run",
-        )
-        for name, signals, caption, role in groups
-        if signals
-    ]
-    sections = [
-        Section("run", "The run", [*figures, _ranges(run, units)]),
-        Section("model", "The model", [_parameters(model), typeset_equations(model)]),
-        provenance_section(command),
-    ]
-    question = f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?"
-    title = f"Simulation of {model.title}"
-    return Page(title, question, _verdict(run, noise), sections, "simulation")
+
+
+def run_figures(
+    run: Simulation, model: Model, order: Sequence[str] = ("outputs", "inputs", "states")
+) -> Iterator[FigureBlock]:
+    """What a model did: outputs, inputs, and the states that no output shows, in this ``order``."""
+    units = signal_units(model)
+    groups = {
+        "outputs": (run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
+        "inputs": (run.inputs, "Inputs.", Role.INPUT),
+        "states": (hidden_states(run), "States.", Role.STATE),
+    }
+    stretches = PAGE.stretches(sum(len(signals) for signals, _, _ in groups.values()))
+    for name in order:
+        signals, caption, role = groups[name]
+        if signals:
+            held = role is Role.INPUT and run.source.hold == "zero"
+            figure = plot_signals(name, run.time, signals, units, role, caption, held=held)
+            yield FigureBlock(figure, stretches, group="run")
 
 
 def _verdict(run: Simulation, noise: str) -> Paragraphs:
@@ -86,15 +93,15 @@ def _verdict(run: Simulation, noise: str) -> Paragraphs:
     )
 
 
-def _ranges(run: Simulation, units: dict[str, str]) -> PageTable:
-    rows = []
+def _ranges(run: Simulation, model: Model) -> Table:
+    units, rows = signal_units(model), []
     for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():
             factor, unit = scale_to_prefix(units[name], np.asarray(values))
             rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
-    return PageTable("Ranges of the signals", ["signal", "kind", "from … to"], rows)
+    return Table("Ranges of the signals", ["signal", "kind", "from … to"], rows)
 
 
-def _parameters(model: Model) -> PageTable:
-    rows = [[q.name, typeset_number(format_number(q.value, 7)), typeset_unit(q.unit)] for q in model.all_parameters]
-    return PageTable("Parameters of this run", ["parameter", "value", "unit"], rows)
+def _parameters(model: Model) -> Table:
+    rows = [[q.name, format_number(q.value, 7), format_unit(q.unit)] for q in model.all_parameters]
+    return Table("Parameters of this run", ["parameter", "value", "unit"], rows)

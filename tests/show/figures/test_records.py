@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.signal import periodogram
 
+from greybox.base.figure import Band, Curve, Role, Scale, Thinning
 from greybox.estimation.optimum import compute_record_misfits
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace, Validation
-from greybox.show.figures.figure import Band, Curve, Role, Scale, Thinning
 from greybox.show.figures.pictures import fit_sheets
 from greybox.show.figures.plotly_backend import to_plotly
 from greybox.show.figures.records import (
