@@ -68,7 +68,7 @@ REMARK = "remark"
 
 
 @dataclass(frozen=True)
-class Table:
+class TableBlock:
     """``rows`` of cells as text below ``head``; the first cell of a row names the row.
 
     A page has ``caption`` above it and ``note`` below. Plain text has ``corner`` in place of the first head, where the table stands for
@@ -142,7 +142,7 @@ class Details:
 
 
 Block: TypeAlias = (
-    "Paragraphs | Subheading | BulletList | Facts | Table | EquationList | FigureBlock | CodeBlock | Details"
+    "Paragraphs | Subheading | BulletList | Facts | TableBlock | EquationList | FigureBlock | CodeBlock | Details"
 )
 
 

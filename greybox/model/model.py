@@ -42,7 +42,7 @@ class Model(Printable):
     Parameters
     ----------
     name
-        Letters, digits, ``_`` and ``-``; it becomes the name of files.
+        Its name, of letters, digits, ``_`` and ``-``; it becomes the name of files.
     states, inputs, outputs, parameters
         What the equations speak of. The first input is the drive, the first output the main sensor.
     balances
@@ -128,6 +128,11 @@ class Model(Printable):
             BoundEffect(effect, tuple(map(_renamed, effect.parameters, placed.parameters)), placed)
             for effect, placed in zip(self.effects, self.system.effects, strict=True)
         )
+
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Effects that were added, by name."""
+        return tuple(effect.name for effect in self.effects)
 
     def names_of(self, effect: str) -> Mapping[str, str]:
         """Constant of an effect that the model has -> its name in the model."""

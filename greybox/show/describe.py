@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from greybox.base.document import Document, Paragraphs
+from greybox.base.document import Block, Document, Paragraphs
 from greybox.base.findings import Check, Finding
 from greybox.show.printers.text import print_text
 from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
@@ -50,8 +50,9 @@ def describe(value: Any, **options: Any) -> Document:
         describer = _find_describer(kind)
         if describer is not None:
             return describer(value, **options)
-    written = find_writer(value)(value)
-    return Document(type(value).__name__, [Paragraphs([written])] if isinstance(written, str) else written)
+    written: Any = find_writer(value)(value)
+    brief: Sequence[Block] = [Paragraphs([written])] if isinstance(written, str) else written
+    return Document(type(value).__name__, brief)
 
 
 def text(value: Any) -> str:

@@ -14,8 +14,9 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
-from greybox.base.json_file import PRINTED, ResultKind, schema_of_command
+from greybox.base.json_file import PRINTED, schema_of_command
 from greybox.estimation.result import load_fit
+from greybox.shell.answers import FitAnswer
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
@@ -171,7 +172,7 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     done = run(*words.split(), "--json", "--profile", "K", "--bootstrap", "100")
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
-    assert accepts("fit", printed) and strict_offences(printed, ResultKind.FIT) == []
+    assert accepts("fit", printed) and strict_offences(printed, FitAnswer) == []
     assert json.loads(Path("out/fit.json").read_text()) == printed
     (profile,) = printed["profiles"]
     assert (

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
+from greybox.base.json_shape import Finite
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
@@ -251,9 +252,9 @@ class NoiseSource(StrEnum):
     INNOVATIONS = "innovations"
 
     @classmethod
-    def _missing_(cls, value: object) -> NoiseSource | None:
-        """The source that an older file names by a phrase."""
-        phrases = {
+    def former_names(cls) -> dict[str, NoiseSource]:
+        """The phrases that the first files name a source by."""
+        return {
             "quiet record": cls.QUIET_RECORD,
             "repeated periods": cls.REPEATED_PERIODS,
             "repeated experiments": cls.REPEATED_EXPERIMENTS,
@@ -261,7 +262,10 @@ class NoiseSource(StrEnum):
             "the residual of the fit": cls.RESIDUAL,
             "the innovations": cls.INNOVATIONS,
         }
-        return phrases.get(str(value))
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoiseSource | None:
+        return cls.former_names().get(str(value))
 
     @property
     def is_independent(self) -> bool:
@@ -310,11 +314,11 @@ class NoiseBound:
     True
     """
 
-    level: float
+    level: Finite
     direction: BoundDirection
     source: NoiseSource
     correlation_time: float | None = None
-    relative_error: float = 0.0
+    relative_error: Finite = 0.0
 
     @property
     def floor(self) -> float | None:

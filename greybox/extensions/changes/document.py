@@ -15,7 +15,7 @@ from greybox.base.document import (
     Later,
     Paragraphs,
     Section,
-    Table,
+    TableBlock,
     Tone,
 )
 from greybox.base.findings import Severity
@@ -77,13 +77,13 @@ def _ask(change: ChangeDetection) -> str:
     return f"Is {title} what it was when it was fitted to {count_noun(len(change.reference.traces), 'record')}?"
 
 
-def change_tables(change: ChangeDetection) -> Iterator[Table]:
+def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
     """Each constant before and after; what machines have in common and each of them; where constants jump."""
     if change.constants:
         head = ["parameter", "before", "today", "change", "95 % interval", "p", REMARK]
         note = "The intervals are those of the change and hold together; p is corrected for looking at all constants."
         rows = [constant_row(name, c) for name, c in change.constants.items()]
-        yield Table("The constants in the fit and today", head, rows, note)
+        yield TableBlock("The constants in the fit and today", head, rows, note)
     if change.population:
         head, rows = ["parameter", "mean", "95 % interval", "from machine to machine"], []
         for name, p in change.population.items():
@@ -93,7 +93,7 @@ def change_tables(change: ChangeDetection) -> Iterator[Table]:
             rows.append(
                 [name, f"{write(p.mean)} {p.unit}".rstrip(), interval, spread_text(p.spread, p.unit, p.relative)]
             )
-        yield Table("What the machines have in common", head, rows)
+        yield TableBlock("What the machines have in common", head, rows)
     if change.machines:
         units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
         rows = [
@@ -101,14 +101,14 @@ def change_tables(change: ChangeDetection) -> Iterator[Table]:
             for m in change.machines
         ]
         caption = "The machines, each with the standard deviation that its records leave"
-        yield Table(caption, ["machine", *units, "falls out in"], rows)
+        yield TableBlock(caption, ["machine", *units, "falls out in"], rows)
     if change.change_points:
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
         rows = [
             [c.constant, str(c.number), c.record, *(with_unit(v, c.unit) for v in (c.before, c.after)), p_text(c.p)]
             for c in change.change_points
         ]
-        yield Table("Where constants jump; p is corrected for all constants", head, rows)
+        yield TableBlock("Where constants jump; p is corrected for all constants", head, rows)
 
 
 def constant_row(name: str, change: ConstantChange) -> list[str]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import inf, isinf
 
-from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, Table, Tone
+from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
+from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.result import Alternative, Design
 from greybox.extensions.design.sentences import name_explanation
@@ -86,7 +87,7 @@ def _brings(design: Design) -> Iterator[str]:
         yield f"{known_to} (standard deviation); {least} is the least certain."
 
 
-def _gains(design: Design) -> Iterator[Table]:
+def _gains(design: Design) -> Iterator[TableBlock]:
     """What the record tells: of effects that may hide, of explanations, of parameters."""
     if design.detection:
         rows = [
@@ -98,11 +99,11 @@ def _gains(design: Design) -> Iterator[Table]:
             for name, d in design.detection.items()
         ]
         caption = "Smallest amount of each effect that is seen now, and with this record"
-        yield Table(caption, ["effect", "amount", "seen now from", "seen then from"], rows)
+        yield TableBlock(caption, ["effect", "amount", "seen now from", "seen then from"], rows)
     if design.separation:
         rows = [[pair, f"{cost:.3g}"] for pair, cost in design.separation.items()]
         caption = "Cost by which the wrong explanation of each pair would lose, after a refit"
-        yield Table(caption, ["explanations", "cost by which the wrong one loses"], rows)
+        yield TableBlock(caption, ["explanations", "cost by which the wrong one loses"], rows)
     rows = [
         [
             name,
@@ -112,10 +113,10 @@ def _gains(design: Design) -> Iterator[Table]:
         for name, c in design.predicted.items()
     ]
     caption = "Standard deviation of each parameter now, and with this record"
-    yield Table(caption, ["parameter", "value", "std now", "std then"], rows)
+    yield TableBlock(caption, ["parameter", "value", "std now", "std then"], rows)
 
 
-def _limits(design: Design) -> Table:
+def _limits(design: Design) -> TableBlock:
     """Signal, limits, and the range that is predicted."""
     rows = []
     for name, limit in design.limits.items():
@@ -125,13 +126,13 @@ def _limits(design: Design) -> Table:
             rate = f"{limit.unit}/s"
             rows.append([f"rate of {name}", quantity_text(limit.rate, rate), quantity_text(limit.predicted_rate, rate)])
     caption = "Limits, and what is predicted under every explanation with a margin for what is not known"
-    return Table(caption, ["signal", "limits", "predicted"], rows)
+    return TableBlock(caption, ["signal", "limits", "predicted"], rows)
 
 
-def _alternatives(design: Design) -> Table:
+def _alternatives(design: Design) -> TableBlock:
     rows = [[name_alternative(a), f"{a.gain:.3g} times as much"] for a in design.alternatives]
     note = "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen."
-    return Table("What could be done instead", ["instead", "brings"], rows, note)
+    return TableBlock("What could be done instead", ["instead", "brings"], rows, note)
 
 
 def name_alternative(alternative: Alternative) -> str:
@@ -180,9 +181,9 @@ def _campaign_sections(campaign: Campaign, command: str) -> Iterator[Section]:
     yield provenance_section(command)
 
 
-def _experiments(campaign: Campaign) -> Table:
+def _experiments(campaign: Campaign) -> TableBlock:
     head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
-    return Table("The experiments, in their order", head, [_step_row(step) for step in campaign.steps])
+    return TableBlock("The experiments, in their order", head, [_step_row(step) for step in campaign.steps])
 
 
 def _step_row(step: CampaignStep) -> list[str]:
@@ -201,7 +202,7 @@ def _step_row(step: CampaignStep) -> list[str]:
     ]
 
 
-def _widths(campaign: Campaign) -> Iterator[Table]:
+def _widths(campaign: Campaign) -> Iterator[TableBlock]:
     """How the interval of each parameter became narrower; none before the first record."""
     measured = [step for step in campaign.steps if step.widths]
     names = list(dict.fromkeys(name for step in measured for name in step.widths))
@@ -216,12 +217,12 @@ def _widths(campaign: Campaign) -> Iterator[Table]:
         "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now"
     )
     if rows:
-        yield Table(caption, head, rows)
+        yield TableBlock(caption, head, rows)
 
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
     """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
-    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (ResultKind.FIT, "fit.json")
+    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (Fit, "fit.json")
     path = campaign.folder / f"{step.number:02d}" / name
     if not path.exists():
         return {}
@@ -233,7 +234,7 @@ def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
     }
 
 
-def _files(campaign: Campaign) -> Table:
+def _files(campaign: Campaign) -> TableBlock:
     """What each folder holds."""
     rows = []
     for step in campaign.steps:
@@ -241,7 +242,7 @@ def _files(campaign: Campaign) -> Table:
         present = [name for name in FILES if (campaign.folder / folder / name).exists()]
         rows.append([folder, ", ".join(present)])
     caption = "What the folder of each experiment holds: the input and why, the record, what was learnt from it"
-    return Table(caption, ["folder", "files"], rows)
+    return TableBlock(caption, ["folder", "files"], rows)
 
 
 DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from greybox.base.document import Block, CodeBlock, Details, Document, Later, Paragraphs, Section, Table, Tone
+from greybox.base.document import Block, CodeBlock, Details, Document, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.result import Fit
@@ -73,7 +73,7 @@ REPORT_LISTING = 60000
 
 def _files(export: Export) -> Iterator[Block]:
     rows = [[f.name, f"{f.stat().st_size:,} bytes".replace(",", " ")] for f in export.files]
-    yield Table("Files", ["file", "size"], rows)
+    yield TableBlock("Files", ["file", "size"], rows)
     for file in export.files:
         if file.suffix in READABLE and file.stat().st_size <= REPORT_LISTING:
             yield Details(f"Content of {file.name}", [CodeBlock(file.read_text(encoding="utf-8"))])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from greybox.base.document import REMARK, Block, Details, Facts, Paragraphs, Table
+from greybox.base.document import REMARK, Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.units import format_unit
 from greybox.show.documents.tables import estimates_table, misfit_table
 from greybox.show.sentences.registry import renders
@@ -26,7 +26,7 @@ def write_plant(plant: FmuPlant) -> list[Block]:
         [v.label, f"{v.start:.6g}", format_unit(v.unit) or "-", "initial state" if v.is_initial else v.description]
         for v in plant.parameters
     ]
-    table = Table("Parameters", ["parameter", "value", "unit", REMARK], rows)
+    table = TableBlock("Parameters", ["parameter", "value", "unit", REMARK], rows)
     return [Details(f"{plant.title}: FMI {plant.fmi_version}, {plant.kind}", [Facts(signals), table])]
 
 
@@ -69,7 +69,7 @@ def _failed(failures: int) -> str:
     return f", {failures} of them failed" if failures else ""
 
 
-def _tables(result: FmuFit | FmuEffectFit) -> list[Table]:
+def _tables(result: FmuFit | FmuEffectFit) -> list[TableBlock]:
     groups = (("estimation", result.misfits), ("validation", result.validation))
     return [
         estimates_table(result.parameters),

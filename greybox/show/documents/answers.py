@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from greybox.base.document import Block, Details, Document, Facts, Later, Paragraphs, Table
+from greybox.base.document import Block, Details, Document, Facts, Later, Paragraphs, TableBlock
 from greybox.show.documents.tables import MISFIT_HEADS, misfit_cells
 from greybox.show.sentences.shell import written
 
@@ -39,16 +39,16 @@ def _fit_brief(answer: FitAnswer) -> Iterator[Block]:
         yield Details(title, answer.tests.describe().brief)
     for title, misfits in (("estimation record", answer.misfits), ("validation record", answer.validation_misfits)):
         if misfits:
-            rows = [[record, output, *misfit_cells(misfit)] for record, output, misfit in misfits]
-            yield Table(f"Misfit of each {title}", [title, "output", *MISFIT_HEADS], rows)
+            rows = [[m.record, m.output, *misfit_cells(m.misfit)] for m in misfits]
+            yield TableBlock(f"Misfit of each {title}", [title, "output", *MISFIT_HEADS], rows)
 
 
 def describe_simulation_answer(answer: SimulationAnswer) -> Document:
     """Which file was written, its rows and columns, and how the model was integrated."""
     run = answer.run
     names = ", ".join([*run.inputs, *run.outputs])
-    said = f"{answer.file}: {len(run.time)} rows, {names}; integrated by {run.discretisation}"
-    return Document(str(answer.file), [Paragraphs([said])])
+    line = f"{answer.file}: {len(run.time)} rows, {names}; integrated by {run.discretisation}"
+    return Document(str(answer.file), [Paragraphs([line])])
 
 
 def describe_linear_answer(answer: LinearAnswer) -> Document:

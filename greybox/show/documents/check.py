@@ -15,7 +15,7 @@ from greybox.base.document import (
     Later,
     Paragraphs,
     Section,
-    Table,
+    TableBlock,
     Text,
     Tone,
 )
@@ -58,19 +58,19 @@ def _brief(check: ModelCheck) -> Iterator[Block]:
     yield Paragraphs([check.model.title, equations_text(check.model)])
     facts = _computation(check)
     if check.assumed:
-        facts += _listed("records", ["none given; simulated at the start values:", check.assumed])
+        facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])
     else:
         inputs = dict.fromkeys(line for e in check.practical.excitation for line in describe_inputs(e))
         facts += _listed("records", [line for e in check.experiments for line in str(e).splitlines()])
         facts += [("noise", _noise(check)), *_listed("input", inputs)]
     yield Facts(facts, width=WIDTH)
     yield from _roles(check)
-    no_parameters = Facts([("parameters", check.failure)], width=WIDTH)
+    no_parameters = Facts([("parameters", check.failure or "")], width=WIDTH)
     if check.failure and not check.model.free_parameters:
         yield no_parameters
         return
-    said = check.doubt if check.structure is None else describe_verdict(check.structure)
-    yield Details(f"identifiability from any record: {said}", [_structure_facts(check)])
+    verdict = check.doubt if check.structure is None else describe_verdict(check.structure)
+    yield Details(f"identifiability from any record: {verdict}", [_structure_facts(check)])
     if check.failure:
         yield no_parameters
         return
@@ -170,10 +170,10 @@ def _precision(check: ModelCheck) -> Iterator[Block]:
         yield BulletList(check.practical.findings)
 
 
-def _precision_table(check: ModelCheck) -> Table:
+def _precision_table(check: ModelCheck) -> TableBlock:
     caption = "Expected standard deviations of a fit near the start values, if the model is right"
     rows = [[name, *_expected(c)] for name, c in check.constants.items()]
-    return Table(caption, ["parameter", "start value", "expected std", "unit", REMARK], rows)
+    return TableBlock(caption, ["parameter", "start value", "expected std", "unit", REMARK], rows)
 
 
 def _expected(c: ExpectedPrecision) -> list[str]:
@@ -217,7 +217,8 @@ def _structure(check: ModelCheck) -> Iterator[Block]:
 
 def _structure_facts(check: ModelCheck) -> Facts:
     """Combinations that any record determines, what stays open, and what would close it."""
-    structure, facts = check.structure, []
+    structure = check.structure
+    facts: list[tuple[str, Text]] = []
     if structure is not None and not structure.complete:
         more = structure.rank - len(structure.determined)
         formulas = [*structure.determined, *([f"{more} more"] if more else [])]
@@ -236,7 +237,7 @@ def _data(check: ModelCheck) -> Iterator[Block]:
         yield Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     rows = [_record(e) for e in check.experiments]
-    yield Table("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
+    yield TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
     # Sensor faults stand in the verdict.
     findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
     if findings:

@@ -18,7 +18,7 @@ from greybox.base.document import (
     Paragraphs,
     Section,
     Subheading,
-    Table,
+    TableBlock,
     Tone,
 )
 from greybox.base.findings import Finding, with_code
@@ -101,8 +101,10 @@ def _brief(comparison: Comparison) -> Iterator[Block]:
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
         yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
     yield structures(comparison)
-    said = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
-    yield Paragraphs([textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in said])
+    texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
+    yield Paragraphs(
+        [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
+    )
 
 
 def comparison_verdict(comparison: Comparison) -> Paragraphs:
@@ -135,13 +137,13 @@ def error_blocks(comparison: Comparison) -> Iterator[Block]:
         yield Details("On the estimation records", list(training))
 
 
-def _error_tables(comparison: Comparison, group: str) -> Iterator[Table]:
+def _error_tables(comparison: Comparison, group: str) -> Iterator[TableBlock]:
     """Errors on the validation or the training records, an output a table, the best model first."""
     if getattr(comparison, group):
         yield from (_error_table(comparison, group, output) for output in comparison.outputs)
 
 
-def _error_table(comparison: Comparison, group: str, output: str) -> Table:
+def _error_table(comparison: Comparison, group: str, output: str) -> TableBlock:
     of_group: dict[str, Mapping[str, ComparisonScore]] = {e.name: getattr(e, group) for e in comparison.entries}
     scores = {name: by_output[output] for name, by_output in of_group.items() if output in by_output}
     steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
@@ -159,7 +161,7 @@ def _error_table(comparison: Comparison, group: str, output: str) -> Table:
     counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
     unequal = ": not the same for every model" if len(counts) != 1 else ""
     unit = format_unit(comparison.outputs[output])
-    return Table(
+    return TableBlock(
         f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
         ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
         rows,
@@ -168,14 +170,14 @@ def _error_table(comparison: Comparison, group: str, output: str) -> Table:
     )
 
 
-def _record_tables(comparison: Comparison) -> Iterator[Table]:
+def _record_tables(comparison: Comparison) -> Iterator[TableBlock]:
     """Best fit of each validation record, where there are several."""
     shown = comparison.validation[:5]
     left_out = len(comparison.validation) - len(shown)
     for output in comparison.outputs if len(comparison.validation) > 1 else ():
         rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.entries]
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
-        yield Table(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
+        yield TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
 
 
 def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
@@ -215,7 +217,7 @@ def _runs(comparison: Comparison) -> Iterator[Block]:
         yield Paragraphs([not_drawn(len(records) - len(drawn))])
 
 
-def models_table(comparison: Comparison) -> Table:
+def models_table(comparison: Comparison) -> TableBlock:
     """Numbers, BIC, stability, feed-through and time of each model."""
     rows = [
         [
@@ -229,7 +231,7 @@ def models_table(comparison: Comparison) -> Table:
         ]
         for e in comparison.entries
     ]
-    return Table(
+    return TableBlock(
         "Models",
         ["model", "box", "parameters", "BIC", "stable", "feed-through", "time"],
         rows,
@@ -270,7 +272,7 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
     note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
-    table = Table("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
+    table = TableBlock("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
     return Section(
         "data",
         "Data",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from greybox.base.document import Block, Document, FigureBlock, Later, Paragraphs, Section, Table
+from greybox.base.document import Block, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
 from greybox.base.units import format_unit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
@@ -83,7 +83,7 @@ def _comparison(demo: Demo) -> Iterator[Block]:
     yield models_table(demo.comparison)
 
 
-def _parameters(demo: Demo) -> Table:
+def _parameters(demo: Demo) -> TableBlock:
     """Each parameter with its true value: of the plain model, and of the extended model."""
     rows = []
     for name, truth in demo.truth.items():
@@ -100,7 +100,7 @@ def _parameters(demo: Demo) -> Table:
             ]
         )
     head = ["parameter", "true", "start", "plain model", "extended model", "deviation", "unit"]
-    return Table("Start values, estimates and true values", head, rows)
+    return TableBlock("Start values, estimates and true values", head, rows)
 
 
 def _value(estimate: Estimate | None) -> str:

@@ -14,7 +14,7 @@ from greybox.base.document import (
     Paragraphs,
     Section,
     Subheading,
-    Table,
+    TableBlock,
     Text,
     Tone,
 )
@@ -131,11 +131,11 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
         for output, e in errors.items()
     ]
     head = ["output", "plain model", name, "noise", "error taken away"]
-    yield Table("Rms error of the free run on the validation records", head, rows)
+    yield TableBlock("Rms error of the free run on the validation records", head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
         steps = [[name, f"{misfit:.4g} × noise"] for name, misfit in path]
-        yield Table("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
+        yield TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[:RECORDS_OF_DISCOVERY]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
@@ -204,7 +204,7 @@ def _refinement(refinement: Refinement) -> Iterator[Block]:
         for s in refinement.steps
     ]
     head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
-    yield Table("Further effects, each with the share of the rms misfit that it removes", head, rows)
+    yield TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
     yield parameters_table(refinement.fit)
 
 
@@ -230,7 +230,7 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
     ]
     if rows:
         head = ["site", "set", "gain", "signal (rms)"]
-        yield Table(
+        yield TableBlock(
             "Sites, likeliest first",
             head,
             rows,
@@ -249,11 +249,11 @@ def _candidates(discovery: Discovery) -> Iterator[Block]:
         yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
     rows = [[" + ".join(r.effects), f"{r.misfit:.4g} × noise", f"{r.behind:.4g}"] for r in discovery.ranking]
     note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
-    table = Table("Candidates", ["effects", "misfit", "behind"], rows, note)
+    table = TableBlock("Candidates", ["effects", "misfit", "behind"], rows, note)
     yield Details(f"All {count_noun(len(rows), 'candidate')}", [table])
 
 
-def _parameters_before_after(discovery: Discovery) -> Table:
+def _parameters_before_after(discovery: Discovery) -> TableBlock:
     """Each parameter with the plain model and with the extended one."""
     if not discovery.best.model.effects:
         return parameters_table(discovery.best)
@@ -264,4 +264,4 @@ def _parameters_before_after(discovery: Discovery) -> Table:
         before = estimate_cells(name, plain)[1] if plain is not None else "–"
         rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
     head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
-    return Table("Parameters: those of the plain model absorb part of the missing effect", head, rows)
+    return TableBlock("Parameters: those of the plain model absorb part of the missing effect", head, rows)

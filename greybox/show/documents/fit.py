@@ -17,7 +17,7 @@ from greybox.base.document import (
     Paragraphs,
     Section,
     Subheading,
-    Table,
+    TableBlock,
     Tone,
 )
 from greybox.base.findings import Finding
@@ -45,7 +45,7 @@ from greybox.show.figures.parameters import (
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
-from greybox.show.sentences.estimation import residual_tests_table
+from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
 
 
@@ -241,7 +241,7 @@ def _parameters(fit: Fit) -> Iterator[Block]:
         yield Details("Correlation of the fitted parameters", [FigureBlock(correlation)])
 
 
-def _priors(fit: Fit) -> Iterator[Table]:
+def _priors(fit: Fit) -> Iterator[TableBlock]:
     """What the prior knowledge was, and what the records added to it."""
     rows = []
     for name, c in fit.constraints.priors.items():
@@ -249,7 +249,7 @@ def _priors(fit: Fit) -> Iterator[Table]:
         reduction = f"{100 * c.variance_reduction:.3g} %"
         rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
     if rows:
-        yield Table("Priors", ["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
+        yield TableBlock("Priors", ["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
 
 
 def _interval_kind(fit: Fit) -> str:
@@ -272,7 +272,7 @@ OPEN_RECORDS = 1
 RECORDS_OF_FIT = 20
 
 
-def _misfits(fit: Fit) -> Iterator[Table]:
+def _misfits(fit: Fit) -> Iterator[TableBlock]:
     """The misfit by output: of the free run, of a prediction, and on the validation records."""
     estimation, noise = "on the estimation records", fit.noise
     yield misfit_table(f"Free run {estimation}", fit.misfit, noise, "misfit (free run)")
@@ -322,7 +322,7 @@ def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: b
     return blocks if inputs is None else [*blocks, FigureBlock(inputs, stretches, group=together)]
 
 
-def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> Table:
+def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> TableBlock:
     rows = [
         [
             run.trace.name,
@@ -333,7 +333,7 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> Table:
         for run in runs
         for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]
-    return Table("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
+    return TableBlock("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
@@ -357,12 +357,15 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
             " than noise."
         )
         yield Paragraphs([alarms], Tone.CAUTION)
-    else:
+    elif tests.tests:
         yield Paragraphs(
             [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], Tone.GOOD
         )
-    yield residual_tests_table(
-        tests, f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits."
-    )
+    if tests.not_made:
+        yield Paragraphs([f"Not tested: {line}." for line in list_tests_not_made(tests)], Tone.CAUTION)
+    note = f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits."
+    yield from residual_tests_tables(tests, note)
+    if not tests.tests:
+        return
     for output in tests.residuals:
         yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -17,7 +17,7 @@ from greybox.base.document import (
     Later,
     Paragraphs,
     Section,
-    Table,
+    TableBlock,
     Tone,
 )
 from greybox.base.units import format_unit
@@ -28,7 +28,7 @@ from greybox.estimation.linear.transfer_channel import describe_behaviour
 from greybox.show.documents.provenance import provenance_section
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.linear import plot_bode, plot_poles
-from greybox.show.sentences.linear import behaviour_blocks, channel_lines, poles_table
+from greybox.show.sentences.linear import channel_lines, poles_table
 from greybox.show.sentences.wording import count_noun, join_names
 
 
@@ -60,7 +60,7 @@ def _brief(linear: Linearisation) -> Iterator[Block]:
     yield Paragraphs([f"{linear.name}: linear model, {timing}"])
     yield Paragraphs(_point_lines(linear))
     yield Paragraphs(_matrix_lines(linear))
-    yield from behaviour_blocks(describe_behaviour(linear))
+    yield from describe_behaviour(linear).describe().brief
     yield Facts([("note", finding) for finding in linear.findings])
 
 
@@ -134,9 +134,9 @@ def _matrices(linear: Linearisation) -> Iterator[Block]:
     yield Details("Matrices with all digits", [CodeBlock("\n".join(_matrix_lines(linear)))])
 
 
-def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> Table:
+def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> TableBlock:
     cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
-    return Table(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
+    return TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
 
 
 def _basis(linear: Linearisation) -> Iterator[Block]:
@@ -148,12 +148,12 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
         [name, kind, f"{value:.6g}", format_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
-    yield Table("Operating point", ["signal", "kind", "value", "unit"], rows)
+    yield TableBlock("Operating point", ["signal", "kind", "value", "unit"], rows)
     delays = [[n, f"{s:.6g} s"] for n, s in zip(linear.input_names, linear.delay, strict=True) if s]
     if delays:
-        yield Table("Delays that the matrices do not include", ["input", "delay"], delays)
+        yield TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
     parameters = [[name, f"{value:.7g}"] for name, value in linear.parameters.items()]
-    yield Table("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
+    yield TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
 
 
 def _point_lines(model: Linearisation) -> list[str]:

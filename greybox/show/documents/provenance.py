@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.document import Block, CodeBlock, Details, Facts, Section, Table
+from greybox.base.document import Block, CodeBlock, Details, Facts, Section, TableBlock
 from greybox.base.extensions import read_versions
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -31,7 +31,7 @@ def fit_provenance_section(fit: Fit, command: str) -> Section:
     iterations = count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
     ended = f"{fit.status.replace('_', ' ')} after {iterations}"
     computed = Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
-    tables = [_options(fit), named_values("Versions", fit.provenance.versions)]
+    tables: list[Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
     return Section(
         "repeat", "How to repeat it", [*_command(command), computed, Details("Options and versions", tables)]
     )
@@ -50,7 +50,7 @@ def computation_facts(fit: Fit) -> list[tuple[str, str]]:
     return [("discretisation", fit.discretisation.label + (left if error or shift else "")), *search]
 
 
-def _options(fit: Fit) -> Table:
+def _options(fit: Fit) -> TableBlock:
     """The options; of the policy only what differs from the default, which the note says."""
     usual = flatten(FitOptions().to_data())
     rows = [
@@ -59,7 +59,7 @@ def _options(fit: Fit) -> Table:
         if not (name.startswith("policy.") and usual.get(name) == value)
     ]
     note = "Numbers of the policy that are not listed have their default values."
-    return Table("Options", ["name", "value"], rows, note)
+    return TableBlock("Options", ["name", "value"], rows, note)
 
 
 # The data of a page: which records, what they hold, and their fingerprints.
@@ -71,7 +71,7 @@ def records_section(fit: Fit) -> Section:
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "validation") for t in validation)]
     note = f"Noise: {fit.noise}"
     head = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
-    records = Table("Records", head, rows, note)
+    records = TableBlock("Records", head, rows, note)
     return Section("data", "Data", [records, _signals(fitted + validation, fit)])
 
 
@@ -109,7 +109,8 @@ def format_sampling_time(time: np.ndarray) -> str:
 
 def signal_units(model: Model) -> dict[str, str]:
     """Unit of each output, input and state."""
-    return {signal.name: signal.unit for signal in (*model.all_states, *model.inputs, *model.outputs)}
+    units = {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
+    return units | {o.name: o.unit for o in model.outputs}
 
 
 def format_range(values: np.ndarray) -> str:
@@ -118,7 +119,7 @@ def format_range(values: np.ndarray) -> str:
     return f"{known.min():.4g} to {known.max():.4g}" if len(known) else "nothing"
 
 
-def _signals(traces: list[Trace], fit: Fit) -> Table:
+def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
     rows = []
     for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
         for signal in signals:
@@ -130,4 +131,4 @@ def _signals(traces: list[Trace], fit: Fit) -> Table:
             noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
             limits = f"{format_range(factor * every)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
-    return Table("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)
+    return TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.base.document import Document, FigureBlock, Paragraphs, Section, Table, Tone
+from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
 from greybox.base.errors import ModelError
 from greybox.base.figure import Role
 from greybox.base.units import format_unit
@@ -93,15 +93,15 @@ def _verdict(run: Simulation, noise: str) -> Paragraphs:
     )
 
 
-def _ranges(run: Simulation, model: Model) -> Table:
+def _ranges(run: Simulation, model: Model) -> TableBlock:
     units, rows = signal_units(model), []
     for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():
             factor, unit = scale_to_prefix(units[name], np.asarray(values))
             rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
-    return Table("Ranges of the signals", ["signal", "kind", "from … to"], rows)
+    return TableBlock("Ranges of the signals", ["signal", "kind", "from … to"], rows)
 
 
-def _parameters(model: Model) -> Table:
+def _parameters(model: Model) -> TableBlock:
     rows = [[q.name, format_number(q.value, 7), format_unit(q.unit)] for q in model.all_parameters]
-    return Table("Parameters of this run", ["parameter", "value", "unit"], rows)
+    return TableBlock("Parameters of this run", ["parameter", "value", "unit"], rows)

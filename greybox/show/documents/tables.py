@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.document import REMARK, Facts, Table, Text
+from greybox.base.document import REMARK, Facts, TableBlock, Text
 from greybox.base.units import format_unit
 from greybox.show.sentences.wording import format_number, format_with_std, make_formatter
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
 
-def parameters_table(fit: Fit, note: Text = "") -> Table:
+def parameters_table(fit: Fit, note: Text = "") -> TableBlock:
     """The parameters of a fit: each one, its values in experiments that have their own, then those that are tied."""
     rows = []
     for name, e in fit.parameters.items():
@@ -32,14 +32,14 @@ def parameters_table(fit: Fit, note: Text = "") -> Table:
     return _estimates(rows, note)
 
 
-def estimates_table(estimates: Mapping[str, Estimate]) -> Table:
+def estimates_table(estimates: Mapping[str, Estimate]) -> TableBlock:
     """Parameters that stand for themselves."""
     return _estimates([estimate_cells(name, e) for name, e in estimates.items()])
 
 
-def _estimates(rows: list[list[str]], note: Text = "") -> Table:
+def _estimates(rows: list[list[str]], note: Text = "") -> TableBlock:
     caption = "Parameters with standard deviations and 95 % intervals"
-    return Table(caption, ["parameter", "value", "95 % interval", "unit", REMARK], rows, note)
+    return TableBlock(caption, ["parameter", "value", "95 % interval", "unit", REMARK], rows, note)
 
 
 def estimate_cells(name: str, e: Estimate) -> list[str]:
@@ -56,10 +56,12 @@ def estimate_cells(name: str, e: Estimate) -> list[str]:
     return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
 
 
-def misfit_table(caption: Text, misfit: Mapping[str, Misfit], noise: FitNoise | None = None, corner: str = "") -> Table:
+def misfit_table(
+    caption: Text, misfit: Mapping[str, Misfit], noise: FitNoise | None = None, corner: str = ""
+) -> TableBlock:
     """Misfits by output; over a noise that is only bounded they are at least so large."""
-    rows = [[name, *misfit_cells(m, noise and noise.bound(name))] for name, m in misfit.items()]
-    return Table(caption, ["output", *MISFIT_HEADS], rows, corner=corner)
+    rows = [[name, *misfit_cells(m, None if noise is None else noise.bound(name))] for name, m in misfit.items()]
+    return TableBlock(caption, ["output", *MISFIT_HEADS], rows, corner=corner)
 
 
 def misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:

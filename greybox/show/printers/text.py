@@ -16,7 +16,7 @@ from greybox.base.document import (
     FigureBlock,
     Paragraphs,
     Subheading,
-    Table,
+    TableBlock,
     Text,
 )
 from greybox.base.findings import Finding
@@ -42,7 +42,7 @@ def block_lines(block: Block) -> list[str]:
             return [f"  {_say(item)}" for item in block.items]
         case Facts():
             return [_name(name, block.width) + _say(text) for name, text in block.items]
-        case Table():
+        case TableBlock():
             head = [block.corner or block.head[0], *block.head[1:]]
             return table_lines([*head[:-1], "" if head[-1] == REMARK else head[-1]], block.rows)
         case EquationList() | CodeBlock():

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.document import Block, Details, Facts, Paragraphs, Table
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock, Text
 from greybox.base.findings import Finding
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.show.sentences.registry import register, renders, sentences
@@ -85,7 +85,7 @@ def polynomial_blocks(model: PolynomialModel) -> list[Block]:
         [name, f"{value:.{digits}g}", "" if np.isnan(std[name]) else f"{std[name]:.2g}"]
         for name, value in model.coefficients.items()
     ]
-    facts = [
+    facts: list[tuple[str, Text]] = [
         ("poles", _numbers(model.poles)),
         *(
             (f"zeros from {n}", f"{_numbers(model.zeros(n))}; steady-state gain {model.gain(n):.6g}")
@@ -99,7 +99,7 @@ def polynomial_blocks(model: PolynomialModel) -> list[Block]:
     title = f"{model.label} of {model.output} from {', '.join(model.inputs)}, every {model.sampling_time:.6g} s"
     return [
         Paragraphs([title, polynomial_equation(model)]),
-        Table("Coefficients", ["coefficient", "value", "std"], rows),
+        TableBlock("Coefficients", ["coefficient", "value", "std"], rows),
         Facts(facts),
     ]
 
@@ -164,7 +164,7 @@ def structure_scan_blocks(scan: StructureScan) -> list[Block]:
     more = [f"and {len(fitted) - len(shown)} more"] if len(fitted) > len(shown) else []
     more += [f"{len(failed)} could not be fitted, the first: {failed[0].failure}"] if failed else []
     title = f"{len(scan.structures)} structures, chosen by {scan.criterion}; free run over {records}"
-    table = Table("Structures", ["structure", "coefficients", "AIC", "BIC", "free run", "", ""], rows)
+    table = TableBlock("Structures", ["structure", "coefficients", "AIC", "BIC", "free run", "", ""], rows)
     return [Details(title, [table, Paragraphs(more)])]
 
 
@@ -190,7 +190,7 @@ def smoothing_blocks(smoothing: MonteCarloSmoothing) -> list[Block]:
     function = f"transfer function {continuous_transfer_function_text(smoothing.transfer_function)}"
     return [
         Paragraphs([title, *([search] if smoothing.rounds else [])]),
-        Table("Parameters", ["parameter", "value", "unit", "drawn from"], rows),
+        TableBlock("Parameters", ["parameter", "value", "unit", "drawn from"], rows),
         Paragraphs([error, function, *(f"note: {text}" for text in sentences(smoothing.findings))]),
     ]
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.document import Block, Details, Facts, Paragraphs, Table
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
@@ -212,7 +212,7 @@ def write_survey(survey: FileSurvey) -> list[Block]:
     columns = " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items())
     return [
         Paragraphs([f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}"]),
-        Table("Signals", head, rows),
+        TableBlock("Signals", head, rows),
         Facts([(str(f.severity), f) for f in survey.findings]),
         *([Details(guess, [Paragraphs(lines)])] if lines else []),
         Facts([("columns for it", columns)] if columns else []),

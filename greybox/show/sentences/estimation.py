@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from greybox.base.document import REMARK, Block, Facts, Paragraphs, Table
+from greybox.base.document import REMARK, Block, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
@@ -562,17 +562,27 @@ def write_residual_test(test: ResidualTest) -> str:
     return _SENTENCES[test.kind][test.alarm](test)
 
 
-def residual_tests_table(tests: ResidualTests, note: str = "") -> Table:
-    """A row for each test."""
+def residual_tests_tables(tests: ResidualTests, note: str = "") -> list[TableBlock]:
+    """A row for each test; no table where none was made."""
     rows = [[t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)] for t in tests.tests]
-    return Table("Tests of the residual", ["output", "test", "statistic", "p", REMARK], rows, note)
+    table = TableBlock("Tests of the residual", ["output", "test", "statistic", "p", REMARK], rows, note)
+    return [table] if rows else []
 
 
 @renders("ResidualTests")
 def write_residual_tests(tests: ResidualTests) -> list[Block]:
-    """The tests, and which residuals were whitened before."""
+    """The tests, which residuals were whitened before, and what could not be tested."""
     whitened = f"the residual of {', '.join(tests.whitened)} was whitened with the noise model before the tests"
-    return [residual_tests_table(tests), *([Paragraphs([whitened])] if tests.whitened else [])]
+    lines = [*([whitened] if tests.whitened else []), *(f"not tested: {line}" for line in list_tests_not_made(tests))]
+    return [*residual_tests_tables(tests), Paragraphs(lines)]
+
+
+def list_tests_not_made(tests: ResidualTests) -> list[str]:
+    """``y has too few values for normality, equal variance``: one for each output that could not be tested for everything."""
+    return [
+        f"{output} has too few values for {', '.join(kind.value.replace('_', ' ') for kind in kinds)}"
+        for output, kinds in tests.not_made.items()
+    ]
 
 
 @renders("PredictionScores")
@@ -585,4 +595,4 @@ def write_prediction_scores(scores: PredictionScores) -> list[Block]:
         for name, s in scores.outputs.items()
     ]
     corrections = dict.fromkeys(str(s.predictor) for s in scores.outputs.values())
-    return [Table("Free run and prediction", head, rows), Facts([("corrected by", text) for text in corrections])]
+    return [TableBlock("Free run and prediction", head, rows), Facts([("corrected by", text) for text in corrections])]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.document import Block, Details, Facts, Paragraphs, Table
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.base.numerics import VANISHED_POLE
 from greybox.base.units import format_unit
@@ -180,11 +180,11 @@ def model_family_blocks(family: ModelFamily) -> list[Block]:
                 )
     drawn = ", ".join(family.distribution.names)
     head = f"{len(family.members)} models drawn from the covariance of {drawn} (seed {family.seed})"
-    table = Table("Spread of the models", ["pole", "real part, 95 %", "imaginary part, 95 %"], rows)
+    table = TableBlock("Spread of the models", ["pole", "real part, 95 %", "imaginary part, 95 %"], rows)
     return [Details(head, [table, Paragraphs(errors)]), Facts([("note", finding) for finding in family.findings])]
 
 
-def poles_table(poles: np.ndarray, dt: float) -> Table:
+def poles_table(poles: np.ndarray, dt: float) -> TableBlock:
     """Poles with natural frequency, damping ratio, time constant; of a conjugate pair one."""
     rows = []
     for pole in poles[poles.imag >= 0]:
@@ -202,7 +202,7 @@ def poles_table(poles: np.ndarray, dt: float) -> Table:
             ]
         )
     name = "poles (z)" if dt else "poles"
-    return Table(name.capitalize(), [name, "natural frequency", "damping", "time constant"], rows)
+    return TableBlock(name.capitalize(), [name, "natural frequency", "damping", "time constant"], rows)
 
 
 def channel_lines(channel: TransferChannel) -> list[str]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from greybox.base.document import Block, Details, Table
+from greybox.base.document import Block, Details, TableBlock
 from greybox.base.units import format_unit
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
@@ -103,15 +103,15 @@ def write_effects(listing: EffectListing) -> list[Block]:
     """Name, place, equation and units of each effect, and why some have no place."""
     if not listing.model:
         rows = [[e.name, e.site, _write_units(e.parameters), e.equation] for e in listing.entries]
-        return [Table("Effects", ["effect", "acts at", "parameters", "equation"], rows)]
+        return [TableBlock("Effects", ["effect", "acts at", "parameters", "equation"], rows)]
     taken = [p for p in listing.placements if p.effect is not None]
     rows = [[p.name, p.site, _write_units(p.parameters), p.effect.equation if p.effect else ""] for p in taken]
     title = f"{listing.model} takes {count_noun(len(taken), 'effect')}:"
     refused = [[p.name, _shorten(p)] for p in listing.placements if p.effect is None]
     return [
-        Details(title, [Table("Effects", ["effect", "at", "parameters", "equation"], rows)]),
+        Details(title, [TableBlock("Effects", ["effect", "at", "parameters", "equation"], rows)]),
         *(
-            [Details("no place for:", [Table("Effects without a place", ["effect", "why not"], refused)])]
+            [Details("no place for:", [TableBlock("Effects without a place", ["effect", "why not"], refused)])]
             if refused
             else []
         ),

@@ -10,11 +10,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from greybox.base.document import Block
 from greybox.base.findings import Check, Finding
 
 Template = str | Callable[[Any], str]
-Writer = Callable[[Any], str | Sequence[Block]]
+Writer = Callable[[Any], str | Sequence[Any]]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
