@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.findings import Finding
-from greybox.base.json_file import read_json, write_json
+from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, from_json_data
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable, ReadOnly
@@ -49,7 +49,7 @@ class ResultCode(StrEnum):
 
 
 @dataclass(frozen=True)
-class Fit(Printable, ReadOnly):
+class Fit(Printable, ReadOnly, StoredResult):
     """A fitted model, read-only throughout.
 
     Attributes
@@ -104,16 +104,17 @@ class Fit(Printable, ReadOnly):
 
     FILE: ClassVar[FileKind] = FileKind("a fit", "fit.json that greybox fit has written")
     KEYS: ClassVar[str] = """
-        model=model.name effects=model.effect_names status=solver.status success=solver.success meaning=str(solver)
-        parameters misfit traces free=uncertainty.free covariance=uncertainty.covariance noise=noise.std noise_source=str(noise)
+        model=model.name effects!=model.effect_names status=solver.status success=solver.success meaning=str(solver) parameters
+        misfit traces free=uncertainty.free covariance=uncertainty.covariance noise=noise.std noise_source=str(noise)
         discretisation=discretisation.label integration_error=discretisation.error cost=solver.cost solver=solver.figures
-        options=provenance.stored_options equations=provenance.equations versions=provenance.versions notes=str(findings) findings
-        status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit validation_at_least
-        validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour noise_log_std=noise.log_std
-        noise_units=noise.units noise_bounds=noise.bounds interval_kind=uncertainty.kind inflation=uncertainty.inflation
-        discretisation_shift=discretisation.shift tied=constraints.tied ties=constraints.ties own=constraints.per_experiment
-        priors=constraints.priors loss=robust.name loss_scale=robust.scale outliers=robust.outliers ends=starts
-        process_noise=prediction.process_noise prediction=prediction.one_step log_likelihood=prediction.log_likelihood
+        options=provenance.stored_options equations=provenance.equations versions=provenance.versions notes=str(findings)
+        findings status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
+        validation_at_least validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour
+        noise_log_std=noise.log_std noise_units=noise.units noise_bounds=noise.bounds noise_growth?=noise.growth
+        interval_kind=uncertainty.kind inflation=uncertainty.inflation discretisation_shift=discretisation.shift
+        tied=constraints.tied ties=constraints.ties own=constraints.per_experiment priors=constraints.priors loss=robust.name
+        loss_scale=robust.scale outliers=robust.outliers ends=starts process_noise=prediction.process_noise
+        prediction=prediction.one_step log_likelihood=prediction.log_likelihood
         """
 
     @property
@@ -141,21 +142,6 @@ class Fit(Printable, ReadOnly):
         """The same on the validation records."""
         return _least_ratios(self.noise, self.validation.misfit)
 
-    def save(self, path: str | Path) -> Path:
-        """Write ``fit.json``; `greybox.load_fit` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_json(path, self)
-
 
 def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, float]:
     bounds = {name: noise.bound(name) for name in misfit}
@@ -164,7 +150,7 @@ def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, fl
 
 
 def load_fit(path: str | Path, model: Model) -> Fit:
-    """Read a fit that `Fit.save` wrote.
+    """Read a fit that `Fit.save` wrote, without loss.
 
     Parameters
     ----------
@@ -217,7 +203,7 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
-    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds"):
+    for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds", "noise_growth"):
         if not set(data.get(key, {})) <= set(data["noise"]):
             return f"{key} names an output that noise does not"
     if set(data.get("noise_log_std", {})) - set(data.get("noise_units", {})):
@@ -229,7 +215,7 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
             return f"{place}: {error}"
     for key in ("traces", "validation_traces"):
         for k, trace in enumerate(data.get(key, ())):
-            for group in ("measured", "simulated", "inputs"):
+            for group in ("measured", "simulated", "inputs", "noise"):
                 for name, values in trace.get(group, {}).items():
                     if len(values) != len(trace["time"]):
                         rows = f"{len(values)} rows, its time {len(trace['time'])}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, ClassVar
 
@@ -14,7 +14,8 @@ from greybox.base.findings import Finding
 from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
-from greybox.data.noise.noise_model import NoiseBound, NoiseSource
+from greybox.data.noise.growing import GrowingNoise
+from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
 
 
 class IntervalKind(StrEnum):
@@ -135,6 +136,8 @@ class Trace(ReadOnly):
         Inputs by name (N,), and how they move between samples.
     conditions
         What stayed the same while it was taken.
+    noise
+        Standard deviation of each row (N,), of the outputs whose noise the record tells row by row.
     """
 
     name: str
@@ -146,11 +149,22 @@ class Trace(ReadOnly):
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
     hold: Hold = "zero"
     conditions: Mapping[str, Finite] = field(default_factory=dict)
+    noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    KEYS: ClassVar[str] = "name fingerprint time measured simulated initial_state inputs hold conditions noise?"
 
     @property
     def experiment(self) -> Experiment:
         """The record without the model's run."""
-        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions)
+        return Experiment(
+            self.name,
+            self.time,
+            self.inputs,
+            self.measured,
+            self.hold,
+            conditions=self.conditions,
+            noise=self.noise,
+        )
 
     def residual(self, output: str) -> np.ndarray:
         """Measured minus simulated (N,), NaN in gaps."""
@@ -217,6 +231,8 @@ class FitNoise(Printable, ReadOnly):
         Unit of each of these.
     bounds
         What is known of each level: about as large, at most or at least, and for how long it remembers.
+    growth
+        How the noise grows with the signal, of the outputs of which this is so; ``std`` is then its rms over the records.
     """
 
     std: Mapping[str, float]
@@ -225,10 +241,19 @@ class FitNoise(Printable, ReadOnly):
     log_std: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
+    growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
+
+    @property
+    def given(self) -> dict[str, float | GrowingNoise]:
+        """The noise of each output as a fit takes it: its level, or how it grows with the signal."""
+        growing = {name: replace(noise, estimated=()) for name, noise in self.growth.items() if not noise.unknown}
+        return {**self.std, **growing}
 
     def bound(self, output: str) -> NoiseBound | None:
         """What is known of the noise of an output: as it was found, or what its source says in general; None without a source."""
         source = self.sources.get(output)
+        if output in self.growth and source is not None:  # of each row, and not of the rms of all rows
+            return NoiseBound(self.std[output], BoundDirection.ABOUT, source)
         if output in self.bounds or source is None:
             return self.bounds.get(output)
         return NoiseBound(self.std.get(output, float("nan")), source.direction, source)

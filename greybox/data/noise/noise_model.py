@@ -13,6 +13,7 @@ from scipy.linalg.blas import dtbsv
 from greybox.base.json_shape import Finite
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 
 # Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
@@ -356,6 +357,8 @@ class NoiseModel(Printable):
         What is known of each, by name of the measured outputs; what a source says in general where one is missing.
     common
         Whether outputs whose level is that of the residual have it in common.
+    growth
+        How the noise grows with the signal, by name of the outputs of which this is so; ``std`` is then its rms over the records.
     """
 
     outputs: tuple[str, ...]
@@ -365,11 +368,16 @@ class NoiseModel(Printable):
     known: bool
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
     common: bool = False
+    growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
 
     @property
     def sharing(self) -> tuple[int, ...]:
         """Numbers of the outputs that have one noise in common."""
-        ours = (j for j, name in enumerate(self.outputs) if self.sources.get(name) is NoiseSource.RESIDUAL)
+        ours = (
+            j
+            for j, name in enumerate(self.outputs)
+            if self.sources.get(name) is NoiseSource.RESIDUAL and name not in self.growth
+        )
         return tuple(ours) if self.common else ()
 
     @property

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 from greybox.base.document import (
     REMARK,
@@ -20,7 +19,7 @@ from greybox.base.document import (
 )
 from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
-from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange
+from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, MachineConstant
 from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, share_of, spread_text, with_unit
 from greybox.show.documents.provenance import provenance_section, records_section, signal_units
 from greybox.show.figures.records import plot_residual, plot_run
@@ -132,8 +131,8 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     ]
 
 
-def _machine_cell(constant: Mapping[str, Any] | None) -> str:
-    if constant is None or constant["std"] is None:
+def _machine_cell(constant: MachineConstant | None) -> str:
+    if constant is None or constant["std"] is None or constant["value"] is None:
         return "open"
     return format_with_std(constant["value"], constant["std"])
 

@@ -411,6 +411,8 @@ def write_noise(noise: FitNoise) -> str:
     for name, source in noise.sources.items():
         if name in noise.log_std:
             text = _write_estimated_level(noise, name)
+        elif name in noise.growth:
+            text = _write_growth(noise, name)
         else:
             bound = noise.bound(name)
             direction = source.direction if bound is None else bound.direction
@@ -419,6 +421,19 @@ def write_noise(noise: FitNoise) -> str:
     if len(groups) == 1 and not noise.log_std:
         return next(iter(groups))
     return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+
+
+def _write_growth(noise: FitNoise, output: str) -> str:
+    """``0.02 g + 9.8 % of the reading (floor and share estimated from the residual)``."""
+    growth = noise.growth[output]
+    origin = f"{' and '.join(growth.estimated)} estimated from the residual" if growth.estimated else "given"
+    if growth.unknown:
+        return "grows with the signal, not known"
+    if growth.logarithmic:
+        return f"{growth.share:.3g} in log({output}) ({origin.replace('share ', '')})"
+    parts = [f"{growth.floor:.3g} {noise.units.get(output, '')}".rstrip()] if growth.floor else []
+    parts += [f"{100 * (growth.share or 0.0):.3g} % of the reading"] if growth.share else []
+    return f"{' + '.join(parts)} ({origin})"
 
 
 def _write_estimated_level(noise: FitNoise, output: str) -> str:

@@ -1,0 +1,30 @@
+"""What is said of a fleet: how many records have a result, what is said of how many records."""
+
+from __future__ import annotations
+
+from greybox.base.findings import Finding
+from greybox.extensions.fleet.result import FleetCode
+from greybox.show.sentences.registry import register
+from greybox.show.sentences.wording import count_noun
+
+
+def _fitted(finding: Finding) -> str:
+    v = finding.values
+    if v["fitted"] == v["records"]:
+        return f"all {count_noun(v['records'], 'record')} {'was' if v['records'] == 1 else 'were'} fitted"
+    return f"{v['fitted']} of {count_noun(v['records'], 'record')} were fitted"
+
+
+def _finding_count(finding: Finding) -> str:
+    v = finding.values
+    return f"{v['records']} of {count_noun(v['of'], 'record')}, {finding.subject} the first: {v['sentence']}"
+
+
+register(
+    {
+        FleetCode.RECORDS_FITTED: _fitted,
+        FleetCode.RECORDS_LEFT: "{left} of {records} records were not begun: the same call with the journal goes on from here",
+        FleetCode.RECORD_WITHOUT_RESULT: "record {subject} has no result: {reason}",
+        FleetCode.FINDING_COUNT: _finding_count,
+    }
+)
