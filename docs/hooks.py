@@ -267,12 +267,14 @@ def result_files() -> str:
     from greybox.extensions.design.campaign import Campaign
     from greybox.extensions.design.result import Design
     from greybox.extensions.export.linear_files import LinearFile
+    from greybox.extensions.fleet.result import FleetResult
     from greybox.extensions.fmu.fit_fmu import FmuFit
     from greybox.shell.answers import FitAnswer
     from greybox.shell.printed import ComparisonAnswer
 
     kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
-    kinds += (ModelCheck, LinearFile, FmuFit)
+    kinds += (ModelCheck, LinearFile, FmuFit, FleetResult)
+    titles = {definition_name(kind): vars(kind)["FILE"].title.capitalize() for kind in kinds}
     definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
     sections = []
     for kind in (*map(definition_name, kinds), *ResultKind):
@@ -283,7 +285,15 @@ def result_files() -> str:
             needed = "" if key in schema.get("required", ()) else " (later files)" if kind == "fit_answer" else ""
             rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
         sections.append(
-            "\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows])
+            "\n".join(
+                [
+                    f"## {titles.get(kind) or schema['description'].partition(':')[0]}",
+                    "",
+                    schema["description"],
+                    "",
+                    *rows,
+                ]
+            )
         )
     return "\n\n".join(sections)
 
