@@ -7,8 +7,8 @@ without greybox. Each case is answered twice: with every effect of the catalogue
 their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goes on where it was stopped.
 
 ``--page`` writes docs/discovery_study.md, docs/certainty.md and docs/claims.md with their figures from what FOLDER holds, bad results
-included, and prints the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for. ``--calibrate`` fits the map from the weight
-of a claim to its probability to what FOLDER holds: the page on claims must then come from another draw.
+included, and prints the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for. ``--calibrate`` fits the map from the
+weight of a claim to its probability to what FOLDER holds: the page on claims must then come from another draw.
 """
 
 from __future__ import annotations

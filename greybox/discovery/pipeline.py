@@ -591,7 +591,7 @@ def _conclude(
         decided = replace(decided, checks=(*decided.checks, *better.checks))
     location = _locate(judged.baseline, selection)
     claims: tuple[Claim, ...] = ()
-    if verdict is not Verdict.COMPLETE and not rejected:
+    if candidates and verdict is not Verdict.COMPLETE and not rejected:
         weigh = partial(_weigh, judged, final, location, evidence)
         claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
     # Where no name is certain the answer still goes as deep as the records carry.
