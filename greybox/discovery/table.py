@@ -227,7 +227,7 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1)
     behind = np.minimum((squares - chosen[None]) / reference[None, :, None, :], FAR_BEHIND)
     relative = (behind * share[None]).sum(axis=3)
-    logarithm = (np.log(np.maximum(squares, TINY) / np.maximum(chosen, TINY)[None]) * share[None]).sum(axis=3)
+    logarithm = ((np.log(np.maximum(squares, TINY)) - np.log(np.maximum(chosen, TINY))) * share[None]).sum(axis=3)
     # The simplest of those within some standard errors (L. Breiman et al. 1984, Classification and regression trees, section 3.4.3).
     good = np.ones(errors.shape, bool)
     for behind in (relative, logarithm):
