@@ -256,8 +256,22 @@ def weigh_claims(
         )
         for value, frequency in keys.most_common():
             if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
-                claims.append(made)
+                claims.append(_hold_below(made, claims))
     return tuple(claims)
+
+
+def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
+    """The claim no likelier than the ones that it implies: its variables, its place, that something is missing."""
+    implied = [
+        c.probability
+        for c in claims
+        if c.depth < claim.depth
+        and (c.depth < Depth.PLACE or c.sites == claim.sites)
+        and (c.depth < Depth.VARIABLES or c.variables == claim.variables)
+        and (c.depth < Depth.FAMILY or c.family == claim.family)
+    ]
+    probability = min([claim.probability, *implied])
+    return replace(claim, probability=probability, grade=to_grade(probability))
 
 
 Key = Callable[[tuple[str, ...], EffectForm], Hashable]
@@ -331,7 +345,8 @@ class _Context:
             frequency=frequency,
             left=self.left,
         )
-        probability = to_probability(depth, to_features(claim))
+        # What would be said again in so many of the resamples is no likelier than that.
+        probability = min(to_probability(depth, to_features(claim)), frequency)
         return replace(claim, probability=probability, grade=to_grade(probability))
 
     def _form(self, value: Hashable, depth: Depth) -> str:

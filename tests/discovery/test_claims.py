@@ -118,6 +118,14 @@ def test_names_that_take_turns_share_their_place_and_variable():
     assert name_claim(claims, "coulomb_friction").rival == "quadratic_damping"
 
 
+def test_rivals_are_not_both_certain_and_nothing_is_likelier_than_what_it_implies():
+    claims = claims_of((fitted("coulomb_friction"), 5), (fitted("cubic_stiffness"), 4), (fitted("input_saturation"), 1))
+    assert all(c.probability <= c.frequency for c in claims)
+    by_depth = [max(c.probability for c in claims if c.depth is depth) for depth in Depth]
+    assert by_depth == sorted(by_depth, reverse=True)
+    assert all(c.grade is not Grade.ESTABLISHED for c in claims if c.depth >= Depth.VARIABLES)
+
+
 def test_sites_that_the_sensors_cannot_tell_apart_are_one_place():
     alike = (("balance force", "input u"),)
     claims = claims_of((fitted("constant_load"), 5), (fitted("input_offset"), 5), alike=alike)
