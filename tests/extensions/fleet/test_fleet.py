@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.signal import lfilter
 from statsmodels.stats.meta_analysis import combine_effects
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
