@@ -23,8 +23,8 @@ LAYERS = (
     *("__init__", "__main__"),  # the front doors: they may import everything, and nothing imports them
 )
 LEVEL = {layer: level for level, layer in enumerate(LAYERS)}
-# A value that is printed finds its text by the name of its class: the one import that points upward.
-PRINTING = ("greybox.base.values", "greybox.show.sentences.registry")
+# A value that is described finds its sentences and figures by the name of its class: the one import that points upward.
+PRINTING = ("greybox.base.values", "greybox.show.describe")
 
 
 class Import(NamedTuple):

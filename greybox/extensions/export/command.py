@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from greybox.estimation.linear.linearisation import Linearisation
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.result import Fit
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
     from greybox.shell.answers import CodeAnswer, LinearAnswer
 
 
@@ -98,7 +98,7 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.linear.model_family import sample_family
     from greybox.estimation.linear.plant import to_plant
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
     from greybox.shell.answers import LinearAnswer
 
     at, samples = dict(study.at), study.samples
@@ -122,8 +122,8 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
 
 def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
     from greybox.estimation.linear.plant import to_plant
+    from greybox.extensions.export.document import Export
     from greybox.extensions.export.observer import design_observer
-    from greybox.extensions.export.page import Export
     from greybox.shell.answers import CodeAnswer
 
     for finding in to_plant(fit).findings:
