@@ -154,14 +154,14 @@ class Profile(Printable, IntervalFile):
     @property
     def valley(self) -> tuple[float, float] | None:
         """Where the cost falls again beyond a rise, and its rise there: below zero where it is less than at the optimum."""
-        found: list[tuple[float, float]] = []
+        valleys: list[tuple[float, float]] = []
         for side in (np.flatnonzero(self.values < self.best)[::-1], np.flatnonzero(self.values > self.best)):
             highest = np.maximum.accumulate(np.append(0.0, self.increase[side]))[:-1]
             rises = self.increase[side]
             again = (rises < self.threshold) & (rises < highest - VALLEY_DEPTH * self.threshold)
             again |= rises < -VALLEY_DEPTH * self.threshold
-            found += [(float(rises[k]), float(self.values[side[k]])) for k in np.flatnonzero(again)]
-        return min(found)[::-1] if found else None
+            valleys += [(float(rises[k]), float(self.values[side[k]])) for k in np.flatnonzero(again)]
+        return min(valleys)[::-1] if valleys else None
 
     @property
     def shape(self) -> ProfileShape:

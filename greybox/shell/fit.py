@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
-    from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
     from greybox.shell.answers import FitAnswer, RecordMisfit
 
 
@@ -240,13 +240,15 @@ def _share(executor: Executor | None, workers: int) -> ShareWork:
 BOOTSTRAP_SEED = 0
 
 
-def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstrap:
-    """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
+def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | ProfilePair | Bootstrap:
+    """The profile of a parameter or of two together, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
-    from greybox.estimation.uncertainty import bootstrap, profile
+    from greybox.estimation.uncertainty import bootstrap, profile, profile_pair
 
     name, replicates = asked
+    if ":" in name:
+        return profile_pair(result, *name.split(":"))
     draws = np.random.default_rng(BOOTSTRAP_SEED)
     return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
 
@@ -260,7 +262,9 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
         intervals["zero_noise"] = tuple(zero)
         asked = [(name, 0) for name in labels if name not in zero]
         computed = share(_compute_interval, result, asked + [("", replicates)] * bool(replicates))
-        intervals["profiles"] = tuple(computed[: len(asked)])
+        profiles = computed[: len(asked)]
+        intervals["profiles"] = tuple(p for (name, _), p in zip(asked, profiles, strict=True) if ":" not in name)
+        intervals["regions"] = tuple(p for (name, _), p in zip(asked, profiles, strict=True) if ":" in name)
         if replicates:
             intervals["bootstrap"] = computed[-1]
     except FitError as error:

@@ -330,12 +330,22 @@ MINIMUM_REPLICATES = 100
 
 
 def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
-    """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
+    """The parameters to be profiled, two together as ``A:B``.
+
+    Raises GreyboxError for a parameter that is not fitted, for more than two of them together and for too few replicates.
+    """
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
-    for name in names:
-        if name not in free:
-            raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
+    for together in names:
+        for name in together.split(":"):
+            if name not in free:
+                raise GreyboxError(
+                    f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}"
+                )
+        if len(set(together.split(":"))) != together.count(":") + 1 or together.count(":") > 1:
+            raise GreyboxError(
+                f"{study.label('profiles')} {together}: give one parameter, or two different ones as A:B"
+            )
     if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"

@@ -47,9 +47,13 @@ def fit_answer(answer: FitAnswer) -> str:
     """Equations, parameters, remedies, further intervals, predictions, residual tests, the misfit of each record."""
     lines = [answer.fit.provenance.equations, "", str(answer.fit)]
     lines += [f"{'remedy' if k == 0 else 'or'}: {text}" for k, text in enumerate(answer.remedies)]
-    if answer.profiles or answer.zero_noise:
+    if answer.profiles or answer.regions or answer.zero_noise:
         zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
-        lines += ["", "profile likelihood", *_indented("\n".join([*map(str, answer.profiles), *zeros]))]
+        lines += [
+            "",
+            "profile likelihood",
+            *_indented("\n".join([*map(str, (*answer.profiles, *answer.regions)), *zeros])),
+        ]
     if answer.bootstrap is not None:
         bootstrap = answer.bootstrap
         lines += ["", f"block bootstrap, {len(bootstrap.samples)} replicates in blocks of {bootstrap.block} rows"]
