@@ -261,10 +261,20 @@ def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
     from greybox.base.json_file import ResultKind, read_schema
     from greybox.base.json_shape import definition_name, make_definitions
+    from greybox.estimation.check import ModelCheck
     from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.extensions.changes.result import ChangeDetection
+    from greybox.extensions.design.campaign import Campaign
+    from greybox.extensions.design.result import Design
+    from greybox.extensions.export.linear_files import LinearFile
+    from greybox.extensions.fleet.result import FleetResult
+    from greybox.extensions.fmu.fit_fmu import FmuFit
     from greybox.shell.answers import FitAnswer
+    from greybox.shell.printed import ComparisonAnswer
 
-    kinds = (FitAnswer, Profile, Bootstrap)
+    kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
+    kinds += (ModelCheck, LinearFile, FmuFit, FleetResult)
+    titles = {definition_name(kind): vars(kind)["FILE"].title.capitalize() for kind in kinds}
     definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
     sections = []
     for kind in (*map(definition_name, kinds), *ResultKind):
@@ -275,7 +285,15 @@ def result_files() -> str:
             needed = "" if key in schema.get("required", ()) else " (later files)" if kind == "fit_answer" else ""
             rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
         sections.append(
-            "\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows])
+            "\n".join(
+                [
+                    f"## {titles.get(kind) or schema['description'].partition(':')[0]}",
+                    "",
+                    schema["description"],
+                    "",
+                    *rows,
+                ]
+            )
         )
     return "\n\n".join(sections)
 

@@ -65,6 +65,17 @@ class StartJournal:
         )
 
 
+def list_model_identity(model: Model) -> list[Any]:
+    """Everything about a model that decides where a search ends: equations, constants, ties, bounds."""
+    return [
+        str(ca.vertcat(*map(ca.vec, model.system.free_run_expressions))),
+        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
+        [(tie.name, tie.formula) for tie in model.ties],
+        [(s.name, s.bounds) for s in model.all_states],
+        [e.hold for e in model.effects],
+    ]
+
+
 def hash_start(
     model: Model,
     experiments: Sequence[Experiment],
@@ -73,13 +84,8 @@ def hash_start(
     begin: Mapping[str, float],
 ) -> str:
     """The hash by which a start is known: equal if everything that decides its end is."""
-    system = model.system
     identity = [
-        str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
-        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
-        [(tie.name, tie.formula) for tie in model.ties],
-        [(s.name, s.bounds) for s in model.all_states],
-        [e.hold for e in model.effects],
+        *list_model_identity(model),
         [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
         noise.std.tolist(),
         [c.reflection for c in noise.colour],

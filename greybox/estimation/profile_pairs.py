@@ -69,7 +69,7 @@ class ProfilePair(Printable, IntervalFile):
     FILE: ClassVar[FileKind] = FileKind(
         "a profile of two constants", "file that a profile of two constants was saved to"
     )
-    KEYS: ClassVar[str] = "kind * shape narrowing"
+    KEYS: ClassVar[str] = "kind! * shape narrowing"
 
     @property
     def shape(self) -> ProfileShape:

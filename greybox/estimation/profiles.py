@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import chdtri, fdtri
 
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.json_file import read_json, write_json
+from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Interval, UnboundedArray, from_json_data
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
@@ -38,30 +38,15 @@ from greybox.estimation.transcription.simulation_error import Evaluation
 # Profiles, of one constant or two, and bootstraps as JSON files that are written and read without loss.
 
 
-class IntervalFile:
+class IntervalFile(StoredResult):
     """A value about intervals that can be saved: its fields are the keys of the file."""
 
-    KEYS: ClassVar[str] = "kind *"
+    KEYS: ClassVar[str] = "kind! *"
 
     @property
     def kind(self) -> str:
         """``profile``, ``profile_pair`` or ``bootstrap``: which of these files it is."""
         return re.sub("(?<!^)([A-Z])", r"_\1", type(self).__name__).lower()
-
-    def save(self, path: str | Path) -> Path:
-        """Write it as JSON; `load_profile`, `load_profile_pair` or `load_bootstrap` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made. Numbers that are not finite become null.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_json(path, self)
 
 
 # What a profile is.
@@ -143,7 +128,7 @@ class Profile(Printable, IntervalFile):
     correlation: Finite = 0.0
 
     FILE: ClassVar[FileKind] = FileKind("a profile", "file that a profile was saved to")
-    KEYS: ClassVar[str] = "kind * shape valley disagreement is_better"
+    KEYS: ClassVar[str] = "kind! * shape valley disagreement is_better"
 
     @property
     def open_sides(self) -> tuple[bool, bool]:

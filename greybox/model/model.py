@@ -148,13 +148,13 @@ class Model(Printable):
         """States of the plant and of its effects."""
         return self.system.states
 
-    @property
+    @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the plant and of its effects, under the names they have in this model; those that are tied left out."""
         gone = {tie.name for tie in self.ties}
         return tuple(q for q in self.stated_parameters if q.name not in gone)
 
-    @property
+    @cached_property
     def stated_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the plant and of its effects, tied ones included."""
         return (*self.parameters, *(q for b in self.bound_effects for q in b.parameters))
@@ -165,7 +165,7 @@ class Model(Printable):
         p = self.parameters_at(list(self.values.values()))
         return {tie.name: float(p[tie.name]) for tie in self.ties}
 
-    @property
+    @cached_property
     def free_parameters(self) -> tuple[Parameter, ...]:
         """The parameters that a fit may change."""
         return tuple(q for q in self.all_parameters if not q.fixed)
