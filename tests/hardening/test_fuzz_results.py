@@ -34,6 +34,7 @@ from greybox.extensions.design.problem import CampaignCode, DesignPolicy
 from greybox.extensions.fmu.description import read_fmu
 from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
 from greybox.model.model import Model
+from greybox.shell.commands import COMMANDS
 from greybox.shell.own_effects import find_own_effects, keep_effect
 from greybox.shell.study_file import read_study
 from models.micro_actuator import micro_actuator
@@ -307,8 +308,8 @@ def test_mutated_results_journals_and_studies(tmp_path):
         journal.add(f"k{k}", outcome if k % 4 else None)
     files[journal.path] = (None, use_journal, True)
     (tmp_path / "study.toml").write_text(STUDY)
-    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
-    read_study(tmp_path / "study.toml", "fit")
+    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit", COMMANDS), False)
+    read_study(tmp_path / "study.toml", "fit", COMMANDS)
     each = size_of(5000 // len(files) + 1)
     outcomes, wrong = attack(files, each)
     figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"

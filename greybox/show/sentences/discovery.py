@@ -364,8 +364,8 @@ def conclusion_text(discovery: Discovery) -> str:
     return " ".join(sentences(discovery.conclusion))
 
 
-@renders("Discovery")
-def _discovery(d: Discovery) -> str:
+def write_discovery(d: Discovery) -> str:
+    """The answer, the effects with what speaks for them, the errors, the candidates, and what to do next."""
     lines = [conclusion_text(d)]
     if d.refinement is not None and d.refinement.steps:
         lines.append(refinement_text(d.refinement))

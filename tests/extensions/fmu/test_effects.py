@@ -7,8 +7,8 @@ import shutil
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.signal import lsim
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import ModelError

@@ -10,9 +10,9 @@ import zipfile
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError, ModelError, OutputError

@@ -1,94 +1,78 @@
-"""How to repeat what a page shows: the command, the options, the versions."""
+"""What stands at the end of a page: its records, and how to repeat it with the same command, options and versions."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from greybox.base.document import Block, CodeBlock, Details, Facts, Section, TableBlock
 from greybox.base.extensions import read_versions
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.model.model import Model
+from greybox.show.documents.tables import flatten, named_values
 from greybox.show.figures.figure import scale_to_prefix
-from greybox.show.pages.page import Block, CodeBlock, Details, PageTable, Section, Text, format_range
 from greybox.show.sentences.wording import count_noun, join_names
 from greybox.simulation.simulate import Simulation
 
 
 def provenance_section(command: str, versions: Mapping[str, Any] | None = None) -> Section:
     """The command and the versions: those of now, or those that were noted."""
-    table = name_value_table("Versions", read_versions() if versions is None else versions)
+    table = named_values("Versions", read_versions() if versions is None else versions)
     return Section("repeat", "How to repeat it", [*_command(command), table])
 
 
 def fit_provenance_section(fit: Fit, command: str) -> Section:
     """What is needed to get the numbers of a fit again."""
-    return Section("repeat", "How to repeat it", list(_of_fit(fit, command)))
-
-
-def _command(command: str) -> Iterator[Block]:
-    if command:
-        yield CodeBlock(command, "In the shell")
-
-
-def _of_fit(fit: Fit, command: str) -> Iterator[Block]:
-    yield from _command(command)
-    error = join_names([f"{e:.2g} of the noise in {output}" for output, e in fit.discretisation.error.items() if e])
     iterations = count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
-    rows = [
-        ["discretisation", fit.discretisation.label],
-        ["its error", error or "none"],
-        ["search", "" if fit.solver.strategy is None else str(fit.solver.strategy)],
-        ["ended", f"{fit.status.replace('_', ' ')} after {iterations}"],
-    ]
-    yield PageTable("How it was computed", ["what", "how"], [row for row in rows if row[1]])
-    tables = [
-        _options(fit),
-        name_value_table("Versions", fit.provenance.versions),
-    ]
-    yield Details("Options and versions", tables)
-
-
-def name_value_table(title: Text, values: Mapping[str, Any]) -> PageTable:
-    """Names and values as a table; a name within a group is ``group.name``."""
-    return PageTable(title, ["name", "value"], [[name, value] for name, value in _flat(values)])
-
-
-def _options(fit: Fit) -> PageTable:
-    """The options; of the policy only what differs from the default, which the note says."""
-    usual = dict(_flat(FitOptions().to_data()))
-    rows = [
-        [name, value]
-        for name, value in _flat(fit.provenance.options)
-        if not (name.startswith("policy.") and usual.get(name) == value)
-    ]
-    return PageTable(
-        "Options", ["name", "value"], rows, "Numbers of the policy that are not listed have their default values."
+    ended = f"{fit.status.replace('_', ' ')} after {iterations}"
+    computed = Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
+    tables: list[Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
+    return Section(
+        "repeat", "How to repeat it", [*_command(command), computed, Details("Options and versions", tables)]
     )
 
 
-def _flat(values: Mapping[str, Any], group: str = "") -> Iterator[tuple[str, str]]:
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{group}{name}.")
-        else:
-            yield f"{group}{name}", "" if value is None else str(value)
+def _command(command: str) -> list[Block]:
+    return [CodeBlock(command, "In the shell")] if command else []
+
+
+def computation_facts(fit: Fit) -> list[tuple[str, str]]:
+    """How a fit was integrated and searched for; nothing of the integrator's error where the discretisation is exact."""
+    error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
+    shift = max((s for s in fit.discretisation.shift.values() if math.isfinite(s)), default=0.0)
+    left = f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
+    search = [] if fit.solver.strategy is None else [("search", str(fit.solver.strategy))]
+    return [("discretisation", fit.discretisation.label + (left if error or shift else "")), *search]
+
+
+def _options(fit: Fit) -> TableBlock:
+    """The options; of the policy only what differs from the default, which the note says."""
+    usual = flatten(FitOptions().to_data())
+    rows = [
+        [name, value]
+        for name, value in flatten(fit.provenance.options).items()
+        if not (name.startswith("policy.") and usual.get(name) == value)
+    ]
+    note = "Numbers of the policy that are not listed have their default values."
+    return TableBlock("Options", ["name", "value"], rows, note)
 
 
 # The data of a page: which records, what they hold, and their fingerprints.
 
-HEAD = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
 
-
-def records_section(fitted: Sequence[Trace], validation: Sequence[Trace], fit: Fit) -> Section:
+def records_section(fit: Fit) -> Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
+    fitted, validation = [*fit.traces], [*fit.validation.traces]
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "validation") for t in validation)]
-    note = f"Noise: {fit.noise.source}"
-    records = PageTable("Records", HEAD, rows, note)
-    return Section("data", "Data", [records, _signals([*fitted, *validation], fit)])
+    note = f"Noise: {fit.noise}"
+    head = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
+    records = TableBlock("Records", head, rows, note)
+    return Section("data", "Data", [records, _signals(fitted + validation, fit)])
 
 
 def hidden_states(run: Simulation) -> dict[str, np.ndarray]:
@@ -124,11 +108,18 @@ def format_sampling_time(time: np.ndarray) -> str:
 
 
 def signal_units(model: Model) -> dict[str, str]:
-    """Unit of each output and input."""
-    return {o.name: o.unit for o in model.outputs} | {i.name: i.unit for i in model.inputs}
+    """Unit of each output, input and state."""
+    units = {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
+    return units | {o.name: o.unit for o in model.outputs}
 
 
-def _signals(traces: Sequence[Trace], fit: Fit) -> PageTable:
+def format_range(values: np.ndarray) -> str:
+    """``-3.1 to 2.7``, of the finite ``values`` (N,)."""
+    known = values[np.isfinite(values)]
+    return f"{known.min():.4g} to {known.max():.4g}" if len(known) else "nothing"
+
+
+def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
     rows = []
     for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
         for signal in signals:
@@ -140,4 +131,4 @@ def _signals(traces: Sequence[Trace], fit: Fit) -> PageTable:
             noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
             limits = f"{format_range(factor * every)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
-    return PageTable("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)
+    return TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -1,19 +1,40 @@
-"""The page of a fit: what came out, whether to believe it, what it was made from, how to repeat it."""
+"""A fit: what came out, whether to believe it, what it was made from, how to repeat it."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from greybox.base.document import (
+    Block,
+    BulletList,
+    Details,
+    Document,
+    Facts,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    Subheading,
+    TableBlock,
+    Tone,
+)
 from greybox.base.findings import Finding
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.optimum import compute_record_misfits, has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import FitNoise, Misfit, Trace
-from greybox.show.figures.figure import typeset_unit
+from greybox.estimation.result_parts import Misfit, Trace
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.provenance import (
+    computation_facts,
+    fit_provenance_section,
+    records_section,
+    signal_units,
+)
+from greybox.show.documents.tables import MISFIT_HEADS, misfit_cells, misfit_table, parameters_table
 from greybox.show.figures.parameters import (
     plot_correlation,
     plot_intervals,
@@ -24,32 +45,66 @@ from greybox.show.figures.parameters import (
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.page import (
-    Block,
-    BulletList,
-    Details,
-    FigureBlock,
-    Page,
-    PageTable,
-    Paragraphs,
-    Section,
-    Subheading,
-    Text,
-    Tone,
-    typeset_number,
-)
-from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
-from greybox.show.sentences.estimation import (
-    MISFIT_HEADS,
-    list_tests_not_made,
-    name_test,
-    to_constant_rows,
-    to_misfit_cells,
-)
-from greybox.show.sentences.wording import count_noun, join_names, record_text
+from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
+from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
 
-# What several pages say of a fit: whether to believe it, and its parameters.
+
+def describe_fit(
+    fit: Fit,
+    *,
+    command: str = "",
+    tests: ResidualTests | None = None,
+    skip: int = 0,
+    intervals: Iterable[tuple[str, Block]] = (),
+) -> Document:
+    """What is said of a fit.
+
+    Parameters
+    ----------
+    fit
+        The result of `greybox.fit`.
+    command
+        What was typed, for repeating it.
+    tests
+        Those of the residual; made here where left out.
+    skip
+        Rows at the start of validation records that do not count.
+    intervals
+        Further intervals of the parameters, by profile likelihood or a bootstrap, each kind with its title.
+    """
+    return Document(
+        f"Fit of {fit.model.title}",
+        Later(_brief, fit),
+        _question(fit),
+        fit_verdict(fit),
+        Later(_sections, fit, command, tests, skip, intervals),
+        "fit",
+        Later(_evidence, fit),
+    )
+
+
+def _brief(fit: Fit) -> Iterator[Block]:
+    """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
+    yield Paragraphs([f"{fit.model.title}: {fit.solver}"])
+    yield parameters_table(fit)
+    yield from _priors(fit)
+    yield from _misfits(fit)
+    if kind := _interval_kind(fit):
+        yield Facts([("intervals", kind)])
+    notes = (("note", finding) for finding in fit.findings)
+    yield Facts([("noise", str(fit.noise)), *computation_facts(fit), *notes])
+
+
+def _sections(
+    fit: Fit, command: str, tests: ResidualTests | None, skip: int, intervals: Iterable[tuple[str, Block]]
+) -> Iterator[Section]:
+    yield Section("parameters", "Parameters", list(_parameters(fit, intervals)))
+    yield Section("misfit", "Measured and simulated", list(_misfit(fit, skip)))
+    yield Section("residual", "Tests of the residual", list(_residual(fit, tests)))
+    yield Section("model", "The model", [typeset_equations(fit.model)])
+    yield records_section(fit)
+    yield fit_provenance_section(fit, command)
+
 
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
 
@@ -145,20 +200,6 @@ def _validated(fit: Fit) -> str:
     return f"On {records} the residual is {_over_noise(fit, fit.validation.misfit)}."
 
 
-def parameters_table(fit: Fit, note: Text = "") -> PageTable:
-    """The parameters of a fit as a table."""
-    rows = [
-        [name, typeset_number(value), typeset_number(limits), typeset_unit(unit) if unit else "", remark]
-        for name, value, limits, unit, remark in to_constant_rows(fit)
-    ]
-    return PageTable(
-        "Parameters with standard deviations and 95 % intervals",
-        ["parameter", "value", "95 % interval", "unit", "remark"],
-        rows,
-        note,
-    )
-
-
 @dataclass(frozen=True)
 class RecordRun:
     """A model's run over one record, for validation or fitted; the first ``skip`` rows do not count."""
@@ -173,33 +214,6 @@ class RecordRun:
         return f"{('Validation' if self.validation else 'Estimation')} {record_text(self.trace.name)}"
 
 
-def build_fit_page(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Page:
-    """The page of a fit.
-
-    Parameters
-    ----------
-    fit
-        The result of `greybox.fit`.
-    command
-        What was typed, for repeating it.
-    tests
-        Those of the residual; made here where left out.
-    skip
-        Rows at the start of validation records that do not count.
-    """
-    sections = [
-        Section("parameters", "Parameters", list(_parameters(fit))),
-        Section("misfit", "Measured and simulated", list(_misfit(fit, skip))),
-        Section("residual", "Tests of the residual", list(_residual(fit, tests))),
-        Section("model", "The model", [typeset_equations(fit.model)]),
-        records_section([*fit.traces], [*fit.validation.traces], fit),
-        fit_provenance_section(fit, command),
-    ]
-    question = _question(fit)
-    title = f"Fit of {fit.model.title}"
-    return Page(title, question, fit_verdict(fit), sections, "fit", _evidence(fit))
-
-
 def _question(fit: Fit) -> str:
     free, fixed = fit.uncertainty.free, [name for name, e in fit.parameters.items() if e.fixed]
     rows = sum(len(t.time) for t in fit.traces)
@@ -210,17 +224,21 @@ def _question(fit: Fit) -> str:
     return f"Which values of {join_names(free)} make the model follow {records}?{known}"
 
 
-def _evidence(fit: Fit) -> FigureBlock | None:
+def _evidence(fit: Fit) -> Iterator[FigureBlock]:
     """What convinces of a fit: its run over a record that it has not seen, else over one that it has."""
     traces = [*fit.validation.traces, *fit.traces]
-    if not (fit.success and traces):
-        return None
-    stretches = PAGE.stretches(2 * len(traces[0].measured))
-    return FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
+    if fit.success and traces:
+        stretches = PAGE.stretches(2 * len(traces[0].measured))
+        yield FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
 
 
-def _parameters(fit: Fit) -> Iterator[Block]:
-    yield parameters_table(fit, _interval_note(fit))
+def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Block]:
+    kind = _interval_kind(fit)
+    yield parameters_table(fit, kind and f"Intervals: {kind}")
+    yield from _priors(fit)
+    for title, block in further:
+        yield Subheading(f"{title[0].upper()}{title[1:]}")
+        yield block
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
@@ -237,17 +255,28 @@ def _parameters(fit: Fit) -> Iterator[Block]:
         yield Details("Correlation of the fitted parameters", [FigureBlock(correlation)])
 
 
-def _interval_note(fit: Fit) -> Text:
-    if not any(fit.parameters[name].interval for name in fit.uncertainty.free):
-        return ""
-    if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        return (
-            "The residual is not white. The intervals allow for its colour, which widened them up to"
-            f" {fit.uncertainty.largest_inflation:.3g} times."
-        )
-    if fit.prediction.process_noise:
-        return "The intervals are from the information matrix of the likelihood; the innovations are white."
-    return "The intervals are from the Gauss-Newton covariance; the residual is white."
+def _priors(fit: Fit) -> Iterator[TableBlock]:
+    """What the prior knowledge was, and what the records added to it."""
+    rows = []
+    for name, c in fit.constraints.priors.items():
+        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
+        reduction = f"{100 * c.variance_reduction:.3g} %"
+        rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
+    if rows:
+        yield TableBlock("Priors", ["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
+
+
+def _interval_kind(fit: Fit) -> str:
+    sandwich = fit.uncertainty.kind == "sandwich"
+    if fit.prediction.process_noise and not sandwich:
+        which = "observed" if fit.uncertainty.kind == "observed_information" else "expected"
+        return f"{which} information of the likelihood; the innovations are white"
+    if sandwich and fit.uncertainty.inflation:
+        widest = fit.uncertainty.largest_inflation
+        return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
+    if any(e.std is not None for e in fit.parameters.values()):
+        return "Gauss-Newton covariance (expected information); the residual is white"
+    return ""
 
 
 # The same for all residuals of a page together.
@@ -258,12 +287,19 @@ OPEN_RECORDS = 1
 RECORDS_OF_FIT = 20
 
 
-def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
-    yield misfit_table("Free run on the estimation records", fit.misfit, fit.noise)
-    if fit.prediction.one_step:
-        yield misfit_table("Prediction one sample ahead on the estimation records", fit.prediction.one_step, fit.noise)
+def _misfits(fit: Fit) -> Iterator[TableBlock]:
+    """The misfit by output: of the free run, of a prediction, and on the validation records."""
+    estimation, noise = "on the estimation records", fit.noise
+    yield misfit_table(f"Free run {estimation}", fit.misfit, noise, "misfit (free run)")
+    if ahead := fit.prediction.one_step:
+        yield misfit_table(f"Prediction one sample ahead {estimation}", ahead, noise, "prediction (1 step ahead)")
     if fit.validation:
-        yield misfit_table("Free run on the validation records", fit.validation.misfit, fit.noise)
+        corner = "on validation records (free run)"
+        yield misfit_table("Free run on the validation records", fit.validation.misfit, noise, corner)
+
+
+def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
+    yield from _misfits(fit)
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
         yield _by_record(fit, runs)
@@ -301,24 +337,18 @@ def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: b
     return blocks if inputs is None else [*blocks, FigureBlock(inputs, stretches, group=together)]
 
 
-def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> PageTable:
+def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> TableBlock:
     rows = [
         [
             run.trace.name,
             "validation" if run.validation else "fitted",
             output,
-            *map(typeset_number, to_misfit_cells(m, fit.noise.bound(output))),
+            *misfit_cells(m, fit.noise.bound(output)),
         ]
         for run in runs
         for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]
-    return PageTable("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
-
-
-def misfit_table(title: Text, misfit: Mapping[str, Misfit], noise: FitNoise) -> PageTable:
-    """Misfits by output as a table; over a noise that is only bounded they are at least so large."""
-    rows = [[name, *map(typeset_number, to_misfit_cells(m, noise.bound(name)))] for name, m in misfit.items()]
-    return PageTable(title, ["output", *MISFIT_HEADS], rows)
+    return TableBlock("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
 
 
 def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
@@ -347,24 +377,10 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
             [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], Tone.GOOD
         )
     if tests.not_made:
-        yield Paragraphs([f"Not tested: {sentence}." for sentence in list_tests_not_made(tests)], Tone.CAUTION)
+        yield Paragraphs([f"Not tested: {line}." for line in list_tests_not_made(tests)], Tone.CAUTION)
+    note = f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits."
+    yield from residual_tests_tables(tests, note)
     if not tests.tests:
         return
-    rows = [
-        [
-            f"{t.output}: {name_test(t)}",
-            f"alarm: {t}" if t.alarm else str(t),
-            typeset_number(f"{t.p_value:.2g}"),
-            typeset_number(f"{t.statistic:.4g}"),
-        ]
-        for t in tests.tests
-    ]
-    head = ["test", "result", "p", "statistic"]
-    yield PageTable(
-        "Tests of the residual",
-        head,
-        rows,
-        f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits.",
-    )
     for output in tests.residuals:
         yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -1,15 +1,33 @@
-"""The page of a discovery: the missing effect, its certainty, and the error before and after."""
+"""A discovery: the missing effect, its certainty, and the error before and after."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from greybox.base.document import (
+    Block,
+    BulletList,
+    Details,
+    Document,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    Subheading,
+    TableBlock,
+    Text,
+    Tone,
+)
 from greybox.discovery.certainty import Grade
 from greybox.discovery.decision import Verdict
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.refinement import Refinement
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import OPEN_RECORDS
+from greybox.show.documents.provenance import fit_provenance_section, records_section, signal_units
+from greybox.show.documents.tables import estimate_cells, parameters_table
 from greybox.show.figures.discovery import (
     errors_to_judge,
     explained_share,
@@ -23,25 +41,7 @@ from greybox.show.figures.discovery import (
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.figures.sheet import PAGE
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import OPEN_RECORDS, parameters_table
-from greybox.show.pages.page import (
-    Block,
-    BulletList,
-    Details,
-    FigureBlock,
-    Page,
-    PageTable,
-    Paragraphs,
-    Section,
-    Subheading,
-    Text,
-    Tone,
-    typeset_number,
-)
-from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
-from greybox.show.sentences.discovery import refinement_text, surrogate_title
-from greybox.show.sentences.estimation import to_constant_cells
+from greybox.show.sentences.discovery import refinement_text, surrogate_title, write_discovery
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
 
@@ -49,21 +49,28 @@ TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
 """How the answer is marked; every other verdict asks for caution."""
 
 
-def build_discovery_page(discovery: Discovery, *, command: str = "") -> Page:
-    """The page of a discovery; ``command`` is what was typed."""
-    best, plain = discovery.best, discovery.base.model.title
-    sections = [
-        *discovery_sections(discovery, beside_verdict=True),
-        Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)]),
-        Section("extended", "The extended model", [typeset_equations(best.model)])
-        if best.model.effects
-        else Section("model", "The model", [typeset_equations(best.model)]),
-        records_section([*best.traces], [*best.validation.traces], best),
-        fit_provenance_section(best, command),
-    ]
-    title, question = f"Effects that {plain} lacks", f"Which effect, if any, does {plain} lack?"
-    evidence = FigureBlock(plot_holdout_error(discovery))
-    return Page(title, question, discovery_verdict(discovery), sections, "discovery", evidence)
+def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
+    """What is said of a discovery; ``command`` is what was typed."""
+    plain = discovery.base.model.title
+    return Document(
+        f"Effects that {plain} lacks",
+        Later(lambda: [Paragraphs([write_discovery(discovery)])]),
+        f"Which effect, if any, does {plain} lack?",
+        discovery_verdict(discovery),
+        Later(_sections, discovery, command),
+        "discovery",
+        Later(lambda: [FigureBlock(plot_holdout_error(discovery))]),
+    )
+
+
+def _sections(discovery: Discovery, command: str) -> Iterator[Section]:
+    best = discovery.best
+    yield from discovery_sections(discovery, beside_verdict=True)
+    yield Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)])
+    names = ("extended", "The extended model") if best.model.effects else ("model", "The model")
+    yield Section(*names, [typeset_equations(best.model)])
+    yield records_section(best)
+    yield fit_provenance_section(best, command)
 
 
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
@@ -117,18 +124,18 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
     rows = [
         [
             output,
-            *(typeset_number(f"{v:.4g} {typeset_unit(e.unit)}".rstrip()) for v in (e.before, e.after)),
-            typeset_number(f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip()) if e.is_floor_known else "not known",
+            *(f"{v:.4g} {typeset_unit(e.unit)}".rstrip() for v in (e.before, e.after)),
+            f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip() if e.is_floor_known else "not known",
             _explained(e),
         ]
         for output, e in errors.items()
     ]
     head = ["output", "plain model", name, "noise", "error taken away"]
-    yield PageTable("Rms error of the free run on the validation records", head, rows)
+    yield TableBlock("Rms error of the free run on the validation records", head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
-        steps = [[name, typeset_number(f"{misfit:.4g} × noise")] for name, misfit in path]
-        yield PageTable("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
+        steps = [[name, f"{misfit:.4g} × noise"] for name, misfit in path]
+        yield TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[:RECORDS_OF_DISCOVERY]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
@@ -197,7 +204,7 @@ def _refinement(refinement: Refinement) -> Iterator[Block]:
         for s in refinement.steps
     ]
     head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
-    yield PageTable("Further effects, each with the share of the rms misfit that it removes", head, rows)
+    yield TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
     yield parameters_table(refinement.fit)
 
 
@@ -216,14 +223,14 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
         [
             s.label,
             str(sets[s.label]),
-            typeset_number(f"{s.gain:.4g}"),
-            typeset_number(f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()),
+            f"{s.gain:.4g}",
+            f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip(),
         ]
         for s in localisation.sites
     ]
     if rows:
         head = ["site", "set", "gain", "signal (rms)"]
-        yield PageTable(
+        yield TableBlock(
             "Sites, likeliest first",
             head,
             rows,
@@ -240,24 +247,21 @@ def _candidates(discovery: Discovery) -> Iterator[Block]:
         yield FigureBlock(figure)
     if discovery.alternatives:
         yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
-    rows = [
-        [" + ".join(r.effects), typeset_number(f"{r.misfit:.4g} × noise"), typeset_number(f"{r.behind:.4g}")]
-        for r in discovery.ranking
-    ]
+    rows = [[" + ".join(r.effects), f"{r.misfit:.4g} × noise", f"{r.behind:.4g}"] for r in discovery.ranking]
     note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
-    table = PageTable("Candidates", ["effects", "misfit", "behind"], rows, note)
+    table = TableBlock("Candidates", ["effects", "misfit", "behind"], rows, note)
     yield Details(f"All {count_noun(len(rows), 'candidate')}", [table])
 
 
-def _parameters_before_after(discovery: Discovery) -> PageTable:
+def _parameters_before_after(discovery: Discovery) -> TableBlock:
     """Each parameter with the plain model and with the extended one."""
     if not discovery.best.model.effects:
         return parameters_table(discovery.best)
     rows = []
     for name, e in discovery.best.parameters.items():
         plain = discovery.base.parameters.get(name)
-        _, after, limits, _, remark = map(typeset_number, to_constant_cells(name, e))
-        before = typeset_number(to_constant_cells(name, plain)[1]) if plain is not None else "–"
+        _, after, limits, _, remark = estimate_cells(name, e)
+        before = estimate_cells(name, plain)[1] if plain is not None else "–"
         rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
     head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
-    return PageTable("Parameters: those of the plain model absorb part of the missing effect", head, rows)
+    return TableBlock("Parameters: those of the plain model absorb part of the missing effect", head, rows)

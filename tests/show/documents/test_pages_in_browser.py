@@ -10,8 +10,8 @@ import pytest
 import greybox as gb
 from greybox.comparison.compare import compare
 from greybox.estimation.check import check
-from greybox.show.pages.html import write_page
-from greybox.show.pages.report import build_page
+from greybox.show.printers.html import write_page
+from greybox.show.report import describe_page
 from models.micro_actuator import micro_actuator
 from tests.support.browser import opened, wait_until
 
@@ -33,7 +33,7 @@ def good_fit():
 @pytest.fixture(scope="module")
 def report(good_fit, tmp_path_factory) -> Path:
     return write_page(
-        build_page(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
+        describe_page(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
     )
 
 

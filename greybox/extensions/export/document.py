@@ -1,4 +1,4 @@
-"""The page of an export: which files were written, what they hold, and the fit behind them."""
+"""An export: which files were written, what they hold, and the fit behind them."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from greybox.base.document import Block, CodeBlock, Details, Document, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.result import Fit
-from greybox.show.pages.equations import typeset_equations
-from greybox.show.pages.fit_page import fit_verdict, parameters_table
-from greybox.show.pages.linearisation_page import linear_question, linear_sections, linear_verdict
-from greybox.show.pages.page import Block, CodeBlock, Details, Page, PageTable, Paragraphs, Section, Tone
-from greybox.show.pages.provenance import provenance_section
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import fit_verdict
+from greybox.show.documents.linearisation import linear_question, linear_sections, linear_verdict
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.tables import parameters_table
 from greybox.show.sentences.wording import count_noun
 
 READABLE = (".c", ".h", ".py", ".mo", ".json")
@@ -30,22 +31,28 @@ class Export:
     family: ModelFamily | None = None
 
 
-def build_export_page(export: Export, *, command: str = "") -> Page:
-    """The page of an export; ``command`` is what was typed."""
+def describe_export(export: Export, *, command: str = "") -> Document:
+    """What is said of an export; ``command`` is what was typed."""
     fit, linear = export.fit, export.linear
-    sections = [
-        *(linear_sections(linear, export.family) if linear is not None else []),
-        Section("files", "Files", list(_files(export))),
-        Section("fit", "The fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)]),
-        provenance_section(command, fit.provenance.versions),
-    ]
-    title = f"{fit.model.title} as {export.kind}"
-    question = (
-        linear_question(linear)
-        if linear is not None
-        else f"The fitted model {fit.model.title}, for use outside this program."
+    question = f"The fitted model {fit.model.title}, for use outside this program."
+    verdict = _verdict(export)
+    return Document(
+        f"{fit.model.title} as {export.kind}",
+        [verdict],
+        question if linear is None else linear_question(linear),
+        verdict,
+        Later(_sections, export, command),
+        "export",
     )
-    return Page(title, question, _verdict(export), sections, "export")
+
+
+def _sections(export: Export, command: str) -> Iterator[Section]:
+    fit = export.fit
+    if export.linear is not None:
+        yield from linear_sections(export.linear, export.family)
+    yield Section("files", "Files", list(_files(export)))
+    yield Section("fit", "The fit", [fit_verdict(fit), parameters_table(fit), typeset_equations(fit.model)])
+    yield provenance_section(command, fit.provenance.versions)
 
 
 def _verdict(export: Export) -> Paragraphs:
@@ -66,11 +73,11 @@ REPORT_LISTING = 60000
 
 def _files(export: Export) -> Iterator[Block]:
     rows = [[f.name, f"{f.stat().st_size:,} bytes".replace(",", " ")] for f in export.files]
-    yield PageTable("Files", ["file", "size"], rows)
+    yield TableBlock("Files", ["file", "size"], rows)
     for file in export.files:
         if file.suffix in READABLE and file.stat().st_size <= REPORT_LISTING:
             yield Details(f"Content of {file.name}", [CodeBlock(file.read_text(encoding="utf-8"))])
 
 
-PAGES = {"Export": build_export_page}
-"""Class of a result -> the function that builds its page."""
+DOCUMENTS = {"Export": describe_export}
+"""Class of a result -> the function that describes it."""

@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base.document import Document
 from greybox.base.findings import Finding
 from greybox.comparison.compare import compare
 from greybox.data.signals import SignalLimit
 from greybox.estimation.check import check
 from greybox.extensions.design.campaign import Campaign, CampaignPlan, CampaignStatus, CampaignStep
 from greybox.extensions.design.problem import CampaignCode
-from greybox.extensions.export.page import Export
-from greybox.show.pages.html import mathml, render_page, write_page
-from greybox.show.pages.page import Page
-from greybox.show.pages.report import build_page
+from greybox.extensions.export.document import Export
+from greybox.show.printers.html import mathml, render_page, write_page
+from greybox.show.report import describe_page
 from models.micro_actuator import micro_actuator
 from tests.extensions.design.test_design import QUICK
 from tests.support.browser import opened, wait_until
@@ -41,7 +41,7 @@ KINDS = (
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory) -> dict[str, Page]:
+def pages(tmp_path_factory) -> dict[str, Document]:
     """A page of every kind, from small results."""
     t = 5e-4 * np.arange(400)
     rig = (micro_actuator + gb.effect("cubic_stiffness")).start(K3=5e9)
@@ -83,7 +83,7 @@ def pages(tmp_path_factory) -> dict[str, Page]:
         "linearisation": (linear, {}),
         "simulation": (runs[0], {"model": rig}),
     }
-    return {kind: build_page(value, command="greybox", **more) for kind, (value, more) in values.items()}
+    return {kind: describe_page(value, command="greybox", **more) for kind, (value, more) in values.items()}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -159,5 +159,5 @@ def test_a_term_of_any_name_is_typeset(text):
         parameters=[gb.Parameter("k", "1/s", 1.0, (0.1, 10.0))],
         balances=balances,
     )
-    html = render_page(build_page(check(model)))
+    html = render_page(describe_page(check(model)))
     assert "<math" in html and "<img" not in html and html.count("<script") == html.count("</script>")

@@ -1,4 +1,4 @@
-"""A page as one HTML file that opens without a network: style, scripts and figures inside.
+"""A document as a page: one HTML file that opens without a network: style, scripts and figures inside.
 
 Texts come from models, records and results of others. They become HTML here and nowhere else: Jinja escapes what stands in the
 template, `mathml` what stands in equations, `embedded` what the page's script reads. The page's content security policy is the
@@ -26,12 +26,13 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
+from greybox.base.document import Block, Details, Document, FigureBlock, Text
 from greybox.base.errors import DataError
 from greybox.base.files import write_file
 from greybox.base.findings import Finding
+from greybox.show.figures.figure import raise_powers, typeset_number
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.figures.sheet import PALETTE
-from greybox.show.pages.page import Block, Details, FigureBlock, Page, Text, typeset_number
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import as_sentence
 
@@ -49,7 +50,7 @@ MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold 
 LARGEST_PAGE = 6000000
 
 
-def render_page(page: Page) -> str:
+def render_page(page: Document) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
     script, drawn = _inside("page.js"), _drawn(page)
     scripts: list[str | bytes] = [script, *([read_plotly()] if drawn else [])]
@@ -72,14 +73,13 @@ def render_page(page: Page) -> str:
     return html
 
 
-def write_page(page: Page, path: str | Path) -> Path:
+def write_page(page: Document, path: str | Path) -> Path:
     """Write the page to ``path`` (folders are made) and return it."""
     return write_file(path, render_page(page))
 
 
-def _drawn(page: Page) -> bool:
-    in_sections = any(_has_figure(block) for section in page.sections for block in section.blocks)
-    return page.evidence is not None or in_sections
+def _drawn(page: Document) -> bool:
+    return bool(page.evidence) or any(_has_figure(block) for section in page.sections for block in section.blocks)
 
 
 def _has_figure(block: Block) -> bool:
@@ -89,14 +89,14 @@ def _has_figure(block: Block) -> bool:
 @cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("greybox.show.pages", "template"),
+        loader=PackageLoader("greybox.show.printers", "template"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     environment.filters |= {"mathml": mathml, "data": embedded, "kind": lambda block: type(block).__name__.lower()}
-    environment.filters |= {"height": height_on_page, "say": say, "label": label}
+    environment.filters |= {"height": height_on_page, "say": say, "label": label, "cell": cell}
     return environment
 
 
@@ -153,6 +153,17 @@ def label(text: Text) -> str:
     return typeset_number(sentence(text) if isinstance(text, Finding) else text)
 
 
+# Spaces at which a line of a cell should not break: around ± and ×, and in front of the unit at its end.
+UNBROKEN = re.compile(r" (?=[±×])|(?<=[±×]) |(?<=\d) (?=\S{1,8}$)")
+
+
+def cell(text: str, head: str = "") -> str:
+    """A cell of a table below ``head``, with numbers and units as print has them; a value is not torn from its unit or its uncertainty."""
+    if head == "unit":
+        return raise_powers(text)
+    return UNBROKEN.sub("\N{NO-BREAK SPACE}", typeset_number(text)) if text != "-" else "–"
+
+
 def page_style() -> Markup:
     """The colours of figures by their roles, in front of the style of all else."""
     light = "".join(f"{css_variable(role)}:{shade.light};" for role, shade in PALETTE.items())
@@ -194,7 +205,7 @@ def _short(values: np.ndarray) -> list[float | None]:
 
 def _inside(name: str) -> Markup:
     """A file of the package, copied into the page unchanged."""
-    return Markup(files("greybox.show.pages").joinpath("template", name).read_text(encoding="utf-8"))
+    return Markup(files("greybox.show.printers").joinpath("template", name).read_text(encoding="utf-8"))
 
 
 def _as_text(text: str) -> str:

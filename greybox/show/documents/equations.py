@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import casadi as ca
 
+from greybox.base.document import Equation, EquationList
 from greybox.base.units import format_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
@@ -14,7 +15,6 @@ from greybox.model.equations import equations_text
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
 from greybox.model.model import Model
-from greybox.show.pages.page import Equation, EquationList
 
 
 def typeset_equations(model: Model) -> EquationList:

@@ -1,4 +1,4 @@
-"""The page of a linear model for a controller design: matrices, poles, frequency response, and how sure they are."""
+"""A linear model for a controller design: matrices, poles, frequency response, and how sure they are."""
 
 from __future__ import annotations
 
@@ -6,32 +6,34 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.base.numerics import VANISHED_POLE
-from greybox.estimation.linear.linearisation import Linearisation
-from greybox.estimation.linear.model_family import ModelFamily
-from greybox.estimation.linear.transfer_channel import extract_channel
-from greybox.show.figures.figure import typeset_unit
-from greybox.show.figures.linear import plot_bode, plot_poles
-from greybox.show.pages.page import (
+from greybox.base.document import (
     Block,
     BulletList,
     CodeBlock,
     Details,
+    Document,
+    Facts,
     FigureBlock,
-    Page,
-    PageTable,
+    Later,
     Paragraphs,
     Section,
+    TableBlock,
     Tone,
-    typeset_number,
 )
-from greybox.show.pages.provenance import provenance_section
-from greybox.show.sentences.linear import channel_lines, complex_text
+from greybox.base.units import format_unit
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.model_family import ModelFamily
+from greybox.estimation.linear.plant import format_signals
+from greybox.estimation.linear.transfer_channel import describe_behaviour
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.linear import plot_bode, plot_poles
+from greybox.show.sentences.linear import channel_lines, poles_table
 from greybox.show.sentences.wording import count_noun, join_names
 
 
-def build_linearisation_page(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Page:
-    """The page of a linear model.
+def describe_linearisation(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Document:
+    """What is said of a linear model.
 
     Parameters
     ----------
@@ -42,8 +44,24 @@ def build_linearisation_page(linear: Linearisation, *, family: ModelFamily | Non
     command
         What was typed, for repeating it.
     """
-    sections = [*linear_sections(linear, family), provenance_section(command)]
-    return Page(f"{linear.name} as a linear model", linear_question(linear), linear_verdict(linear), sections, "export")
+    return Document(
+        f"{linear.name} as a linear model",
+        Later(_brief, linear),
+        linear_question(linear),
+        linear_verdict(linear),
+        Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
+        "export",
+    )
+
+
+def _brief(linear: Linearisation) -> Iterator[Block]:
+    """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
+    timing = f"sampled every {linear.dt:g} s ({linear.method})" if linear.dt else "continuous"
+    yield Paragraphs([f"{linear.name}: linear model, {timing}"])
+    yield Paragraphs(_point_lines(linear))
+    yield Paragraphs(_matrix_lines(linear))
+    yield from describe_behaviour(linear).describe().brief
+    yield Facts([("note", finding) for finding in linear.findings])
 
 
 def linear_question(linear: Linearisation) -> str:
@@ -86,48 +104,18 @@ def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[S
 
 
 def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[Block]:
-    yield _poles(linear)
+    yield poles_table(linear.poles, linear.dt)
     yield from (FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family))
     poles = plot_poles(linear, family)
     if poles is not None:
         yield FigureBlock(poles)
-    lines = [
-        line.strip()
-        for output in linear.output_names
-        for name in linear.input_names
-        for line in channel_lines(extract_channel(linear, output, name))
-    ]
+    lines = [line.strip() for channel in describe_behaviour(linear).channels for line in channel_lines(channel)]
     yield CodeBlock("\n".join(lines), "Channels")
     if family is not None:
         models = f"{count_noun(len(family.members), 'model')} drawn from the covariance of the parameters (seed {family.seed})"
         yield Paragraphs([f"{models} show the uncertainty."])
         if family.findings:
             yield BulletList(family.findings)
-
-
-def _poles(linear: Linearisation) -> PageTable:
-    """Poles with natural frequency, damping and time constant."""
-    rows = [list(map(typeset_number, _pole_cells(linear, pole))) for pole in linear.poles[linear.poles.imag >= 0]]
-    head = ["pole" if linear.dt else "pole [1/s]", "natural frequency", "damping", "time constant"]
-    return PageTable("Poles (z)" if linear.dt else "Poles", head, rows)
-
-
-def _pole_cells(linear: Linearisation, pole: complex) -> list[str]:
-    if linear.dt and abs(pole) < VANISHED_POLE:
-        return [complex_text(pole), "zero after one sample", "", ""]
-    s = np.log(pole) / linear.dt if linear.dt else pole
-    speed = abs(s)
-    return [
-        _complex(pole),
-        f"{speed:.5g} rad/s ({speed / (2 * np.pi):.5g} Hz)" if speed else "integrates",
-        f"{-s.real / speed:.4g}" if speed else "",
-        f"{-1 / s.real:.4g} s" if s.real < 0 else "grows" if s.real > 0 else "undamped",
-    ]
-
-
-def _complex(pole: complex) -> str:
-    real = f"{pole.real:.6g}".replace("-", "−")
-    return f"{real} ± {abs(pole.imag):.6g} j" if pole.imag else real
 
 
 def _matrices(linear: Linearisation) -> Iterator[Block]:
@@ -143,19 +131,12 @@ def _matrices(linear: Linearisation) -> Iterator[Block]:
     for name, (matrix, rows, columns) in named.items():
         if matrix.size:
             yield _matrix(name, matrix, rows, columns)
-    digits = [
-        f"{name} = {np.array2string(matrix, separator=', ', floatmode='unique')}"
-        for name, (matrix, _, _) in named.items()
-    ]
-    yield Details("Matrices with all digits", [CodeBlock("\n".join(digits))])
+    yield Details("Matrices with all digits", [CodeBlock("\n".join(_matrix_lines(linear)))])
 
 
-def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> PageTable:
-    cells = [
-        [row, *(typeset_number(f"{v:.6g}").replace("-", "−") for v in values)]
-        for row, values in zip(rows, matrix, strict=True)
-    ]
-    return PageTable(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
+def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> TableBlock:
+    cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
+    return TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
 
 
 def _basis(linear: Linearisation) -> Iterator[Block]:
@@ -164,13 +145,38 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
     values = (*linear.x0, *linear.u0, *linear.y0)
     units = (*linear.state_units, *linear.input_units, *linear.output_units)
     rows = [
-        [name, kind, typeset_number(f"{value:.6g}").replace("-", "−"), typeset_unit(unit) if unit else ""]
+        [name, kind, f"{value:.6g}", format_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
-    yield PageTable("Operating point", ["signal", "kind", "value", "unit"], rows)
+    yield TableBlock("Operating point", ["signal", "kind", "value", "unit"], rows)
     delays = [[n, f"{s:.6g} s"] for n, s in zip(linear.input_names, linear.delay, strict=True) if s]
     if delays:
-        yield PageTable("Delays that the matrices do not include", ["input", "delay"], delays)
-    parameters = [[name, typeset_number(f"{value:.7g}")] for name, value in linear.parameters.items()]
-    head = ["parameter", "value (in the model's unit)"]
-    yield PageTable("Parameters of the model", head, parameters)
+        yield TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
+    parameters = [[name, f"{value:.7g}"] for name, value in linear.parameters.items()]
+    yield TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
+
+
+def _point_lines(model: Linearisation) -> list[str]:
+    """The operating point, and what the matrices leave out."""
+    lines = [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
+    if model.input_names:
+        lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"]
+    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
+    lines += [
+        f"  delay of {name} {seconds:.6g} s, not in the matrices"
+        for name, seconds in zip(model.input_names, model.delay, strict=True)
+        if seconds
+    ]
+    return lines
+
+
+def _matrix_lines(model: Linearisation) -> list[str]:
+    """A, B, C and D to the last digit."""
+    lines = []
+    for name, matrix in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D)):
+        rows = [[repr(float(v)) for v in row] for row in matrix]
+        widths = [max((len(row[k]) for row in rows), default=0) for k in range(matrix.shape[1])]
+        for k, row in enumerate(rows):
+            head = f"  {name} = " if k == 0 else "      "
+            lines.append(head + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)))
+    return lines
