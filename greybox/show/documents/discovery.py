@@ -19,6 +19,7 @@ from greybox.base.document import (
     Tone,
 )
 from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import claim_values
 from greybox.discovery.decision import Verdict
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.refinement import Refinement
@@ -41,7 +42,15 @@ from greybox.show.figures.discovery import (
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.figures.sheet import PAGE
-from greybox.show.sentences.discovery import refinement_text, surrogate_title, write_discovery
+from greybox.show.sentences.discovery import (
+    GRADES,
+    claim_text,
+    probability_text,
+    refinement_text,
+    rival_text,
+    surrogate_title,
+    write_discovery,
+)
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
 
@@ -97,6 +106,8 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
     """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
     figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
     yield Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
+    if discovery.claims:
+        yield Section("claims", "Claims", [_claims(discovery)])
     signals: list[Block] = [
         FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
@@ -113,6 +124,21 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
         yield Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
     if discovery.ranking:
         yield Section("candidates", "Candidates", list(_candidates(discovery)))
+
+
+def _claims(discovery: Discovery) -> TableBlock:
+    """What is said of the plain model, from what is missing to its name."""
+    rows = [
+        [
+            capitalise(claim_text(claim_values(claim))),
+            f"{GRADES[claim.grade]} ({probability_text(claim.probability)})",
+            f"{100 * claim.share:.0f} % in {claim.output}",
+            rival_text(claim.rival) or "none",
+        ]
+        for claim in discovery.claims
+    ]
+    head = ["claim", "certainty", "share of the error", "best rival"]
+    return TableBlock("What the plain model lacks, from something to its name", head, rows)
 
 
 # The same of a discovery, on its validation records.
@@ -186,7 +212,8 @@ def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, Holdout
 def extended_name(discovery: Discovery) -> str:
     """What to call the best model of the catalogue."""
     is_look_alike = all(e["grade"] == Grade.STAND_IN for e in discovery.effects)
-    return "nearest look-alike" if discovery.verdict == Verdict.UNKNOWN and is_look_alike else "extended model"
+    is_open = discovery.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
+    return "nearest look-alike" if is_open and is_look_alike else "extended model"
 
 
 def _refinement(refinement: Refinement) -> Iterator[Block]:
