@@ -223,17 +223,19 @@ def _share(executor: Executor | None, workers: int) -> ShareWork:
 BOOTSTRAP_SEED = 0
 
 
-def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | ProfilePair | Bootstrap:
+def _compute_interval(result: Fit, asked: tuple[tuple[str, ...], int]) -> Profile | ProfilePair | Bootstrap:
     """The profile of a parameter or of two together, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
     from greybox.estimation.uncertainty import bootstrap, profile, profile_pair
 
-    name, replicates = asked
-    if ":" in name:
-        return profile_pair(result, *name.split(":"))
-    draws = np.random.default_rng(BOOTSTRAP_SEED)
-    return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
+    match asked:
+        case (first, second), _:
+            return profile_pair(result, first, second)
+        case (name,), _:
+            return profile(result, name)
+        case _, replicates:
+            return bootstrap(result, np.random.default_rng(BOOTSTRAP_SEED), replicates=replicates)
 
 
 def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: ShareWork) -> dict[str, Any]:
@@ -241,13 +243,15 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     intervals: dict[str, Any] = {}
     try:
         labels = list(_labels(result, profiled))
-        zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
+        noise, values = result.model.noise_parameters, result.model.values
+        zero = dict.fromkeys(n for names in labels for n in names if n in noise and values[n] == 0)
         intervals["zero_noise"] = tuple(zero)
-        asked = [(name, 0) for name in labels if name not in zero]
-        computed = share(_compute_interval, result, asked + [("", replicates)] * bool(replicates))
-        profiles = computed[: len(asked)]
-        intervals["profiles"] = tuple(p for (name, _), p in zip(asked, profiles, strict=True) if ":" not in name)
-        intervals["regions"] = tuple(p for (name, _), p in zip(asked, profiles, strict=True) if ":" in name)
+        asked = [names for names in labels if not zero.keys() & {*names}]
+        jobs = [(names, 0) for names in asked] + [((), replicates)] * bool(replicates)
+        computed = share(_compute_interval, result, jobs)
+        profiles = list(zip(asked, computed, strict=False))
+        intervals["profiles"] = tuple(done for names, done in profiles if len(names) == 1)
+        intervals["regions"] = tuple(done for names, done in profiles if len(names) == 2)
         if replicates:
             intervals["bootstrap"] = computed[-1]
     except FitError as error:
@@ -255,11 +259,14 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     return intervals
 
 
-def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
-    """A parameter that each record has for itself is one parameter for each of them."""
+def _labels(result: Fit, profiled: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """One parameter, or two of ``A:B``; one that each record has for itself is one parameter for each of them."""
     per_record = result.constraints.per_experiment
-    for name in names:
-        yield from [f"{name} ({title})" for title in per_record[name]] if name in per_record else [name]
+    for name in profiled:
+        if name in per_record:
+            yield from ((f"{name} ({title})",) for title in per_record[name])
+        else:
+            yield tuple(name.split(":"))
 
 
 # Rows up to which the error one sample ahead is shown without being asked for: longer records would make the user wait.

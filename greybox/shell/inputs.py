@@ -294,16 +294,17 @@ def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
     """
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
-    for together in names:
-        for name in together.split(":"):
+    for asked in names:
+        constants, label = asked.split(":"), f"{study.label('profiles')} {asked}"
+        for name in constants:
             if name not in free:
                 raise GreyboxError(
                     f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}"
                 )
-        if len(set(together.split(":"))) != together.count(":") + 1 or together.count(":") > 1:
-            raise GreyboxError(
-                f"{study.label('profiles')} {together}: give one parameter, or two different ones as A:B"
-            )
+        if len(constants) > 2 or len({*constants}) < len(constants):
+            raise GreyboxError(f"{label}: give one parameter, or two different ones as A:B")
+        if len(constants) == 2 and (own := {*constants}.intersection(study.per_experiment)):
+            raise GreyboxError(f"{label}: each record has its own {min(own)}; give two that all records share")
     if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
