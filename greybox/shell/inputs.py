@@ -303,8 +303,8 @@ def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
                 )
         if len(constants) > 2 or len({*constants}) < len(constants):
             raise GreyboxError(f"{label}: give one parameter, or two different ones as A:B")
-        if len(constants) == 2 and (own := {*constants}.intersection(study.per_experiment)):
-            raise GreyboxError(f"{label}: each record has its own {min(own)}; give two that all records share")
+        if len(constants) == 2 and (separate := {*constants}.intersection(study.per_experiment)):
+            raise GreyboxError(f"{label}: each record has its own {min(separate)}; give two that all records share")
     if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
