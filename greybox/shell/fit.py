@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from greybox.estimation.residuals import ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
-    from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
     from greybox.shell.answers import FitAnswer, RecordMisfit
 
 
@@ -134,12 +134,18 @@ def fit(study: Study) -> Answer:
     return Answer(
         **shown,
         files=[saved],
-        page=lambda: write_report(result, saved.parent / "report.html", tests=tests, skip=study.uncounted),
+        page=lambda: _write_page(answer, saved.parent / "report.html", study.uncounted),
         pictures=lambda: _draw_pictures(result, tests, saved.parent, study.uncounted),
         kept=f"the fit is in {saved}",
         failure="" if result.success else f"no success: {result.solver.status_message}",
         code=ExitCode.SUCCESS if result.success else ExitCode.UNSUCCESSFUL,
     )
+
+
+def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:
+    from greybox.show.documents.answers import further_intervals
+
+    return write_report(answer.fit, target, tests=answer.tests, skip=skip, intervals=tuple(further_intervals(answer)))
 
 
 def _answer(
@@ -217,15 +223,19 @@ def _share(executor: Executor | None, workers: int) -> ShareWork:
 BOOTSTRAP_SEED = 0
 
 
-def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstrap:
-    """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
+def _compute_interval(result: Fit, asked: tuple[tuple[str, ...], int]) -> Profile | ProfilePair | Bootstrap:
+    """The profile of a parameter or of two together, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
-    from greybox.estimation.uncertainty import bootstrap, profile
+    from greybox.estimation.uncertainty import bootstrap, profile, profile_pair
 
-    name, replicates = asked
-    draws = np.random.default_rng(BOOTSTRAP_SEED)
-    return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
+    match asked:
+        case (first, second), _:
+            return profile_pair(result, first, second)
+        case (name,), _:
+            return profile(result, name)
+        case _, replicates:
+            return bootstrap(result, np.random.default_rng(BOOTSTRAP_SEED), replicates=replicates)
 
 
 def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: ShareWork) -> dict[str, Any]:
@@ -233,11 +243,15 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     intervals: dict[str, Any] = {}
     try:
         labels = list(_labels(result, profiled))
-        zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
+        noise, values = result.model.noise_parameters, result.model.values
+        zero = dict.fromkeys(n for names in labels for n in names if n in noise and values[n] == 0)
         intervals["zero_noise"] = tuple(zero)
-        asked = [(name, 0) for name in labels if name not in zero]
-        computed = share(_compute_interval, result, asked + [("", replicates)] * bool(replicates))
-        intervals["profiles"] = tuple(computed[: len(asked)])
+        asked = [names for names in labels if not zero.keys() & {*names}]
+        jobs = [(names, 0) for names in asked] + [((), replicates)] * bool(replicates)
+        computed = share(_compute_interval, result, jobs)
+        profiles = list(zip(asked, computed, strict=False))
+        intervals["profiles"] = tuple(done for names, done in profiles if len(names) == 1)
+        intervals["regions"] = tuple(done for names, done in profiles if len(names) == 2)
         if replicates:
             intervals["bootstrap"] = computed[-1]
     except FitError as error:
@@ -245,11 +259,14 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     return intervals
 
 
-def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
-    """A parameter that each record has for itself is one parameter for each of them."""
+def _labels(result: Fit, profiled: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """One parameter, or two of ``A:B``; one that each record has for itself is one parameter for each of them."""
     per_record = result.constraints.per_experiment
-    for name in names:
-        yield from [f"{name} ({title})" for title in per_record[name]] if name in per_record else [name]
+    for name in profiled:
+        if name in per_record:
+            yield from ((f"{name} ({title})",) for title in per_record[name])
+        else:
+            yield tuple(name.split(":"))
 
 
 # Rows up to which the error one sample ahead is shown without being asked for: longer records would make the user wait.

@@ -288,12 +288,23 @@ MINIMUM_REPLICATES = 100
 
 
 def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
-    """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
+    """The parameters to be profiled, two together as ``A:B``.
+
+    Raises GreyboxError for a parameter that is not fitted, for more than two of them together and for too few replicates.
+    """
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
-    for name in names:
-        if name not in free:
-            raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
+    for asked in names:
+        constants, label = asked.split(":"), f"{study.label('profiles')} {asked}"
+        for name in constants:
+            if name not in free:
+                raise GreyboxError(
+                    f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}"
+                )
+        if len(constants) > 2 or len({*constants}) < len(constants):
+            raise GreyboxError(f"{label}: give one parameter, or two different ones as A:B")
+        if len(constants) == 2 and (separate := {*constants}.intersection(study.per_experiment)):
+            raise GreyboxError(f"{label}: each record has its own {min(separate)}; give two that all records share")
     if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"

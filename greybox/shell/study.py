@@ -237,7 +237,7 @@ class Study:
     predict = Option(Counts(), "--predict K", "estimation.predict",
         "Also print the prediction error K samples ahead, with the simulation error; may be repeated, 0 for none.  [default: 1]")
     profiles = Option(Names(split=True), "--profile NAME", "profile",
-        "Also compute the interval of this parameter by profile likelihood (10 to 20 refits); may be repeated.")
+        "Also compute the interval of this parameter by profile likelihood (15 to 25 refits), or the region of two, A:B; may be repeated.")
     bootstrap = Option(Count(), "--bootstrap N", "bootstrap",
         "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 suffice).")
     # A run of a model, and what a rig allows.

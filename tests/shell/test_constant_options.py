@@ -130,6 +130,11 @@ def test_what_is_known_beforehand_counts_and_is_stored(
         (["--noise", "x=-1"], "not a positive standard deviation"),
         (["--quiet", "gaps.csv"], "input 'u' moves by 4 N"),
         (["--profile", "M"], "--profile M: no parameter that is fitted"),
+        (["--profile", "K:K"], "--profile K:K: give one parameter, or two different ones as A:B"),
+        (
+            ["--profile", "K:B", "--own", "K"],
+            "--profile K:B: each record has its own K; give two that all records share",
+        ),
         (["--profile", "Kk"], "--profile Kk: no parameter that is fitted; did you mean 'K'"),
         (["--bootstrap", "20"], "--bootstrap 20: too few replicates for a 95 % interval; give 100 or more"),
     ],

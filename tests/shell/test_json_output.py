@@ -168,7 +168,8 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     plain = run(*words.split(), "--json")
     assert plain.exit_code == 0, plain.output
     assert not {"profiles", "bootstrap"} & set(json.loads(plain.stdout))
-    done = run(*words.split(), "--json", "--profile", "K", "--bootstrap", "100")
+    words = words.replace("--no-report ", "")
+    done = run(*words.split(), "--json", "--profile", "K", "--profile", "K:Kv", "--bootstrap", "100")
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
     assert accepts("fit", printed) and strict_offences(printed, FitAnswer) == []
@@ -177,5 +178,10 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     assert (
         profile["name"] == "K" and profile["interval"][0] < printed["parameters"]["K"]["value"] < profile["interval"][1]
     )
+    assert profile["shape"] == "bounded" and not profile["is_better"] and profile["partner"] == "Kv"
+    (region,) = printed["regions"]
+    assert (region["first"], region["second"], region["shape"]) == ("K", "Kv", "bounded")
+    page = Path("out/report.html").read_text()
+    assert "95 % by profile likelihood" in page and "Bounded on both sides" in page and "K and Kv together" in page
     assert np.shape(printed["bootstrap"]["samples"]) == (100, len(printed["free"]))
     assert load_fit("out/fit.json", micro_actuator).parameters["K"].value == printed["parameters"]["K"]["value"]

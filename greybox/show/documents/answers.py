@@ -22,14 +22,7 @@ def _fit_brief(answer: FitAnswer) -> Iterator[Block]:
     yield Paragraphs([answer.fit.provenance.equations])
     yield from answer.fit.describe().brief
     yield Facts([("or" if k else "remedy", text) for k, text in enumerate(answer.remedies)])
-    if answer.profiles or answer.zero_noise:
-        zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
-        yield Details("profile likelihood", [Paragraphs([*map(str, answer.profiles), *zeros])])
-    if answer.bootstrap is not None:
-        b = answer.bootstrap
-        ends = {name: "[{:.5g}, {:.5g}]".format(*b.interval[name]) for name in b.names}
-        facts = [(name, f"standard deviation {b.std[name]:.3g}, 95 % {ends[name]}") for name in b.names]
-        yield Details(f"block bootstrap, {len(b.samples)} replicates in blocks of {b.block} rows", [Facts(facts)])
+    yield from (Details(title, [block]) for title, block in further_intervals(answer))
     yield Paragraphs([answer.refusal] if answer.refusal else [])
     for title, scores in (("", answer.scores), (", validation records", answer.validation_scores)):
         if scores is not None:
@@ -41,6 +34,19 @@ def _fit_brief(answer: FitAnswer) -> Iterator[Block]:
         if misfits:
             rows = [[m.record, m.output, *misfit_cells(m.misfit)] for m in misfits]
             yield TableBlock(f"Misfit of each {title}", [title, "output", *MISFIT_HEADS], rows)
+
+
+def further_intervals(answer: FitAnswer) -> Iterator[tuple[str, Block]]:
+    """The intervals that were asked for beside those of the covariance, each kind with its title."""
+    if answer.profiles or answer.regions or answer.zero_noise:
+        zeros = [f"{name}: zero; its limit is listed with the parameters" for name in answer.zero_noise]
+        lines = "\n".join([*map(str, (*answer.profiles, *answer.regions)), *zeros]).splitlines()
+        yield "profile likelihood", Paragraphs(lines)
+    if answer.bootstrap is not None:
+        b = answer.bootstrap
+        ends = {name: "[{:.5g}, {:.5g}]".format(*b.interval[name]) for name in b.names}
+        facts = [(name, f"standard deviation {b.std[name]:.3g}, 95 % {ends[name]}") for name in b.names]
+        yield f"block bootstrap, {len(b.samples)} replicates in blocks of {b.block} rows", Facts(facts)
 
 
 def describe_simulation_answer(answer: SimulationAnswer) -> Document:

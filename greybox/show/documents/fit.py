@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from greybox.base.document import (
@@ -49,7 +49,14 @@ from greybox.show.sentences.estimation import list_tests_not_made, residual_test
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
 
 
-def describe_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = None, skip: int = 0) -> Document:
+def describe_fit(
+    fit: Fit,
+    *,
+    command: str = "",
+    tests: ResidualTests | None = None,
+    skip: int = 0,
+    intervals: Iterable[tuple[str, Block]] = (),
+) -> Document:
     """What is said of a fit.
 
     Parameters
@@ -62,13 +69,15 @@ def describe_fit(fit: Fit, *, command: str = "", tests: ResidualTests | None = N
         Those of the residual; made here where left out.
     skip
         Rows at the start of validation records that do not count.
+    intervals
+        Further intervals of the parameters, by profile likelihood or a bootstrap, each kind with its title.
     """
     return Document(
         f"Fit of {fit.model.title}",
         Later(_brief, fit),
         _question(fit),
         fit_verdict(fit),
-        Later(_sections, fit, command, tests, skip),
+        Later(_sections, fit, command, tests, skip, intervals),
         "fit",
         Later(_evidence, fit),
     )
@@ -86,8 +95,10 @@ def _brief(fit: Fit) -> Iterator[Block]:
     yield Facts([("noise", str(fit.noise)), *computation_facts(fit), *notes])
 
 
-def _sections(fit: Fit, command: str, tests: ResidualTests | None, skip: int) -> Iterator[Section]:
-    yield Section("parameters", "Parameters", list(_parameters(fit)))
+def _sections(
+    fit: Fit, command: str, tests: ResidualTests | None, skip: int, intervals: Iterable[tuple[str, Block]]
+) -> Iterator[Section]:
+    yield Section("parameters", "Parameters", list(_parameters(fit, intervals)))
     yield Section("misfit", "Measured and simulated", list(_misfit(fit, skip)))
     yield Section("residual", "Tests of the residual", list(_residual(fit, tests)))
     yield Section("model", "The model", [typeset_equations(fit.model)])
@@ -221,10 +232,13 @@ def _evidence(fit: Fit) -> Iterator[FigureBlock]:
         yield FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
 
 
-def _parameters(fit: Fit) -> Iterator[Block]:
+def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Block]:
     kind = _interval_kind(fit)
     yield parameters_table(fit, kind and f"Intervals: {kind}")
     yield from _priors(fit)
+    for title, block in further:
+        yield Subheading(f"{title[0].upper()}{title[1:]}")
+        yield block
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
@@ -255,12 +269,13 @@ def _priors(fit: Fit) -> Iterator[TableBlock]:
 def _interval_kind(fit: Fit) -> str:
     sandwich = fit.uncertainty.kind == "sandwich"
     if fit.prediction.process_noise and not sandwich:
-        return "information matrix of the likelihood; the innovations are white"
+        which = "observed" if fit.uncertainty.kind == "observed_information" else "expected"
+        return f"{which} information of the likelihood; the innovations are white"
     if sandwich and fit.uncertainty.inflation:
         widest = fit.uncertainty.largest_inflation
         return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
     if any(e.std is not None for e in fit.parameters.values()):
-        return "Gauss-Newton covariance; the residual is white"
+        return "Gauss-Newton covariance (expected information); the residual is white"
     return ""
 
 

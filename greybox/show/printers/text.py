@@ -50,10 +50,16 @@ def block_lines(block: Block) -> list[str]:
         case Subheading():
             return [_say(block.title)]
         case Details():
-            inside = [line for inner in block.blocks for line in block_lines(inner)]
-            return [_say(block.summary), *(line if line.startswith("  ") else f"  {line}" for line in inside)]
+            inside = [line for inner in block.blocks for line in _indented(inner)]
+            return [_say(block.summary), *inside]
         case FigureBlock():
             return []
+
+
+def _indented(block: Block) -> list[str]:
+    """The lines of a block within another one; tables and lists are indented already."""
+    lines = "\n".join(block_lines(block)).splitlines()
+    return lines if isinstance(block, (TableBlock, BulletList)) else [f"  {line}" for line in lines]
 
 
 def _say(text: Text) -> str:

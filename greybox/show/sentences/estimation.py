@@ -13,6 +13,7 @@ from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.profiles import NEARLY_COLLINEAR
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
     from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
     from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
     from greybox.estimation.result_parts import FitNoise, SolverReport
-    from greybox.estimation.uncertainty import Profile
+    from greybox.estimation.uncertainty import Profile, ProfilePair
 
 STATUS = {
     "converged": "converged",
@@ -529,14 +530,68 @@ register(
 # Profiles in plain text.
 
 
+# Times as closely as alone that a constant is known beside another, from which a region is called thin.
+LEAST_NARROWING = 3.0
+
+
 @renders("Profile")
 def write_profile(profile: Profile) -> str:
-    """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]``; sides that the data leave open are marked."""
+    """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]; bounded``, and below it what is to be known of the shape."""
     sides = [
         f"{v:.5g}{' (open)' if is_open else ''}"
         for v, is_open in zip(profile.interval, profile.open_sides, strict=True)
     ]
-    return f"{profile.name}: {profile.best:.5g} {profile.unit}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]"
+    value = f"{profile.name}: {profile.best:.5g} {profile.unit}"
+    return "\n  ".join([f"{value}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]", *explain_profile(profile)])
+
+
+def explain_profile(profile: Profile) -> list[str]:
+    """The shape of a profile in words, whether it is to be taken in place of the covariance, and which constant makes it so."""
+    shape = {
+        "bounded": "bounded on both sides",
+        "one_sided": f"one-sided: the records set no {'lower' if profile.open_sides[0] else 'upper'} limit",
+        "flat": "flat: the records set no limit on either side",
+        "two_valleys": "two valleys",
+    }[profile.shape]
+    if profile.valley is not None:
+        value, rise = profile.valley
+        place = f"{value:.5g} {profile.unit}"
+        shape += (
+            f": at {place} the cost is less than at the optimum; fit again from there"
+            if rise < 0
+            else f": at {place} the cost has fallen again, to {rise:.3g} above its least (95 % at {profile.threshold:.3g})"
+        )
+    lines = [shape]
+    if profile.is_better and profile.by_covariance is not None:
+        low, high = profile.by_covariance
+        lines.append(
+            f"the covariance says [{low:.5g}, {high:.5g}], for a cost that it takes for a parabola: use the profile"
+        )
+    if abs(profile.correlation) > NEARLY_COLLINEAR:
+        lines.append(
+            f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g}): the records determine a"
+            " combination of them better than either"
+        )
+    return lines
+
+
+@renders("ProfilePair")
+def write_profile_pair(pair: ProfilePair) -> str:
+    """The region of two constants: from where to where, how thin it is, and where the records leave it open."""
+    first, second = pair.first, pair.second
+    shape = {
+        "bounded": "bounded on all sides",
+        "one_sided": "open towards some side",
+        "flat": "flat: the records set no limit to either",
+    }[pair.shape]
+    ends = f"[{pair.values[0]:.5g}, {pair.values[-1]:.5g}] {pair.units[0]}"
+    lines = [f"{first} and {second} together, 95 % by profile likelihood: {first} in {ends}; {shape}"]
+    if math.isfinite(pair.narrowing) and pair.narrowing > LEAST_NARROWING:
+        lines.append(
+            f"beside a known {first}, {second} is known {pair.narrowing:.3g} times as closely: the region is thin, and the records"
+            f" determine a combination of both (correlation {pair.correlation:.5g})"
+        )
+    return "\n  ".join(lines)
 
 
 # What a residual test says, and the tables of tests and scores.
