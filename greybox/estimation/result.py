@@ -202,6 +202,8 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
     free = len(data["free"])
     if [len(row) for row in data["covariance"]] != [free] * free:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
+    if not set(data["free"]) <= set(data["parameters"]):
+        return "free names a parameter that parameters does not"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
     for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds", "noise_growth"):

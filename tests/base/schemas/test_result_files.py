@@ -154,6 +154,7 @@ OFFENCES = [
     (lambda d: d["covariance"][0].pop(), "covariance is no matrix of"),
     (lambda d: d["traces"][0]["simulated"]["y"].pop(), r"traces\[0\]\.simulated\.y has 599 rows, its time 600"),
     (lambda d: d["misfit"]["y"].update(unit="V!"), r"misfit\.y: unit 'V!' cannot be read"),
+    (lambda d: d["free"].__setitem__(0, "nan"), "free names a parameter that parameters does not"),
     (lambda d: d.update(ties={"K": "B"}), "tied and ties do not name the same parameters"),
     (lambda d: d["traces"][0]["time"].__setitem__(3, 0.0), r"traces\[0\]: time goes back at row 4"),
     (lambda d: d["parameters"].update(extra=next(iter(d["parameters"].values()))), "extra"),
