@@ -93,4 +93,6 @@ def test_a_fit_is_written_again_as_it_was(name):
 
 @pytest.mark.parametrize(("name", "load"), [("profile", load_profile), ("bootstrap", load_bootstrap)])
 def test_intervals_are_written_again_as_they_were(name, load):
-    assert "".join(iterate_json(load(GOLDEN / f"{name}.json"))) == (GOLDEN / f"{name}.json").read_text()
+    # To the byte; keys that came later follow behind.
+    before = (GOLDEN / f"{name}.json").read_text().removesuffix("\n}\n")
+    assert "".join(iterate_json(load(GOLDEN / f"{name}.json"))).startswith(before)
