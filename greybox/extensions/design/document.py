@@ -7,7 +7,7 @@ from math import inf, isinf
 
 from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.base.findings import Severity
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.result import Alternative, Design
@@ -222,7 +222,9 @@ def _widths(campaign: Campaign) -> Iterator[TableBlock]:
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
     """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
-    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (Fit, "fit.json")
+    from greybox.discovery.result import Discovery
+
+    kind, name = (Discovery, "discovery.json") if step.effects else (Fit, "fit.json")
     path = campaign.folder / f"{step.number:02d}" / name
     if not path.exists():
         return {}

@@ -18,8 +18,8 @@ from greybox.base.document import (
     Text,
     Tone,
 )
+from greybox.base.json_shape import to_values
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import claim_values
 from greybox.discovery.decision import Verdict
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.refinement import Refinement
@@ -130,7 +130,7 @@ def _claims(discovery: Discovery) -> TableBlock:
     """What is said of the plain model, from what is missing to its name."""
     rows = [
         [
-            capitalise(claim_text(claim_values(claim))),
+            capitalise(claim_text(to_values(claim))),
             f"{GRADES[claim.grade]} ({probability_text(claim.probability)})",
             f"{100 * claim.share:.0f} % in {claim.output}",
             rival_text(claim.rival) or "none",

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from greybox.base.findings import Check, Finding
+from greybox.base.json_shape import to_values
 from greybox.base.units import format_unit
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Depth, claim_values
+from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.decision import Verdict
 from greybox.discovery.disturbance_sites import SiteKind
@@ -90,7 +91,7 @@ def dependence_text(values: Mapping[str, Any]) -> str:
 
 @renders("Dependence")
 def _dependence(dependence: Dependence) -> str:
-    return dependence_text(dependence.to_values())
+    return dependence_text(to_values(dependence))
 
 
 def timing_text(timing: MisfitTiming | None, listed: int = 4) -> str:
@@ -149,7 +150,7 @@ def tone_title(frequency: float) -> str:
 
 def surrogate_title(surrogate: Surrogate) -> str:
     """``a curve over x``, ``a sinusoid over x`` or ``a tone of 50.00 Hz``."""
-    return _surrogate_title(surrogate.to_values())
+    return _surrogate_title(to_values(surrogate))
 
 
 def _surrogate_title(values: Mapping[str, Any]) -> str:
@@ -165,7 +166,7 @@ def explained_share_text(share: float) -> str:
 
 @renders("Surrogate")
 def _surrogate(surrogate: Surrogate) -> str:
-    return surrogate_text(surrogate.to_values())
+    return surrogate_text(to_values(surrogate))
 
 
 def surrogate_text(values: Mapping[str, Any]) -> str:
@@ -346,7 +347,7 @@ def rival_text(rival: str) -> str:
 
 @renders("Claim")
 def _claim(claim: Claim) -> str:
-    v = claim_values(claim)
+    v = to_values(claim)
     text = f"{GRADES[claim.grade]} ({probability_text(claim.probability)}): {claim_text(v)}"
     if claim.depth > Depth.MISSING and claim.share > 0:
         text += f", {100 * claim.share:.0f} % of the error in {claim.output}"
