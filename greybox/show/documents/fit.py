@@ -46,6 +46,7 @@ from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_resid
 from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
+from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
 
 
@@ -91,7 +92,8 @@ def _brief(fit: Fit) -> Iterator[Block]:
     yield from _misfits(fit)
     if kind := _interval_kind(fit):
         yield Facts([("intervals", kind)])
-    notes = (("note", finding) for finding in fit.findings)
+    # Directions among the same constants are different figures and one sentence.
+    notes = (("note", text) for text in dict.fromkeys(sentences(fit.findings)))
     yield Facts([("noise", str(fit.noise)), *computation_facts(fit), *notes])
 
 
@@ -241,6 +243,7 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Bloc
         yield block
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
+    recommendations = list(dict.fromkeys(sentences(recommendations)))
     if recommendations:
         yield Subheading("How to determine the other parameters")
         yield BulletList(recommendations)
