@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from greybox.model.effects.catalogue import effect
     from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.show.report import report
+    from greybox.show.describe import report
     from greybox.simulation.simulate import simulate
 
     from greybox import comparison, discovery, estimation, simulation  # isort: skip

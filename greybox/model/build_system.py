@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import casadi as ca
 
@@ -14,7 +15,7 @@ from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, 
 from greybox.model.balance import Balance
 from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.expressions.operations import UnitMismatchError
-from greybox.model.expressions.units import infer_unit
+from greybox.model.expressions.text import infer_unit
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
@@ -29,6 +30,8 @@ from greybox.model.system import (
     named_symbols,
 )
 from greybox.model.ties import apply_ties
+from greybox.model.unit_check import check_units
+from greybox.model.validation import check_expressions, check_names
 
 NOWHERE = Site("", PlaceKind.BALANCE, "")
 
@@ -427,3 +430,53 @@ def _hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
         if high < ca.inf:
             rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
     return rhs
+
+
+# The equations of models that were written out before: a search changes numbers a thousand times and equations rarely.
+
+
+def build_checked_system(statement: Statement) -> System:
+    """Write out the equations of a model and check all of it that no value of a parameter can change.
+
+    Raises ModelError for names that clash or are unknown and for balances or outputs that are no expressions, UnitError for a term whose
+    unit is not its balance's.
+    """
+    check_names(statement)
+    check_expressions(statement)
+    system = build_system(statement)
+    check_units(statement, system)
+    return system
+
+
+class SystemCache:
+    """Systems by the `Statement` that determines them, the most recently used ones.
+
+    Parameters
+    ----------
+    size
+        How many are kept: more than a search over pairs of effects of the catalogue has in use at a time.
+    """
+
+    def __init__(self, size: int = 1024) -> None:
+        self._build = lru_cache(maxsize=size)(build_checked_system)
+
+    def system(self, statement: Statement) -> System:
+        """The checked equations of a statement; one that cannot be hashed is written out every time.
+
+        Raises ModelError and UnitError as `build_checked_system` does.
+        """
+        try:
+            hash(statement)
+        except TypeError:
+            return build_checked_system(statement)
+        return self._build(statement)
+
+    def clear(self) -> None:
+        """Forget every system."""
+        self._build.cache_clear()
+
+    def __len__(self) -> int:
+        return self._build.cache_info().currsize
+
+
+SYSTEMS = SystemCache()

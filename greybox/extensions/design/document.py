@@ -13,9 +13,8 @@ from greybox.extensions.design.campaign import Campaign, CampaignStatus, Campaig
 from greybox.extensions.design.result import Alternative, Design
 from greybox.extensions.design.sentences import name_explanation
 from greybox.model.effects.catalogue import effect
-from greybox.show.documents.equations import typeset_equations
-from greybox.show.documents.provenance import provenance_section
 from greybox.show.documents.simulation import run_figures
+from greybox.show.documents.tables import provenance_section, typeset_equations
 from greybox.show.sentences.wording import change_text, count_noun, format_number, join_names, quantity_text
 from greybox.simulation.simulate import simulate
 

@@ -10,9 +10,17 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import FLOW_LIMITS
 from greybox.model.effects.scales import VISIBLE_SHARE, Scales
 from greybox.model.signals import Expression, NamedValues, State
+
+# What keeps the equations finite where a trial step of a fit leaves the physical range.
+#
+# Square of the flow function below which the flow is laminar: the root has no slope where both pressures are equal.
+LAMINAR = 0.01
+# Smallest volume of a chamber, as a share of half the total volume.
+LEAST_VOLUME = 0.01
+# Smallest pressure of a chamber, as a share of the ambient pressure.
+LEAST_PRESSURE = 0.01
 
 
 def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
@@ -26,7 +34,7 @@ def _orifice_pressure(upstream: Expression, downstream: Expression, b: Expressio
     # 1 - (r - b)/(1 - b) between -1 and 1, with the sign of the flow: phi^2 is this times (2 - its size)
     fall = ca.fmin(ca.fmax((upstream - downstream) / ((1 - b) * high), -1), 1)
     square = fall * (2 - ca.fabs(fall))
-    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), FLOW_LIMITS.laminar))
+    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
 
 
 def _choked_rate(u: Expression, p: NamedValues) -> Expression:
@@ -48,7 +56,7 @@ def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Map
 
 def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
-        inside = ca.fmax(pressure, FLOW_LIMITS.least_pressure * p.ambient_pressure)
+        inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
         return -p.ce * _choked_rate(opening, p) * _orifice_pressure(inside, p.ambient_pressure, p.b) / p.supply_pressure
 
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
@@ -69,8 +77,8 @@ def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
     return {
-        "pressure_a": ca.fmax(1 + change, FLOW_LIMITS.least_volume),
-        "pressure_b": ca.fmax(1 - change, FLOW_LIMITS.least_volume),
+        "pressure_a": ca.fmax(1 + change, LEAST_VOLUME),
+        "pressure_b": ca.fmax(1 - change, LEAST_VOLUME),
     }
 
 

@@ -10,8 +10,7 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.flow import OUT_OF_REACH
-from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
-from greybox.model.effects.policy import UNTAILORED_DELAY
+from greybox.model.effects.parameters import UNTAILORED_DELAY, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import LONGEST_DELAY, Scales
 from greybox.model.signals import Expression, NamedValues, State
 

@@ -10,11 +10,9 @@ from greybox.base.units import format_unit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
 from greybox.show.documents.discovery import discovery_sections, discovery_verdict, holdout_lines
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import fit_verdict
 from greybox.show.documents.linearisation import linear_sections
-from greybox.show.documents.provenance import fit_provenance_section, records_section
-from greybox.show.documents.tables import misfit_table
+from greybox.show.documents.tables import fit_provenance_section, misfit_table, records_section, typeset_equations
 from greybox.show.figures.discovery import plot_holdout_error
 from greybox.show.sentences.wording import format_with_std, join_names
 

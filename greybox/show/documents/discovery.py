@@ -26,10 +26,15 @@ from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.refinement import Refinement
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.provenance import fit_provenance_section, records_section, signal_units
-from greybox.show.documents.tables import estimate_cells, parameters_table
+from greybox.show.documents.tables import (
+    estimate_cells,
+    fit_provenance_section,
+    parameters_table,
+    records_section,
+    signal_units,
+    typeset_equations,
+)
 from greybox.show.figures.discovery import (
     errors_to_judge,
     explained_share,

@@ -27,23 +27,26 @@ from greybox.estimation.optimum import compute_record_misfits, has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
-from greybox.show.documents.equations import typeset_equations
-from greybox.show.documents.provenance import (
+from greybox.show.documents.tables import (
+    MISFIT_HEADS,
     computation_facts,
     fit_provenance_section,
+    misfit_cells,
+    misfit_table,
+    parameters_table,
     records_section,
     signal_units,
+    typeset_equations,
 )
-from greybox.show.documents.tables import MISFIT_HEADS, misfit_cells, misfit_table, parameters_table
-from greybox.show.figures.parameters import (
+from greybox.show.figures.fit import (
     plot_correlation,
     plot_intervals,
+    plot_residual_tests,
     relative_half_width,
     relative_half_widths,
     strongly_correlated_pairs,
 )
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
-from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.registry import sentences

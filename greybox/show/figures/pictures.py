@@ -29,6 +29,7 @@ from greybox.show.figures.discovery import (
     plot_surrogate,
 )
 from greybox.show.figures.figure import draw_sizes
+from greybox.show.figures.fit import plot_residual_tests
 from greybox.show.figures.records import (
     liveliest_window,
     plot_residual,
@@ -36,7 +37,6 @@ from greybox.show.figures.records import (
     plot_run,
     plot_runs_before_after,
 )
-from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import record_text

@@ -35,7 +35,7 @@ from greybox.extensions.design.campaign import (
 )
 from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
-from greybox.show.report import describe_page
+from greybox.show.describe import describe_page
 from tests.support.result_schema import strict_offences
 
 PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
