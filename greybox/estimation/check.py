@@ -29,7 +29,7 @@ from greybox.model.effects.placement import Placement, find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
-from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interpreted import InterpretedKernel
 
 FORMAT = 1
 """Version of ``check.json``."""
@@ -48,7 +48,7 @@ class ModelCheck(Printable):
     discretisation
         How it would be integrated.
     kernel, kernel_reason, compiled
-        What runs it, why, and whether that is compiled code.
+        What runs it, why, and whether that is compiled code (CasADi's virtual machine is not).
     experiments
         The records, or a simulated one.
     assumed
@@ -259,7 +259,7 @@ def check(
         problem.step.label,
         problem.kernel.description,
         problem.kernel.reason,
-        problem.kernel.name == CompiledKernel.name,
+        problem.kernel.name != InterpretedKernel.name,
         group,
         assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},
