@@ -260,15 +260,19 @@ def study_fields() -> str:
 def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
     from greybox.base.json_file import ResultKind, read_schema
+    from greybox.base.json_shape import definition_name, make_definitions
+    from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.shell.answers import FitAnswer
 
-    definitions = read_schema()["$defs"]
+    kinds = (FitAnswer, Profile, Bootstrap)
+    definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
     sections = []
-    for kind in ResultKind:
+    for kind in (*map(definition_name, kinds), *ResultKind):
         schema = definitions[kind]
         rows = ["| key | holds |", "|---|---|"]
         for key, value in schema["properties"].items():
             inner = definitions[value["$ref"].rpartition("/")[2]] if "$ref" in value else value
-            needed = "" if key in schema.get("required", ()) else " (later files)" if kind == ResultKind.FIT else ""
+            needed = "" if key in schema.get("required", ()) else " (later files)" if kind == "fit_answer" else ""
             rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
         sections.append(
             "\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows])

@@ -5,7 +5,7 @@ The verbs of the first week stand here: `read_csv`, `simulate`, `fit`, `validate
 
 Everything else is in a namespace: ``gb.signals`` (test signals), ``gb.effects`` (the catalogue), ``gb.blackbox``, ``gb.discovery``,
 ``gb.experiment_design``, ``gb.identifiability``, ``gb.uncertainty`` (profile likelihood, bootstrap), ``gb.residuals``,
-``gb.export``, ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.errors``.
+``gb.export``, ``gb.fleet`` (many records), ``gb.frequency`` (frequency responses), ``gb.fmu``, ``gb.errors``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from greybox.comparison.compare import compare
     from greybox.data import signals
     from greybox.data.experiment import Experiment
+    from greybox.data.noise.growing import GrowingNoise
     from greybox.data.read import read_csv, read_experiments
     from greybox.data.signals import SignalLimit
     from greybox.discovery.pipeline import discover
@@ -37,9 +38,10 @@ if TYPE_CHECKING:
     from greybox.estimation.validate import validate
     from greybox.extensions import changes as change_detection
     from greybox.extensions import design as experiment_design
-    from greybox.extensions import export, fmu
+    from greybox.extensions import export, fleet, fmu
     from greybox.extensions.changes.detect import detect_changes
     from greybox.extensions.design.next_record import design
+    from greybox.extensions.fleet.batch import fit_each
     from greybox.model import effects
     from greybox.model.balance import Balance
     from greybox.model.characteristic import Characteristic
@@ -73,9 +75,11 @@ _NAMES = {
     "estimation.result": ("Fit", "load_fit"),
     "estimation.validate": ("validate",),
     "data.experiment": ("Experiment",),
+    "data.noise.growing": ("GrowingNoise",),
     "data.read": ("read_csv", "read_experiments"),
     "extensions.changes.detect": ("detect_changes",),
     "extensions.design.next_record": ("design",),
+    "extensions.fleet.batch": ("fit_each",),
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
@@ -95,6 +99,7 @@ _NAMESPACES = {
     "experiment": "data",
     "experiment_design": "extensions.design",
     "export": "extensions.export",
+    "fleet": "extensions.fleet",
     "fmu": "extensions.fmu",
     "frequency": "comparison.frequency",
     "identifiability": "estimation.identifiability",
@@ -117,6 +122,7 @@ __all__ = [
     "Fit",
     "FitOptions",
     "GreyboxError",
+    "GrowingNoise",
     "Input",
     "Model",
     "Output",
@@ -139,6 +145,8 @@ __all__ = [
     "experiment_design",
     "export",
     "fit",
+    "fit_each",
+    "fleet",
     "fmu",
     "frequency",
     "identifiability",

@@ -8,11 +8,15 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
 from greybox.base.errors import DataError, GreyboxError, nearest, shorten
+from greybox.base.extensions import ExtensionKind, list_extensions
+from greybox.base.files import write_file
+from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions
 
 # How large a JSON file may be.
 
@@ -22,9 +26,8 @@ _LONE_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
 
 
 class ResultKind(StrEnum):
-    """The kinds of files, by their names in the schema."""
+    """The kinds of files whose schema is written by hand, by their names in it."""
 
-    FIT = "fit"
     DISCOVERY = "discovery"
     COMPARISON = "comparison"
     DESIGN = "design"
@@ -33,32 +36,27 @@ class ResultKind(StrEnum):
     MODEL_CHECK = "model_check"
     LINEAR_MODEL = "linear_model"
     FMU_FIT = "fmu_fit"
-    PROFILE = "profile"
-    BOOTSTRAP = "bootstrap"
     REFIT = "refit"
     """One line of a journal."""
 
 
-TITLES: Mapping[ResultKind, tuple[str, str]] = {
-    ResultKind.FIT: ("a fit", "fit.json that greybox fit has written"),
-    ResultKind.DISCOVERY: ("a discovery", "discovery.json that greybox discover has written"),
-    ResultKind.COMPARISON: ("a comparison", "compare.json that greybox compare has written"),
-    ResultKind.DESIGN: ("a design", "design.json that greybox design has written"),
-    ResultKind.CAMPAIGN: ("a campaign", "campaign.json that greybox campaign has written"),
-    ResultKind.CHANGE: ("a change detection", "changed.json that greybox changed has written"),
-    ResultKind.MODEL_CHECK: ("a check", "check.json that greybox check has written"),
-    ResultKind.LINEAR_MODEL: ("a linear model", "file that greybox export --to json has written"),
-    ResultKind.FMU_FIT: ("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
-    ResultKind.PROFILE: ("a profile", "file that a profile was saved to"),
-    ResultKind.BOOTSTRAP: ("a bootstrap", "file that a bootstrap was saved to"),
-    ResultKind.REFIT: ("a journal entry", "journal.jsonl that greybox discover has written"),
+TITLES: Mapping[ResultKind, FileKind] = {
+    ResultKind.DISCOVERY: FileKind("a discovery", "discovery.json that greybox discover has written"),
+    ResultKind.COMPARISON: FileKind("a comparison", "compare.json that greybox compare has written"),
+    ResultKind.DESIGN: FileKind("a design", "design.json that greybox design has written"),
+    ResultKind.CAMPAIGN: FileKind("a campaign", "campaign.json that greybox campaign has written"),
+    ResultKind.CHANGE: FileKind("a change detection", "changed.json that greybox changed has written"),
+    ResultKind.MODEL_CHECK: FileKind("a check", "check.json that greybox check has written"),
+    ResultKind.LINEAR_MODEL: FileKind("a linear model", "file that greybox export --to json has written"),
+    ResultKind.FMU_FIT: FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
+    ResultKind.REFIT: FileKind("a journal entry", "journal.jsonl that greybox discover has written", None),
 }
 """What messages call each kind, and what to give in the place of another file."""
 
 
 @cache
 def read_schema() -> Mapping[str, Any]:
-    """The schema of every file that greybox writes: the kinds stand under ``$defs`` by the names of `ResultKind`."""
+    """The schema of the files whose schema is written by hand: the kinds stand under ``$defs`` by the names of `ResultKind`."""
     return json.loads(files("greybox.base").joinpath(SCHEMA).read_text(encoding="utf-8"))
 
 
@@ -66,7 +64,12 @@ def read_schema() -> Mapping[str, Any]:
 LARGEST_FILE = 1000000000
 
 
-def read_json(path: str | Path, kind: ResultKind) -> dict[str, Any]:
+def write_json(path: str | Path, value: Any) -> Path:
+    """Write a result to its file, under the keys of its class. Folders are made; numbers that are not finite become null."""
+    return write_file(path, iterate_json(value))
+
+
+def read_json(path: str | Path, kind: type[Any] | ResultKind) -> dict[str, Any]:
     """The content of a result file, checked.
 
     Parameters
@@ -74,7 +77,7 @@ def read_json(path: str | Path, kind: ResultKind) -> dict[str, Any]:
     path
         The file.
     kind
-        What it must be.
+        The class whose values are written so.
 
     Returns
     -------
@@ -87,8 +90,9 @@ def read_json(path: str | Path, kind: ResultKind) -> dict[str, Any]:
         If it cannot be read, is no JSON, comes from a later version, or is not as the schema says: with the first offence.
     """
     source = Path(path)
-    title, remedy = TITLES[kind]
-    refusal = f"{source}: not a readable fit" if kind is ResultKind.FIT else f"{source}: not {title} that can be read"
+    file: FileKind = TITLES[kind] if isinstance(kind, ResultKind) else vars(kind)["FILE"]
+    title, remedy, newest = file.title, file.source, file.version or math.inf
+    refusal = f"{source}: not {title} that can be read"
     try:
         if source.exists() and not source.is_file():
             raise DataError(f"{source}: not a file; give the {remedy}")
@@ -100,7 +104,6 @@ def read_json(path: str | Path, kind: ResultKind) -> dict[str, Any]:
         raise DataError(f"{refusal} ({error.strerror}); give the {remedy}") from None
     except ValueError as error:
         raise DataError(f"{refusal} (not JSON: {shorten(str(error), 100)}); give the {remedy}") from None
-    newest = read_schema()["$defs"][kind].get("properties", {}).get("format", {}).get("maximum", math.inf)
     version = data.get("format", 1) if isinstance(data, dict) else 1
     if isinstance(version, int) and version > newest:
         raise DataError(
@@ -130,19 +133,23 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON number; what is not finite is written as null")
 
 
-def find_offence(data: Any, kind: ResultKind) -> str:
+def find_offence(data: Any, kind: type[Any] | ResultKind) -> str:
     """Place and rule of the first value that is not as the schema says; "" where all is right."""
-    error = next(_validator(kind).iter_errors(data), None)
+    of: Any = kind
+    error = next(_validator(of).iter_errors(data), None)
     return "" if error is None else _describe(error)
 
 
 @cache
-def _validator(kind: ResultKind) -> Any:
+def _validator(kind: Any) -> Any:
     from jsonschema import Draft202012Validator
     from jsonschema.validators import extend
 
     quick = extend(Draft202012Validator, {"items": _quick_items(Draft202012Validator.VALIDATORS["items"])})
-    return quick({"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]})
+    if isinstance(kind, ResultKind):
+        return quick({"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]})
+    (schema,), definitions = make_definitions(kind)
+    return quick({**schema, "$defs": definitions})
 
 
 def _quick_items(check: Callable[..., Iterator[Any] | None]) -> Callable[..., Iterator[Any]]:
@@ -205,7 +212,7 @@ def _write_value(value: Any) -> str:
 # Which JSON a command prints with ``--json``, and the schema of that alone.
 
 PRINTED: Mapping[str, tuple[str, ...]] = {
-    "fit": (ResultKind.FIT, ResultKind.FMU_FIT),
+    "fit": ("greybox.shell.answers:FitAnswer", ResultKind.FMU_FIT),
     "compare": (ResultKind.COMPARISON,),
     "discover": (ResultKind.DISCOVERY,),
     "app": ("app_address",),
@@ -222,7 +229,17 @@ PRINTED: Mapping[str, tuple[str, ...]] = {
     "demo": (ResultKind.DISCOVERY,),
     "schema": ("json_schema",),
 }
-"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given."""
+"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given. A module with the command
+of an extension has a table ``PRINTS`` for its own."""
+
+
+def list_printed() -> dict[str, tuple[str, ...]]:
+    """Command -> kinds of what it prints, those of extensions included."""
+    printed = dict(PRINTED)
+    for entry in list_extensions(ExtensionKind.COMMANDS):
+        if not entry.failure:
+            printed |= getattr(import_module(entry.place.partition(":")[0]), "PRINTS", {})
+    return printed
 
 
 def schema_of_command(command: str) -> dict[str, Any]:
@@ -243,17 +260,28 @@ def schema_of_command(command: str) -> dict[str, Any]:
     GreyboxError
         For a command that does not exist.
     """
-    if command not in PRINTED:
-        raise GreyboxError(f"no command {command!r}; {nearest(command, list(PRINTED))}")
-    everything, kinds = read_schema()["$defs"], [str(kind) for kind in PRINTED[command]]
-    references = [{"$ref": f"#/$defs/{kind}"} for kind in kinds]
+    printed = list_printed()
+    if command not in printed:
+        raise GreyboxError(f"no command {command!r}; {nearest(command, list(printed))}")
+    classes = [_find_class(place) for place in printed[command] if ":" in place]
+    references, definitions = make_definitions(*classes)
+    references += [{"$ref": f"#/$defs/{kind}"} for kind in printed[command] if ":" not in kind]
+    everything = {**read_schema()["$defs"], **definitions}
+    needed = _collect_definitions(re.findall(r"'#/\$defs/(\w+)'", repr(references)), everything)
     return {
-        "$schema": read_schema()["$schema"],
+        "$schema": DRAFT,
         "$id": f"urn:greybox:command:{command}:1",
         "title": f"What greybox {command} --json prints",
         **(references[0] if len(references) == 1 else {"anyOf": references}),
-        "$defs": {name: everything[name] for name in _collect_definitions(kinds, everything)},
+        "$defs": {name: everything[name] for name in needed},
     }
+
+
+def _find_class(place: str) -> type:
+    """The class ``module:name``."""
+    module, _, name = place.partition(":")
+    shape: type = getattr(import_module(module), name)
+    return shape
 
 
 def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:

@@ -14,11 +14,11 @@ import numpy as np
 from greybox.base.files import write_file
 from greybox.base.findings import Finding
 from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_shape import to_json_data
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.policy import StructureScanPolicy
 from greybox.data.experiment import Experiment
 from greybox.estimation.options import FitOptions
-from greybox.estimation.result_parts import to_json_data
 
 
 @dataclass(frozen=True)

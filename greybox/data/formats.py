@@ -9,10 +9,11 @@ from __future__ import annotations
 import difflib
 import logging
 import os
+import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -92,6 +93,11 @@ class RecordFile:
         with _guarded(self.path, self.kind):
             return ColumnValues(*self.table.values(positions))
 
+    def rename(self, names: Sequence[str]) -> RecordFile:
+        """The file with these names of its columns in the place of its own; ``-`` for one that is not wanted. Raises DataError."""
+        with _guarded(self.path, self.kind):
+            return replace(self, table=self.table.rename(["" if n.strip() == "-" else n.strip() for n in names]))
+
     def load_channel(self, index: int) -> Samples:
         """The samples of one channel of a file whose signals have stamps of their own. Raises DataError for a damaged file."""
         table = self.table
@@ -101,17 +107,13 @@ class RecordFile:
             return table.load([index])[index]
 
 
-def open_record_file(
-    path: str | os.PathLike[str], *, names: Sequence[str] | None = None, policy: ReadingPolicy = READING_POLICY
-) -> RecordFile:
+def open_record_file(path: str | os.PathLike[str], *, policy: ReadingPolicy = READING_POLICY) -> RecordFile:
     """Open a file of any known kind.
 
     Parameters
     ----------
     path
         The file.
-    names
-        Names of its columns in their order, in the place of its own; ``-`` for a column that is not wanted.
     policy
         How large it may be.
 
@@ -131,10 +133,31 @@ def open_record_file(
         )
     kind = next(kind for kind in file_formats() if file.suffix.lower() in kind.suffixes)
     with _guarded(file, kind):
-        table = kind.open(file, policy)
-        if names is not None:
-            table = table.rename(["" if name.strip() == "-" else name.strip() for name in names])
-        return RecordFile(file, kind, table)
+        return RecordFile(file, kind, kind.open(file, policy))
+
+
+def list_record_files(paths: Sequence[str | os.PathLike[str]]) -> list[Path]:
+    """The files, and in the place of each folder the records in it, in the order of their names, numbers by their size.
+
+    Raises DataError for a folder without a record.
+    """
+    files: list[Path] = []
+    for path in map(Path, paths):
+        if not path.is_dir():
+            files.append(path)
+            continue
+        inside = sorted(
+            (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in record_suffixes()), key=_by_number
+        )
+        if not inside:
+            raise DataError(f"{path}: a folder without records; give a folder with CSV, MAT or other record files")
+        files += inside
+    return files
+
+
+def _by_number(path: Path) -> list[tuple[int, str]]:
+    """A name in pieces, so that day 10 comes after day 9."""
+    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", path.name)]
 
 
 @contextmanager

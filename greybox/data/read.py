@@ -37,7 +37,7 @@ Arrays = dict[str, np.ndarray]
 
 
 def read_csv(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | RecordFile,
     model: Model,
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
@@ -61,7 +61,7 @@ def read_csv(
     Parameters
     ----------
     path
-        The file.
+        The file; or one that is open already, such as a part of a file that holds several records.
     model
         Its inputs and outputs are looked for, and their units are those of the record.
     columns
@@ -179,7 +179,7 @@ class _RecordSource(NamedTuple):
 
 
 def read_arrays(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | RecordFile,
     model: Model,
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
@@ -202,7 +202,9 @@ def read_arrays(
         raise DataError(
             f"sampling_time {sampling_time}: give the seconds between rows, above 0 (shell: --sampling-time)"
         )
-    file = open_record_file(path, names=by_name, policy=reading)
+    file = path if isinstance(path, RecordFile) else open_record_file(path, policy=reading)
+    if by_name is not None:
+        file = file.rename(by_name)
     mapping = columns if isinstance(columns, Mapping) else None
     channels = file.table if isinstance(file.table, ChannelTable) else None
     has_clock = sampling_time is not None and channels is None
@@ -245,7 +247,7 @@ def _check_interpolation(interpolation: Mapping[str, str], model: Model) -> None
 
 
 def _read_runs(
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | RecordFile,
     model: Model,
     source: _RecordSource,
     hold: Hold,

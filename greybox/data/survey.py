@@ -153,7 +153,9 @@ def survey_file(
     DataError
         For a file that cannot be read.
     """
-    file = open_record_file(path, names=names, policy=reading)
+    file = open_record_file(path, policy=reading)
+    if names is not None:
+        file = file.rename(names)
     if isinstance(file.table, ChannelTable):
         return _survey_channels(file, file.table)
     return _survey_table(file, sampling_time)

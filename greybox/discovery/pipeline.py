@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base.errors import DataError, ModelError
 from greybox.base.findings import Check, Finding, Severity
 from greybox.data.experiment import Experiment, name_records
+from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
@@ -255,6 +256,12 @@ def discover(
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
+    growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
+    if growing:
+        raise ModelError(
+            f"noise of {', '.join(growing)} grows with the signal; a search takes a standard deviation for each row: fit the plain model,"
+            " and give the records the noise of its run (Experiment.noise)"
+        )
     if not validation_set:
         raise DataError(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"

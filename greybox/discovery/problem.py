@@ -181,7 +181,11 @@ class DiscoveryProblem:
         colour = tuple(AutoRegression(fit.noise.colour.get(name, ())) for name in outputs)
         noise = NoiseModel(tuple(outputs), std, fit.noise.sources, colour, False, fit.noise.bounds)
         options = FitOptions.from_data(fit.provenance.options)
-        experiments = tuple(t.experiment for t in fit.traces)
+        # A search weighs rows: noise that grows with the signal is that of the fit's run.
+        experiments = tuple(
+            replace(t.experiment, noise={**t.noise, **{n: g.std(t.simulated[n]) for n, g in fit.noise.growth.items()}})
+            for t in fit.traces
+        )
         return cls(fit.model, experiments, noise, (), options, budget=budget or SearchBudget())
 
     def to_candidate(self, fit: Fit) -> CandidateFit:

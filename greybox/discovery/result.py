@@ -10,6 +10,7 @@ from typing import Any
 from greybox.base.files import write_file
 from greybox.base.findings import Check, Finding
 from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
 from greybox.discovery.decision import Verdict
@@ -26,7 +27,6 @@ from greybox.discovery.selection import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import format_json, to_json_data
 
 FORMAT = 1
 """Version of ``discovery.json``."""

@@ -12,6 +12,7 @@ from greybox.base.errors import FitError, ModelError, nearest
 from greybox.base.extensions import read_versions
 from greybox.base.findings import Finding, Severity
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
 from greybox.estimation.covariance import (
     check_priors,
@@ -76,7 +77,7 @@ def fit(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
     *,
-    noise: Mapping[str, float] | NoiseModel | None = None,
+    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),
@@ -105,7 +106,8 @@ def fit(
     experiments
         Estimation records.
     noise
-        Standard deviation by output in the model's units, or a `NoiseModel` that is known already. Of outputs left out it is what the
+        Standard deviation by output in the model's units, a `GrowingNoise` where it grows with the signal (each row is then weighed by the
+        noise at the run there), or a `NoiseModel` that is known already. Of outputs left out it is what the
         experiments tell row by row, or it is estimated, in this order of trust: from ``quiet`` records, from repetition in the records (a
         periodic input, several experiments with the same input), from high-order differences. Quiet records and repetition show the noise's
         colour as well: then residual and sensitivities are whitened by its autoregression, which is maximum likelihood for such noise.
@@ -167,12 +169,19 @@ def fit(
             raise ModelError(
                 "colour 'residual': process noise makes the innovations white; leave out the colour, or the process noise"
             )
-        if any(e.noise for e in to_experiments(experiments)):
+        levels: Mapping[str, float] | NoiseModel = (
+            noise
+            if isinstance(noise, NoiseModel)
+            else {n: v for n, v in (noise or {}).items() if not isinstance(v, GrowingNoise)}
+        )
+        grows = bool(noise.growth) if isinstance(noise, NoiseModel) else levels != (noise or {})
+        if grows or any(e.noise for e in to_experiments(experiments)):
+            which = "that grows with the signal" if grows else "told row by row"
             raise ModelError(
-                "noise told row by row: a fit with process noise takes one standard deviation for each output; leave out one of the two"
+                f"noise {which}: a fit with process noise takes one standard deviation for each output; leave out one of the two"
             )
         estimate = estimate_by_prediction_error(
-            model, experiments, noise, options, report, quiet=quiet, initial=initial
+            model, experiments, levels, options, report, quiet=quiet, initial=initial
         )
         tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
         optimum = PredictionOptimum(model, estimate.solution, tests, maximum=estimate.optimum)
@@ -197,7 +206,7 @@ def fit(
         judged = validate(
             result.model,
             judges,
-            noise=result.noise.std,
+            noise=result.noise.given,
             skip=max(skip, beginning),
             initial_rows=beginning,
             options=options,
@@ -442,7 +451,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             dict(problem.noise.sources),
             {o.name: problem.noise.colour[j].reflection for j, o in measured},
             dict(zip((o.name for o in estimated_noise), covariance.log_noise.tolist(), strict=False)),
-            {o.name: o.unit for o in estimated_noise},
+            {o.name: o.unit for o in model.outputs if o in estimated_noise or o.name in problem.noise.growth},
             {
                 o.name: replace(bound, level=float(problem.noise.std[j]))
                 if bound.source is NoiseSource.RESIDUAL
@@ -450,6 +459,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 for j, o in measured
                 if not prediction and (bound := problem.noise.bound(o.name)) is not None
             },
+            {name: noise for name, noise in problem.noise.growth.items() if name in misfit},
         ),
         uncertainty=FitUncertainty(
             free, matrix, covariance.kind, dict(zip(variables.names, covariance.inflation.tolist(), strict=True))

@@ -21,6 +21,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.fit import draw_starts, fit
 from greybox.estimation.fit_issues import EstimationCode
@@ -64,6 +65,17 @@ class StartJournal:
         )
 
 
+def list_model_identity(model: Model) -> list[Any]:
+    """Everything about a model that decides where a search ends: equations, constants, ties, bounds."""
+    return [
+        str(ca.vertcat(*map(ca.vec, model.system.free_run_expressions))),
+        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
+        [(tie.name, tie.formula) for tie in model.ties],
+        [(s.name, s.bounds) for s in model.all_states],
+        [e.hold for e in model.effects],
+    ]
+
+
 def hash_start(
     model: Model,
     experiments: Sequence[Experiment],
@@ -72,16 +84,12 @@ def hash_start(
     begin: Mapping[str, float],
 ) -> str:
     """The hash by which a start is known: equal if everything that decides its end is."""
-    system = model.system
     identity = [
-        str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
-        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
-        [(tie.name, tie.formula) for tie in model.ties],
-        [(s.name, s.bounds) for s in model.all_states],
-        [e.hold for e in model.effects],
+        *list_model_identity(model),
         [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
         noise.std.tolist(),
         [c.reflection for c in noise.colour],
+        *([repr(sorted(noise.growth.items()))] if noise.growth else []),
         repr(options),
         sorted(begin.items()),
         sorted(read_versions().items()),
@@ -157,7 +165,7 @@ def multistart(
     starts: int = 20,
     seed: int = 0,
     factor: float = 3.0,
-    noise: Mapping[str, float] | NoiseModel | None = None,
+    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None = None,
     quiet: Experiment | Sequence[Experiment] = (),
     colour: ColourTreatment | str = ColourTreatment.KNOWN,
     validation: Experiment | Sequence[Experiment] = (),

@@ -71,8 +71,8 @@ def finish_by_simulation_error(solution: Solution, options: FitOptions, report: 
         return white.with_strategy(completion=str(Completion.WHITE_NOISE))
     title = "multiple shooting" if solution.transcription == Transcription.MULTIPLE else "collocation"
     raise ModelError(
-        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, and a free run does not"
-        " follow this plant: leave the loss out"
+        f"{problem.model.title}: {title} minimises plain squares of the error; a robust loss needs a free run, as noise does that is"
+        " not the same in every row, and a free run does not follow this plant: leave the loss out, give each output one noise"
     )
 
 
@@ -103,10 +103,11 @@ def update_noise(
 ) -> EstimationProblem | None:
     """The problem with what its residual says of the noise, begun at ``solution``; None where that stands still.
 
-    One thing at a time: the levels, then the scale of a robust loss, then the colour.
+    One thing at a time: the levels, how they grow with the signal, then the scale of a robust loss, then the colour.
     """
     problem = (
         _update_level(solution, options)
+        or _update_growth(solution)
         or _update_loss(solution, options)
         or (_update_colour(solution, options) if colour == ColourTreatment.RESIDUAL else None)
     )
@@ -118,7 +119,9 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     problem, evaluation = solution.problem, solution.evaluation
     untold = np.array(
         [
-            problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL and not a.order
+            problem.noise.sources.get(o.name) is NoiseSource.RESIDUAL
+            and not a.order
+            and o.name not in problem.noise.growth
             for o, a in zip(problem.model.outputs, problem.noise.colour, strict=True)
         ]
     )
@@ -134,6 +137,39 @@ def _update_level(solution: Solution, options: FitOptions) -> EstimationProblem 
     if is_settled(ratio):
         return None
     return replace(problem, noise=replace(problem.noise, std=problem.noise.std * ratio))
+
+
+def _update_growth(solution: Solution) -> EstimationProblem | None:
+    """Noise that grows with the signal, at the run of ``solution``, with the parts that are not told as the residual shows them."""
+    problem = solution.problem
+    if not problem.noise.growth:
+        return None
+    pairs = list(zip(problem.records, (y for y, _ in solution.simulate()), strict=True))
+    runs = [record.samples(y) if len(y) == len(record.u) else y for record, y in pairs]
+    seen = [record.samples(record.y) for record in problem.records]
+    inflation = solution.evaluation.count / max(solution.evaluation.count - solution.unknowns, 1)
+    growth = {}
+    for name, noise in problem.noise.growth.items():
+        j = problem.noise.outputs.index(name)
+        growth[name] = noise.estimate(
+            np.concatenate([y[:, j] for y in seen]), np.concatenate([y[:, j] for y in runs]), inflation
+        )
+    if any(noise.unknown for noise in growth.values()):  # nothing was measured, or nothing is left over
+        return None
+    wanted = problem.with_growing_noise(growth, runs)
+    before, after = (_list_noise_levels(p) for p in (problem, wanted))
+    return None if after.shape == before.shape and is_settled(after / before) else wanted
+
+
+def _list_noise_levels(problem: EstimationProblem) -> np.ndarray:
+    """The standard deviation of every measured row, and of logarithms."""
+    levels = []
+    for record in problem.records:
+        measured = np.isfinite(record.samples(record.y))
+        spread = np.ones(measured.shape) if record.spread is None else record.spread
+        levels.append((problem.noise.std * spread)[measured])
+        levels.append(np.empty(0) if record.log_std is None else record.log_std[np.isfinite(record.log_std)])
+    return np.concatenate(levels)
 
 
 def _update_loss(solution: Solution, options: FitOptions) -> EstimationProblem | None:
@@ -243,6 +279,7 @@ def compute_whitened_residuals(problem: EstimationProblem, runs: Runs) -> np.nda
     residuals = []
     for record, (y, _) in zip(problem.records, runs, strict=True):
         r = record.samples(record.y - y) / problem.noise.std
+        record.scale_errors(r, np.empty((*r.shape, 0)), 1 / problem.noise.std)
         residuals.append(np.column_stack([colour.whiten(r[:, j]) for j, colour in enumerate(problem.noise.colour)]))
     return np.concatenate(residuals)
 

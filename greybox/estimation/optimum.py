@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from greybox.base.errors import FitError
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
 from greybox.estimation.objective import (
@@ -59,6 +60,7 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
                 inputs,
                 experiment.hold,
                 dict(experiment.conditions),
+                {name: std for name, std in experiment.noise.items() if name in measured},
             )
         )
     return tuple(result)
@@ -69,14 +71,16 @@ def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: i
     noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
     units = {o.name: o.unit for o in problem.model.outputs}
     return {
-        name: compute_misfit(traces, name, units[name], noise[name], skip)
+        name: compute_misfit(traces, name, units[name], noise[name], skip, problem.noise.growth.get(name))
         for name in noise
         if any(name in trace.measured for trace in traces)
     }
 
 
-def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0) -> Misfit:
-    """Error of one output over the records that have it."""
+def compute_misfit(
+    traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0, growth: GrowingNoise | None = None
+) -> Misfit:
+    """Error of one output over the records that have it; over the noise of each row where that is not the same in all."""
     seen = [trace for trace in traces if output in trace.measured]
     error = _join([_select_measured(t.residual(output), t.measured[output], skip) for t in seen])
     samples = len(error)
@@ -88,7 +92,18 @@ def compute_misfit(traces: Sequence[Trace], output: str, unit: str, noise: float
     spread = float(np.linalg.norm(_join([values - values.mean() if len(values) else values for values in measured])))
     # NRMSE fit: 100 (1 - |y - yhat| / |y - mean(y)|), each record about its mean.
     best_fit = 100 * (1 - size / spread) if spread > 0 else np.nan
-    return Misfit(rmse, unit, best_fit, rmse / noise, samples)
+    ratio = rmse / noise
+    if any(output in t.noise for t in seen) or (growth is not None and not growth.unknown):
+        scaled = [_select_measured(_scale_error(t, output, noise, growth), t.measured[output], skip) for t in seen]
+        ratio = float(np.sqrt(np.mean(_join(scaled) ** 2)))
+    return Misfit(rmse, unit, best_fit, ratio, samples)
+
+
+def _scale_error(trace: Trace, output: str, noise: float, growth: GrowingNoise | None) -> np.ndarray:
+    """The error (N,) of each row over its noise."""
+    if growth is not None and not growth.unknown:
+        return growth.scale_errors(trace.measured[output], trace.simulated[output])
+    return trace.residual(output) / trace.noise.get(output, noise)
 
 
 def _select_measured(values: np.ndarray, measured: np.ndarray, skip: int) -> np.ndarray:
@@ -107,7 +122,11 @@ def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, M
     # An output that the fitted records lack has the noise by which the validation judged it.
     judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
     noise = {**judged, **fit.noise.std}
-    return {name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip) for name in trace.measured}
+    growth = fit.noise.growth
+    return {
+        name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip, growth.get(name))
+        for name in trace.measured
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -431,6 +450,12 @@ def restore_problem(fit: Fit) -> EstimationProblem:
     variables = problem.variables.with_values(per_experiment)
     start = np.array([[t.initial_state[name] for name in problem.model.system.state_names] for t in fit.traces])
     variables = replace(variables, initial=replace(variables.initial, guess=start))
+    if problem.noise.growth:  # each row weighed as at the optimum
+        runs = [
+            np.column_stack([t.simulated.get(o.name, np.ones(len(t.time))) for o in problem.model.outputs])
+            for t in fit.traces
+        ]
+        problem = problem.with_growing_noise(problem.noise.growth, runs)
     return replace(problem, loss=restore_loss(fit), variables=variables)
 
 
@@ -466,5 +491,12 @@ def restore_noise(fit: Fit) -> NoiseModel:
     options = FitOptions.from_data(fit.provenance.options)
     known = bool(fit.noise.sources) and all(source.is_independent for source in fit.noise.sources.values())
     return NoiseModel(
-        tuple(o.name for o in outputs), std, fit.noise.sources, colour, known, fit.noise.bounds, options.common_noise
+        tuple(o.name for o in outputs),
+        std,
+        fit.noise.sources,
+        colour,
+        known,
+        fit.noise.bounds,
+        options.common_noise,
+        fit.noise.growth,
     )

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
+from greybox.base.json_shape import to_json_data
 from greybox.base.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
 from greybox.data.noise.policy import NoisePolicy
 from greybox.estimation.optim.minimisation import MinimisationPolicy
-from greybox.estimation.result_parts import to_json_data
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 
 # What a large residual costs: least squares, or a robust loss that outliers cannot pull (Huber 1964; Student's t).

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import chdtrc, fdtrc
@@ -80,10 +81,19 @@ def input_independence_test(
     return statistic, float(chdtrc(spread.rank, statistic))
 
 
-def normality_test(series: np.ndarray) -> tuple[float, float]:
-    """Jarque and Bera's statistic of skewness and kurtosis, chi-square with two degrees of freedom for a normal sample."""
+# Fewest values of a test of normality: below, its statistic is nowhere near chi-square, and hardly ever large.
+MIN_NORMALITY_VALUES = 8
+
+
+def normality_test(series: np.ndarray) -> tuple[float, float] | None:
+    """Jarque and Bera's statistic of skewness and kurtosis, chi-square with two degrees of freedom for a normal sample.
+
+    None of too few values.
+    """
     usable = series[np.isfinite(series)]
-    if len(usable) < 8 or np.ptp(usable) == 0:
+    if len(usable) < MIN_NORMALITY_VALUES:
+        return None
+    if np.ptp(usable) == 0:
         return 0.0, 1.0
     z = (usable - usable.mean()) / usable.std()
     skewness, kurtosis = float((z**3).mean()), float((z**4).mean())
@@ -92,16 +102,23 @@ def normality_test(series: np.ndarray) -> tuple[float, float]:
     return statistic, float(chdtrc(2, statistic))
 
 
-def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
-    """Levene's statistic of equal variance over blocks, about the medians (Brown and Forsythe 1974): robust to heavy tails."""
-    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """Levene's statistic of equal variance over blocks, about the medians (Brown and Forsythe 1974): robust to heavy tails.
+
+    None of a single block.
+    """
+    if len(blocks) < 2:
+        return None
+    if all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
     return _analyse_variance([np.abs(b - np.median(b)) for b in blocks])
 
 
-def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
-    """The F statistic of equal means over blocks."""
-    if len(blocks) < 2 or all(np.ptp(b) == 0 for b in blocks):
+def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | None:
+    """The F statistic of equal means over blocks; None of a single block."""
+    if len(blocks) < 2:
+        return None
+    if all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
     return _analyse_variance(blocks)
 
@@ -173,6 +190,13 @@ class ResidualTest(Printable):
     input: str = ""
     colour: AutoRegression = field(default_factory=AutoRegression, repr=False, compare=False)
 
+    KEYS: ClassVar[str] = "output kind statistic p_value alarm lags input order=colour.order correlation"
+
+    @property
+    def correlation(self) -> float:
+        """Of the residual from one sample to the next."""
+        return float(self.colour.autocorrelation(2)[1]) if self.colour.order else 0.0
+
 
 @dataclass(frozen=True, eq=False)
 class ResidualSeries:
@@ -222,6 +246,18 @@ class ResidualTests(Printable):
         """The tests that raise an alarm."""
         return tuple(t for t in self.tests if t.alarm)
 
+    @property
+    def not_made(self) -> Mapping[str, tuple[ResidualTestKind, ...]]:
+        """By output what its residual has too few values to be tested for."""
+        result = {}
+        for output, series in self.residuals.items():
+            made = {t.kind for t in self.tests if t.output == output}
+            is_driven = any(np.ptp(u) > 0 for records in series.inputs.values() for u in records)
+            wanted = [k for k in ResidualTestKind if is_driven or k is not ResidualTestKind.INPUT_INDEPENDENCE]
+            if missing := tuple(k for k in wanted if k not in made):
+                result[output] = missing
+        return result
+
     def of(
         self, output: str, kind: ResidualTestKind | str, *, lags: int | None = None, input: str = ""
     ) -> ResidualTest:
@@ -252,7 +288,8 @@ def residual_tests(fit: Fit) -> ResidualTests:
     Returns
     -------
     ResidualTests
-        One `ResidualTest` for each output and question; ``alarms`` holds those that failed.
+        One `ResidualTest` for each output and question; ``alarms`` holds those that failed, ``not_made`` those for which there
+        are too few values.
 
     Raises
     ------
@@ -362,12 +399,12 @@ def run_residual_tests(
             tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
     whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
     blocks = split_into_blocks(white, RESIDUAL_TEST_BLOCKS, MIN_BLOCK_VALUES)
-    return [
-        *tests,
-        make_test(ResidualTestKind.NORMALITY, normality_test(whitened)),
-        make_test(ResidualTestKind.EQUAL_VARIANCE, equal_variance_test(blocks)),
-        make_test(ResidualTestKind.EQUAL_MEAN, equal_mean_test(blocks)),
-    ]
+    others = {
+        ResidualTestKind.NORMALITY: normality_test(whitened),
+        ResidualTestKind.EQUAL_VARIANCE: equal_variance_test(blocks),
+        ResidualTestKind.EQUAL_MEAN: equal_mean_test(blocks),
+    }
+    return tests + [make_test(kind, result) for kind, result in others.items() if result is not None]
 
 
 # Free run and prediction side by side: the errors of a model without and with past measurements.
@@ -375,9 +412,18 @@ def run_residual_tests(
 
 @dataclass(frozen=True)
 class OutputScore:
-    """Root mean square errors of one output in ``unit``: ``free_run``, and ``prediction`` by the number of samples ahead.
+    """Root mean square errors of one output.
 
-    ``movement`` is the standard deviation of the measurement itself; ``predictor`` says what corrects the model at each sample.
+    Attributes
+    ----------
+    unit
+        Of the output.
+    free_run, prediction
+        Error of the free run, and by the number of samples ahead.
+    movement
+        Standard deviation of the measurement itself.
+    predictor
+        What corrects the model at each sample.
     """
 
     unit: str
@@ -389,7 +435,13 @@ class OutputScore:
 
 @dataclass(frozen=True)
 class PredictionScores(Printable):
-    """Scores by output."""
+    """Errors of free runs and of predictions.
+
+    Attributes
+    ----------
+    outputs
+        Errors of the free run and of predictions some samples ahead, by output.
+    """
 
     outputs: Mapping[str, OutputScore]
 

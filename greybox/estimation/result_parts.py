@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import json
-import math
-import secrets
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from types import NoneType
 from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import ndtri
 
 from greybox.base.findings import Finding
-from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
-from greybox.data.noise.noise_model import NoiseBound, NoiseSource
+from greybox.data.noise.growing import GrowingNoise
+from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
 
 
 class IntervalKind(StrEnum):
@@ -39,16 +36,24 @@ class IntervalKind(StrEnum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """One constant: value, standard deviation and 95 % interval in ``unit``.
+    """One constant.
 
-    ``std`` and ``interval`` are None for a fixed constant, and where the data do not determine it. ``at_bound`` marks a value that
-    was stopped by its bounds.
+    Attributes
+    ----------
+    value, unit
+        The estimate and its unit.
+    std, interval
+        Standard deviation and 95 % interval; None for a fixed constant, and where the data do not determine it.
+    fixed
+        Not fitted.
+    at_bound
+        The value was stopped by its bounds.
     """
 
-    value: float
+    value: Finite
     unit: str
     std: float | None = None
-    interval: tuple[float, float] | None = None
+    interval: Interval | None = None
     fixed: bool = False
     at_bound: bool = False
 
@@ -66,26 +71,44 @@ class Estimate:
 
 @dataclass(frozen=True)
 class PriorCheck:
-    """What became of the prior of one constant, ``mean`` and ``std`` in its unit.
+    """What became of the prior of one constant.
 
-    ``shift``: how far the data took the constant from the mean, in standard deviations of the prior. ``variance_reduction``: share of
-    the prior's variance that the data took away, 0 where the prior says all that is known. ``conflict``: by how many standard
-    deviations the prior and the data by themselves disagree (standard normal where both are right); None where the data say nothing.
+    Attributes
+    ----------
+    mean, std
+        The prior, in the unit of the constant.
+    shift
+        How far the data took the constant from the mean, in standard deviations of the prior.
+    variance_reduction
+        Share of the prior's variance that the data took away, 0 where the prior says all that is known.
+    conflict
+        By how many standard deviations the prior and the data by themselves disagree (standard normal where both are right); None
+        where the data say nothing.
     """
 
-    mean: float
-    std: float
+    mean: Finite
+    std: Finite
     shift: float
-    variance_reduction: float
+    variance_reduction: Finite
     conflict: float | None
+
+    KEYS: ClassVar[str] = "mean std moved=shift learnt=variance_reduction conflict"
 
 
 @dataclass(frozen=True)
 class Misfit:
     """Free-run error of one output over the records.
 
-    ``rmse`` in ``unit``; ``best_fit_percent`` is ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``; ``noise_ratio`` is rmse over the noise
-    standard deviation: 1 means that only noise is left. ``samples`` went into it.
+    Attributes
+    ----------
+    rmse, unit
+        Root mean square of the error, and the unit of the output.
+    best_fit_percent
+        ``100 (1 - ||y - yhat|| / ||y - mean(y)||)``.
+    noise_ratio
+        ``rmse`` over the standard deviation of the noise: 1 means that only noise is left.
+    samples
+        How many went into it.
     """
 
     rmse: float
@@ -97,26 +120,51 @@ class Misfit:
 
 @dataclass(frozen=True)
 class Trace(ReadOnly):
-    """One record and the model's run over it: ``time`` (N,), measured and simulated outputs by name (N,), its initial state.
+    """One record and the model's run over it; `experiment` is the record again.
 
-    ``inputs`` by name (N,), ``hold`` how they move between samples, and ``conditions`` make it a whole
-    record again, see `experiment`.
+    Attributes
+    ----------
+    name, fingerprint
+        The record, and 16 hex digits of the SHA-256 of its data.
+    time
+        Seconds (N,), increasing.
+    measured, simulated
+        Outputs by name (N,).
+    initial_state
+        Where the run began, by state.
+    inputs, hold
+        Inputs by name (N,), and how they move between samples.
+    conditions
+        What stayed the same while it was taken.
+    noise
+        Standard deviation of each row (N,), of the outputs whose noise the record tells row by row.
     """
 
     name: str
     fingerprint: str
-    time: np.ndarray
+    time: FiniteArray
     measured: Mapping[str, np.ndarray]
     simulated: Mapping[str, np.ndarray]
-    initial_state: Mapping[str, float]
+    initial_state: Mapping[str, Finite]
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
     hold: Hold = "zero"
-    conditions: Mapping[str, float] = field(default_factory=dict)
+    conditions: Mapping[str, Finite] = field(default_factory=dict)
+    noise: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    KEYS: ClassVar[str] = "name fingerprint time measured simulated initial_state inputs hold conditions noise?"
 
     @property
     def experiment(self) -> Experiment:
         """The record without the model's run."""
-        return Experiment(self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions)
+        return Experiment(
+            self.name,
+            self.time,
+            self.inputs,
+            self.measured,
+            self.hold,
+            conditions=self.conditions,
+            noise=self.noise,
+        )
 
     def residual(self, output: str) -> np.ndarray:
         """Measured minus simulated (N,), NaN in gaps."""
@@ -125,21 +173,38 @@ class Trace(ReadOnly):
 
 @dataclass(frozen=True)
 class StartResult(ReadOnly):
-    """Where one of several starts ended: the values it began with and those it ended with, misfit over noise, how it ended.
+    """Where one of several starts ended.
 
-    ``values`` is empty and ``noise_ratio`` infinite where it led nowhere; ``status`` is then the reason.
+    Attributes
+    ----------
+    start, values
+        By name what it began with, and what it ended with: nothing where it led nowhere.
+    noise_ratio
+        Misfit over noise, infinite where it led nowhere.
+    status
+        How it ended; the reason where it led nowhere.
+    seconds
+        Time it took.
     """
 
-    start: Mapping[str, float]
-    values: Mapping[str, float]
-    noise_ratio: float
+    start: Mapping[str, Finite]
+    values: Mapping[str, Finite]
+    noise_ratio: Unbounded
     status: str
-    seconds: float = 0.0
+    seconds: Finite = 0.0
 
 
 @dataclass(frozen=True)
 class Validation(ReadOnly):
-    """A model on records that its parameters have not seen: free-run misfit by output, and the runs. Empty where there were none."""
+    """A model on records that its parameters have not seen. Empty where there were none.
+
+    Attributes
+    ----------
+    misfit
+        On the validation records, by output.
+    traces
+        The validation records with the model's runs over them.
+    """
 
     misfit: Mapping[str, Misfit] = field(default_factory=dict)
     traces: Sequence[Trace] = ()
@@ -166,18 +231,29 @@ class FitNoise(Printable, ReadOnly):
         Unit of each of these.
     bounds
         What is known of each level: about as large, at most or at least, and for how long it remembers.
+    growth
+        How the noise grows with the signal, of the outputs of which this is so; ``std`` is then its rms over the records.
     """
 
     std: Mapping[str, float]
     sources: Mapping[str, NoiseSource] = field(default_factory=dict)
-    colour: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    colour: Mapping[str, tuple[Finite, ...]] = field(default_factory=dict)
     log_std: Mapping[str, float] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
+    growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
+
+    @property
+    def given(self) -> dict[str, float | GrowingNoise]:
+        """The noise of each output as a fit takes it: its level, or how it grows with the signal."""
+        growing = {name: replace(noise, estimated=()) for name, noise in self.growth.items() if not noise.unknown}
+        return {**self.std, **growing}
 
     def bound(self, output: str) -> NoiseBound | None:
         """What is known of the noise of an output: as it was found, or what its source says in general; None without a source."""
         source = self.sources.get(output)
+        if output in self.growth and source is not None:  # of each row, and not of the rms of all rows
+            return NoiseBound(self.std[output], BoundDirection.ABOUT, source)
         if output in self.bounds or source is None:
             return self.bounds.get(output)
         return NoiseBound(self.std.get(output, float("nan")), source.direction, source)
@@ -227,6 +303,11 @@ class SolverReport(Printable, ReadOnly):
     details: tuple[Finding, ...] = ()
 
     @property
+    def figures(self) -> Mapping[str, Any]:
+        """Iterations, passes, seconds, the transcription, and how the search went in a sentence."""
+        return {**self.statistics, "strategy": "" if self.strategy is None else str(self.strategy)}
+
+    @property
     def status_message(self) -> str:
         """How the search ended, in a sentence."""
         return str(self)
@@ -236,13 +317,21 @@ class SolverReport(Printable, ReadOnly):
 class FitUncertainty(ReadOnly):
     """How well the free parameters are known.
 
-    ``free`` their names and ``covariance`` (nf, nf) in that order; ``kind`` says whether it is the ``gauss_newton`` covariance (white
-    residual), the ``sandwich`` that allows for a coloured one, or the ``observed_information`` of a likelihood; ``inflation`` the factor
-    by which the sandwich widens each standard deviation.
+    Attributes
+    ----------
+    free
+        Their names.
+    covariance
+        Of these (nf, nf), in that order.
+    kind
+        Whether it is the ``gauss_newton`` covariance (white residual), the ``sandwich`` that allows for a coloured one, or the
+        ``observed_information`` of a likelihood.
+    inflation
+        The factor by which the sandwich widens each standard deviation, by name.
     """
 
     free: tuple[str, ...]
-    covariance: np.ndarray
+    covariance: Matrix
     kind: IntervalKind = IntervalKind.GAUSS_NEWTON
     inflation: Mapping[str, float] = field(default_factory=dict)
 
@@ -256,8 +345,14 @@ class FitUncertainty(ReadOnly):
 class FitDiscretisation(ReadOnly):
     """How the model was integrated, and what that costs in accuracy.
 
-    ``label`` method and substeps; ``error`` rms change of each output over its noise when the step is halved; ``shift`` change of each
-    parameter when the step is halved, in its standard deviations.
+    Attributes
+    ----------
+    label
+        Method and substeps.
+    error
+        Rms change of each output over its noise when the step is halved.
+    shift
+        Change of each parameter when the step is halved, in its standard deviations.
     """
 
     label: str
@@ -269,8 +364,15 @@ class FitDiscretisation(ReadOnly):
 class FitConstraints(ReadOnly):
     """What was known of the parameters besides their values.
 
-    ``ties`` parameters that others give, by formula, and ``tied`` their values; ``per_experiment`` the values of parameters that each
-    experiment has for itself, parameter -> experiment -> value (`Fit.parameters` holds their mean); ``priors`` what became of each.
+    Attributes
+    ----------
+    ties, tied
+        Parameters that others give: their formulas, and their values.
+    per_experiment
+        The values of parameters that each experiment has for itself, parameter -> experiment -> value (`Fit.parameters` holds their
+        mean).
+    priors
+        What became of each, by parameter.
     """
 
     ties: Mapping[str, str] = field(default_factory=dict)
@@ -281,8 +383,17 @@ class FitConstraints(ReadOnly):
 
 @dataclass(frozen=True)
 class RobustReport(ReadOnly):
-    """The robust loss of a fit: its ``name`` ("" for least squares), its ``scale`` for each output over the noise, and the share of each
-    output's samples that count as ``outliers``."""
+    """The robust loss of a fit.
+
+    Attributes
+    ----------
+    name
+        Which one; empty for least squares.
+    scale
+        Of each output over its noise.
+    outliers
+        Share of each output's samples that count as such.
+    """
 
     name: str = ""
     scale: Mapping[str, float] = field(default_factory=dict)
@@ -291,8 +402,17 @@ class RobustReport(ReadOnly):
 
 @dataclass(frozen=True)
 class PredictionReport(ReadOnly):
-    """What a fit with process noise adds: the ``process_noise`` intensity on each state, in its unit over sqrt(s), the ``one_step``
-    error, and the ``log_likelihood`` of the innovations. Empty for a free-run fit."""
+    """What a fit with process noise adds. Empty for a free-run fit.
+
+    Attributes
+    ----------
+    process_noise
+        Intensity on each state, in its unit over sqrt(s).
+    one_step
+        Error one sample ahead, by output.
+    log_likelihood
+        Of the innovations.
+    """
 
     process_noise: Mapping[str, float] = field(default_factory=dict)
     one_step: Mapping[str, Misfit] = field(default_factory=dict)
@@ -301,67 +421,33 @@ class PredictionReport(ReadOnly):
 
 @dataclass(frozen=True)
 class Provenance(ReadOnly):
-    """What repeats a fit: its ``options``, the model's ``equations`` and the ``versions`` of what computed it."""
+    """What repeats a fit.
+
+    Attributes
+    ----------
+    options
+        Options of the estimation, by name.
+    equations
+        Those of the model.
+    versions
+        Program -> version of what computed it.
+    """
 
     options: Mapping[str, Any] = field(default_factory=dict)
     equations: str = ""
     versions: Mapping[str, str] = field(default_factory=dict)
 
-
-# Results as JSON: readable, and without loss but for infinities and NaN, which become null.
-
-
-def format_json(data: Mapping[str, Any]) -> str:
-    """JSON with a line for each entry of the two outer levels: readable, and long arrays stay on one line."""
-    rows = []
-    for key, value in data.items():
-        if isinstance(value, dict) and value:
-            inner = ",\n".join(f"  {json.dumps(k)}: {json.dumps(v, allow_nan=False)}" for k, v in value.items())
-            rows.append(f" {json.dumps(key)}: {{\n{inner}\n }}")
-        else:
-            rows.append(f" {json.dumps(key)}: {json.dumps(value, allow_nan=False)}")
-    return "{\n" + ",\n".join(rows) + "\n}"
+    @property
+    def stored_options(self) -> Mapping[str, Any]:
+        """Options of the estimation, under the names that they have in a file."""
+        return {_OPTION_KEYS.get(name, name): value for name, value in self.options.items()}
 
 
-def iterate_json(data: Mapping[str, Any]) -> Iterator[str]:
-    """The text of ``format_json(to_json_data(data))`` in parts, so that long arrays need not be in memory as text."""
-    mark, arrays = secrets.token_hex(16), list[np.ndarray]()
-
-    def put_aside(array: np.ndarray) -> Any:
-        if array.ndim != 1 or len(array) <= ROWS_AT_A_TIME:
-            return to_json_data(array.tolist())
-        arrays.append(array)
-        return mark
-
-    between, *others = (format_json(to_json_data(data, put_aside)) + "\n").split(f'"{mark}"')
-    yield between
-    for array, text in zip(arrays, others, strict=True):
-        for first in range(0, len(array), ROWS_AT_A_TIME):
-            part = to_json_data(array[first : first + ROWS_AT_A_TIME].tolist())
-            yield f"{', ' if first else '['}{json.dumps(part, allow_nan=False)[1:-1]}"
-        yield f"]{text}"
+# Names of options whose key in a file is older.
+_OPTION_KEYS = {"per_experiment": "own"}
 
 
-def to_json_data(value: Any, convert_array: Callable[[np.ndarray], Any] | None = None) -> Any:
-    """``value`` as JSON data: arrays become lists, dataclasses dictionaries, NaN and infinities None.
-
-    ``convert_array``: what becomes of arrays instead.
-    """
-    kind = type(value)
-    if kind in (str, bool, int, NoneType):  # most values: asking for abstract classes is slow
-        return value
-    if kind is float:
-        return value if math.isfinite(value) else None
-    if isinstance(value, np.ndarray):
-        return convert_array(value) if convert_array else to_json_data(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(k): to_json_data(v, convert_array) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [to_json_data(v, convert_array) for v in value]
-    if isinstance(value, (bool, str)) or value is None:
-        return value
-    if isinstance(value, (int, np.integer)):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    return to_json_data({f.name: getattr(value, f.name) for f in fields(value)}, convert_array)
+def restore_options(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """The options of a fit from those of its file."""
+    names = {key: name for name, key in _OPTION_KEYS.items()}
+    return {names.get(key, key): value for key, value in stored.items()}

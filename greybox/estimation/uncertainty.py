@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.base.errors import DataError, FitError, ModelError, nearest
-from greybox.base.files import write_file
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json, write_json
+from greybox.base.json_shape import (
+    FileKind,
+    Finite,
+    FiniteArray,
+    Interval,
+    Matrix,
+    UnboundedArray,
+    from_json_data,
+)
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
@@ -26,7 +34,6 @@ from greybox.estimation.objective import (
 from greybox.estimation.optimum import restore_objective, restore_options, restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import iterate_json, to_json_data
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.simulation_error import Evaluation
@@ -52,16 +59,16 @@ DEFAULT_BOOTSTRAP_POLICY = BootstrapPolicy()
 
 # Profiles and bootstraps as JSON files that are written and read without loss.
 
-FORMAT = 1
-"""Version of the files. Their keys are the names of the fields."""
-
 
 class IntervalFile:
     """A value about intervals that can be saved: its fields are the keys of the file."""
 
-    def to_data(self) -> dict[str, Any]:
-        """The file as plain values; numbers that are not finite become None."""
-        return {"format": FORMAT, "kind": type(self).__name__.lower(), **to_json_data(self)}
+    KEYS: ClassVar[str] = "kind *"
+
+    @property
+    def kind(self) -> str:
+        """``profile`` or ``bootstrap``: which of these files it is."""
+        return type(self).__name__.lower()
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON; `load_profile` or `load_bootstrap` reads it back without loss.
@@ -76,38 +83,35 @@ class IntervalFile:
         Path
             The file that was written.
         """
-        return write_file(path, iterate_json(self.to_data()))
-
-
-def read_intervals(path: str | Path, kind: ResultKind) -> dict[str, Any]:
-    """The fields of what was saved of a ``kind``. Raises DataError for anything else."""
-    data = read_json(path, kind)
-    return {name: value for name, value in data.items() if name not in ("format", "kind")}
-
-
-def restore_interval(ends: list[float | None]) -> tuple[float, float]:
-    """An interval whose open ends are null in a file."""
-    low, high = ends
-    return -np.inf if low is None else low, np.inf if high is None else high
-
-
-def restore_policy(policy: type, data: dict[str, Any]) -> Any:
-    """A policy as it was stored; what an older file lacks is the default, what this version lacks is left out."""
-    return policy(**{f.name: data[f.name] for f in fields(policy) if f.name in data})
+        return write_json(path, self)
 
 
 @dataclass(frozen=True, eq=False)
 class Bootstrap(IntervalFile):
-    """``samples`` (B, nf) of the constants ``names``; their ``std`` and 95 % ``interval`` by name; ``block`` rows of a block; ``policy``:
-    how long blocks are.
+    """The constants that other draws of the residual would have given.
+
+    Attributes
+    ----------
+    names
+        The constants.
+    samples
+        For each draw the constants in that order (B, nf).
+    std, interval
+        Standard deviation and 95 % interval by name.
+    block
+        Rows of a block.
+    policy
+        How long blocks are.
     """
 
     names: tuple[str, ...]
-    samples: np.ndarray
+    samples: Matrix
     std: dict[str, float]
-    interval: dict[str, tuple[float, float]]
+    interval: dict[str, Interval]
     block: int
     policy: BootstrapPolicy = DEFAULT_BOOTSTRAP_POLICY
+
+    FILE: ClassVar[FileKind] = FileKind("a bootstrap", "file that a bootstrap was saved to")
 
 
 def load_bootstrap(path: str | Path) -> Bootstrap:
@@ -128,16 +132,11 @@ def load_bootstrap(path: str | Path) -> Bootstrap:
     DataError
         If the file is not a bootstrap.
     """
-    data = read_intervals(path, ResultKind.BOOTSTRAP)
+    data = read_json(path, Bootstrap)
     names = data["names"]
     if any(len(row) != len(names) for row in data["samples"]) or not {*names} == {*data["std"]} == {*data["interval"]}:
         raise DataError(f"{path}: its samples, deviations and intervals are not those of its constants; save it again")
-    data["names"] = tuple(names)
-    data["samples"] = np.array(data["samples"], dtype=float).reshape(-1, len(names))
-    data["std"] = {name: np.nan if std is None else std for name, std in data["std"].items()}
-    data["interval"] = {name: restore_interval(ends) for name, ends in data["interval"].items()}
-    data["policy"] = restore_policy(BootstrapPolicy, data["policy"])
-    return Bootstrap(**data)
+    return from_json_data(Bootstrap, data)
 
 
 def bootstrap(
@@ -290,22 +289,38 @@ DEFAULT_PROFILE_POLICY = ProfilePolicy()
 
 @dataclass(frozen=True, eq=False)
 class Profile(Printable, IntervalFile):
-    """The profile of one constant.
+    """The profile of one constant: how the cost rises when it is held elsewhere.
 
-    ``values`` (k,), increasing, in ``unit``, and ``increase`` (k,): the rise of the minimal cost over its scale, which for a
-    well-determined constant is ``((value - best) / std)^2``. ``interval``: where it stays below ``threshold`` (the squared 95 % point);
-    an end is the constant's bound, or infinite, where the rise never reaches it: the data leave that side open.
-    ``policy``: how it was followed.
+    Attributes
+    ----------
+    name, unit
+        The constant and its unit.
+    best
+        Where the cost is least.
+    values
+        Where the constant was held (k,), increasing.
+    increase
+        Rise of the minimal cost there over its scale (k,), which for a well-determined constant is ``((value - best) / std)^2``;
+        infinite where it could not be found.
+    threshold
+        Rise at the ends of the interval: the squared 95 % point.
+    interval
+        Where the rise stays below it; an end is the constant's bound, or infinite, where the rise never reaches it: the data leave
+        that side open.
+    policy
+        How it was followed.
     """
 
     name: str
     unit: str
-    best: float
-    values: np.ndarray
-    increase: np.ndarray
-    threshold: float
-    interval: tuple[float, float]
+    best: Finite
+    values: FiniteArray
+    increase: UnboundedArray
+    threshold: Finite
+    interval: Interval
     policy: ProfilePolicy = DEFAULT_PROFILE_POLICY
+
+    FILE: ClassVar[FileKind] = FileKind("a profile", "file that a profile was saved to")
 
     @property
     def open_sides(self) -> tuple[bool, bool]:
@@ -331,16 +346,10 @@ def load_profile(path: str | Path) -> Profile:
     DataError
         If the file is not a profile.
     """
-    data = read_intervals(path, ResultKind.PROFILE)
-    if len(data["values"]) != len(data["increase"]):
+    data = read_json(path, Profile)
+    if not 0 < len(data["values"]) == len(data["increase"]):
         raise DataError(f"{path}: it has {len(data['values'])} values and {len(data['increase'])} rises; save it again")
-    data["values"], data["increase"] = (
-        np.array(data["values"]),
-        np.array([np.inf if rise is None else rise for rise in data["increase"]]),
-    )
-    data["interval"] = restore_interval(data["interval"])
-    data["policy"] = restore_policy(ProfilePolicy, data["policy"])
-    return Profile(**data)
+    return from_json_data(Profile, data)
 
 
 def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLICY) -> Profile:

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.data.experiment import Experiment
+from greybox.data.noise.growing import GrowingNoise
 from greybox.estimation.noise_loop import estimate_by_simulation_error, solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.optimum import compute_misfits, make_traces
@@ -89,7 +90,7 @@ def validate(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
     *,
-    noise: Mapping[str, float] | None = None,
+    noise: Mapping[str, float | GrowingNoise] | None = None,
     skip: int = 0,
     initial_rows: int = 0,
     options: FitOptions | None = None,

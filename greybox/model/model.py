@@ -42,7 +42,7 @@ class Model(Printable):
     Parameters
     ----------
     name
-        Letters, digits, ``_`` and ``-``; it becomes the name of files.
+        Its name, of letters, digits, ``_`` and ``-``; it becomes the name of files.
     states, inputs, outputs, parameters
         What the equations speak of. The first input is the drive, the first output the main sensor.
     balances
@@ -129,6 +129,11 @@ class Model(Printable):
             for effect, placed in zip(self.effects, self.system.effects, strict=True)
         )
 
+    @property
+    def effect_names(self) -> tuple[str, ...]:
+        """Effects that were added, by name."""
+        return tuple(effect.name for effect in self.effects)
+
     def names_of(self, effect: str) -> Mapping[str, str]:
         """Constant of an effect that the model has -> its name in the model."""
         return next(bound.model_names for bound in self.bound_effects if bound.effect.name == effect)
@@ -143,13 +148,13 @@ class Model(Printable):
         """States of the plant and of its effects."""
         return self.system.states
 
-    @property
+    @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the plant and of its effects, under the names they have in this model; those that are tied left out."""
         gone = {tie.name for tie in self.ties}
         return tuple(q for q in self.stated_parameters if q.name not in gone)
 
-    @property
+    @cached_property
     def stated_parameters(self) -> tuple[Parameter, ...]:
         """Parameters of the plant and of its effects, tied ones included."""
         return (*self.parameters, *(q for b in self.bound_effects for q in b.parameters))
@@ -160,7 +165,7 @@ class Model(Printable):
         p = self.parameters_at(list(self.values.values()))
         return {tie.name: float(p[tie.name]) for tie in self.ties}
 
-    @property
+    @cached_property
     def free_parameters(self) -> tuple[Parameter, ...]:
         """The parameters that a fit may change."""
         return tuple(q for q in self.all_parameters if not q.fixed)

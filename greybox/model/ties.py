@@ -47,6 +47,8 @@ def apply_ties(ties: Sequence[Tie], p: NamedValues) -> NamedValues:
 
 def order_ties(ties: Sequence[Tie]) -> list[Tie]:
     """The ties, each after those that it needs. Raises ModelError for a circle."""
+    if len(ties) < 2:
+        return list(ties)
     by_name = {tie.name: tie for tie in ties}
     needs = {tie.name: [n for n in tie.names if n in by_name] for tie in ties}
     try:

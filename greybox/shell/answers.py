@@ -5,44 +5,80 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import ClassVar
 
+from greybox.base.findings import Finding
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.model_family import ModelFamily
+from greybox.estimation.residuals import PredictionScores, ResidualTests
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Misfit
+from greybox.estimation.uncertainty import Bootstrap, Profile
+from greybox.simulation.simulate import Simulation
 
-if TYPE_CHECKING:
-    from greybox.estimation.linear.linearisation import Linearisation
-    from greybox.estimation.linear.model_family import ModelFamily
-    from greybox.estimation.residuals import ResidualTests
-    from greybox.estimation.result import Fit
-    from greybox.estimation.result_parts import Misfit
-    from greybox.estimation.uncertainty import Bootstrap, Profile
-    from greybox.simulation.simulate import Simulation
 
-RecordMisfit = tuple[str, str, "Misfit"]
-"""Name of a record, name of an output, and the misfit there."""
+@dataclass(frozen=True)
+class RecordMisfit:
+    """Free-run error of one output in one record.
+
+    Attributes
+    ----------
+    record, output
+        Their names.
+    misfit
+        The error there.
+    """
+
+    record: str
+    output: str
+    misfit: Misfit
+
+    KEYS: ClassVar[str] = "record output misfit.*"
 
 
 @dataclass(frozen=True)
 class FitAnswer(Printable):
-    """A fit, with what was asked for beside it.
+    """A fit, with what was asked for beside it: what ``fit.json`` holds in the end.
 
-    ``remedies``: what would determine the parameters that the records left open. ``profiles`` and ``bootstrap``: the intervals
-    asked for; ``zero_noise``: parameters of process noise that are zero and have a limit only; ``refusal``: why there are no
-    intervals. ``scores``: free run and predictions on the fitted and the validation records. ``misfits`` of each record, where
-    there are several.
+    Attributes
+    ----------
+    fit
+        The fit.
+    remedies
+        What would determine the parameters that the records left open.
+    profiles, bootstrap
+        The intervals that were asked for.
+    zero_noise
+        Parameters of process noise that are zero: each has a limit only, and no profile.
+    refusal
+        Why there are no intervals, where they were asked for.
+    scores, validation_scores
+        Errors of the free run and of predictions on the fitted and on the validation records.
+    tests
+        The tests of the residual.
+    misfits, validation_misfits
+        Misfit of each output of each record, where there are several.
     """
 
     fit: Fit
-    remedies: tuple[Any, ...] = ()
+    remedies: tuple[Finding, ...] = ()
     profiles: tuple[Profile, ...] = ()
     zero_noise: tuple[str, ...] = ()
     bootstrap: Bootstrap | None = None
     refusal: str = ""
-    scores: Any = None
-    validation_scores: Any = None
+    scores: PredictionScores | None = None
+    validation_scores: PredictionScores | None = None
     tests: ResidualTests | None = None
     misfits: Sequence[RecordMisfit] = ()
     validation_misfits: Sequence[RecordMisfit] = ()
+
+    FILE: ClassVar[FileKind] = Fit.FILE
+    KEYS: ClassVar[str] = """
+        fit.* profiles? zero_noise? bootstrap? refusal? remedies? tests?=tests.tests scores?=scores.outputs
+        validation_scores?=validation_scores.outputs record_misfits?=misfits validation_record_misfits?=validation_misfits
+        """
 
 
 @dataclass(frozen=True)

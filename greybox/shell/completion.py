@@ -34,9 +34,9 @@ def models(incomplete: str) -> list[Offer]:
 
 def commands(incomplete: str) -> list[Offer]:
     """Commands that print JSON."""
-    from greybox.base.json_file import PRINTED
+    from greybox.base.json_file import list_printed
 
-    return _beginning(((name, "") for name in PRINTED), incomplete)
+    return _beginning(((name, "") for name in list_printed()), incomplete)
 
 
 def effects(incomplete: str) -> list[Offer]:

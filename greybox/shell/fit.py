@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from greybox.base.errors import ExitCode, FitError, GreyboxError
-from greybox.shell.answers import FitAnswer, RecordMisfit
 from greybox.shell.inputs import (
     build_model,
     check_intervals,
@@ -46,10 +44,11 @@ from greybox.shell.terminal import exit_with_error, hold_interrupts, write_repor
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
-    from greybox.estimation.residuals import ResidualTest, ResidualTests
+    from greybox.estimation.residuals import ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
     from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.shell.answers import FitAnswer, RecordMisfit
 
 
 @takes_study(FIT)
@@ -86,6 +85,7 @@ def fit(
     if kind := plant_kind(study.model):
         kind.fit(study, output, json=json)
         return
+    from greybox.base.json_file import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart
@@ -149,7 +149,8 @@ def fit(
         short = interrupted or (silent and not study.predict)
         answer = _answer(result, tests, study, validation, intervals, short=short)
         with hold_interrupts():
-            _store_answer(saved, answer)
+            # Once more, with what took its time: a number that is printed stands in the file.
+            write_json(saved, answer)
         if json:
             typer.echo(saved.read_text(encoding="utf-8"), nl=False)
         elif not silent:
@@ -175,6 +176,7 @@ def _answer(
 ) -> FitAnswer:
     """The fit with everything that was asked for, ``intervals`` among it; ``short`` without what takes further computation."""
     from greybox.estimation.identifiability.practical import recommend_after_fit
+    from greybox.shell.answers import FitAnswer
 
     tables: dict[str, Any] = {
         "tests": tests,
@@ -200,11 +202,14 @@ def _residual_tests(result: Fit) -> ResidualTests | None:
 def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisfit]:
     """The misfit of each record without its first ``skip`` rows, where there are several records."""
     from greybox.estimation.optimum import compute_record_misfits
+    from greybox.shell.answers import RecordMisfit
 
     if len(traces) < 2:
         return []
     return [
-        (t.name, output, misfit) for t in traces for output, misfit in compute_record_misfits(result, t, skip).items()
+        RecordMisfit(t.name, output, misfit)
+        for t in traces
+        for output, misfit in compute_record_misfits(result, t, skip).items()
     ]
 
 
@@ -261,38 +266,6 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     except FitError as error:
         intervals["refusal"] = str(error)
     return intervals
-
-
-def _store_answer(saved: Path, answer: FitAnswer) -> None:
-    """Put what is shown beside the fit into fit.json, which was written before it took its time: a number that is printed stands there."""
-    from greybox.base.files import write_file
-    from greybox.base.json_file import ResultKind, read_json
-    from greybox.estimation.result_parts import iterate_json, to_json_data
-
-    stored: dict[str, Any] = {
-        "profiles": [profile.to_data() for profile in answer.profiles],
-        "zero_noise": answer.zero_noise,
-        "bootstrap": answer.bootstrap and answer.bootstrap.to_data(),
-        "refusal": answer.refusal,
-        "remedies": answer.remedies,
-        "tests": [_to_test_data(test) for test in answer.tests.tests] if answer.tests else [],
-        "scores": answer.scores and answer.scores.outputs,
-        "validation_scores": answer.validation_scores and answer.validation_scores.outputs,
-        "record_misfits": [{"record": r, "output": o, **asdict(m)} for r, o, m in answer.misfits],
-        "validation_record_misfits": [{"record": r, "output": o, **asdict(m)} for r, o, m in answer.validation_misfits],
-    }
-    stored = {name: to_json_data(values) for name, values in stored.items() if values}
-    if stored:
-        write_file(saved, iterate_json({**read_json(saved, ResultKind.FIT), **stored}))
-
-
-def _to_test_data(test: ResidualTest) -> dict[str, Any]:
-    """A test of a residual as fit.json has it; the colour as its order and the correlation from sample to sample."""
-    correlation = float(test.colour.autocorrelation(2)[1]) if test.colour.order else 0.0
-    figures = {
-        name: getattr(test, name) for name in ("output", "kind", "statistic", "p_value", "alarm", "lags", "input")
-    }
-    return {**figures, "order": test.colour.order, "correlation": correlation}
 
 
 def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:

@@ -350,12 +350,12 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
     has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
     """
-    from greybox.base.json_file import ResultKind, read_json
-    from greybox.estimation.result import restore_fit
+    from greybox.base.json_file import read_json
+    from greybox.estimation.result import Fit, restore_fit
     from greybox.model.effects.catalogue import effect
     from greybox.shell.project import find_model, is_model_path
 
-    data = read_json(path, ResultKind.FIT)
+    data = read_json(path, Fit)
     if model is None and is_model_path(data["model"]):
         raise DataError(
             f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"

@@ -143,7 +143,7 @@ def _list(listing: ModelListing) -> dict[str, Any]:
 
 
 def _outline(model: Model) -> dict[str, Any]:
-    from greybox.estimation.result_parts import to_json_data
+    from greybox.base.json_shape import to_json_data
     from greybox.model.equations import equations_text
 
     return dict(

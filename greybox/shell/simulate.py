@@ -12,7 +12,6 @@ import typer
 from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
 from greybox.shell import completion
-from greybox.shell.answers import SimulationAnswer
 from greybox.shell.inputs import add_effects, check_substeps, layout_of, parse_limits, refuse_broken_limits
 from greybox.shell.options import NoReport, Texts, check_writable, read_noise, repeated, takes_study
 from greybox.shell.study import SIMULATE, Study
@@ -169,6 +168,8 @@ def simulate(
     if json:
         typer.echo(_as_json(run, target, report))
     else:
+        from greybox.shell.answers import SimulationAnswer
+
         typer.echo("\n".join([str(SimulationAnswer(run, target)), *([report_line(report)] if report else [])]))
 
 

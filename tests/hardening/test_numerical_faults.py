@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
+from greybox.estimation.result import Fit
 from greybox.shell.commands import app
 from models.silverbox import silverbox
 from tests.hardening.test_fuzz_records import time_limit
@@ -83,7 +84,7 @@ def judge(command: list[str], out: Path) -> str:
     if result.exit_code not in (0, 1):
         return f"code {result.exit_code}: {result.output[-200:]}"
     if out.exists():
-        read_json(out / "fit.json", ResultKind.FIT)
+        read_json(out / "fit.json", Fit)
     place_of_nan = (
         NO_NUMBER.search(result.output) if result.exit_code == 0 else None
     )  # a run that overflows has no misfit

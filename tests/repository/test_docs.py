@@ -25,6 +25,7 @@ QUICK = (
     "study_files.md",
     "design.md",
     "changed.md",
+    "fleet.md",
     "laws.md",
     "extensions.md",
     "records.md",

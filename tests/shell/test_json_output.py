@@ -14,8 +14,9 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
-from greybox.base.json_file import PRINTED, ResultKind, schema_of_command
+from greybox.base.json_file import list_printed, schema_of_command
 from greybox.estimation.result import load_fit
+from greybox.shell.answers import FitAnswer
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
@@ -25,10 +26,10 @@ from tests.support.result_schema import strict_offences
 def test_every_command_has_it_and_a_schema() -> None:
     commands = {c.callback.__name__: c.callback for c in app.registered_commands}
     printing = {name for name, c in commands.items() if "json" in inspect.signature(c).parameters}
-    assert printing == set(commands) == set(PRINTED)
+    assert printing == set(commands) == set(list_printed())
 
 
-@pytest.mark.parametrize("command", PRINTED)
+@pytest.mark.parametrize("command", list_printed())
 def test_the_schema_of_a_command_is_whole_in_itself(command: str) -> None:
     done = run("schema", command)
     schema = json.loads(done.stdout)
@@ -60,6 +61,7 @@ EXAMPLES = {
     "discover": "micro_actuator train.csv --validate test.csv --fix M --fix Ra --effects cubic_stiffness --workers 1 --no-report",
     "app": "micro_actuator train.csv",
     "changed": "fit.json test.csv --no-effects --no-report",
+    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "design": "fit.json --limit u=-1:1 --duration 0.02 --no-report",
     "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
     "check": "train.csv test.csv",
@@ -90,7 +92,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_there_is_an_example_of_every_command() -> None:
-    assert set(EXAMPLES) == set(PRINTED)
+    assert set(EXAMPLES) == set(list_printed())
 
 
 @pytest.mark.parametrize("command", [pytest.param(c, marks=[pytest.mark.slow] * (c in LONG)) for c in EXAMPLES])
@@ -115,7 +117,7 @@ def test_what_a_command_prints_is_one_json_value_as_its_schema_says(
 def test_a_schema_refuses_what_another_command_prints(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     printed = json.loads(run("models", "--json").stdout)
-    assert not any(accepts(command, printed) for command in PRINTED if command != "models")
+    assert not any(accepts(command, printed) for command in list_printed() if command != "models")
 
 
 def test_the_schema_of_an_unknown_command_is_refused() -> None:
@@ -171,7 +173,7 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     done = run(*words.split(), "--json", "--profile", "K", "--bootstrap", "100")
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
-    assert accepts("fit", printed) and strict_offences(printed, ResultKind.FIT) == []
+    assert accepts("fit", printed) and strict_offences(printed, FitAnswer) == []
     assert json.loads(Path("out/fit.json").read_text()) == printed
     (profile,) = printed["profiles"]
     assert (

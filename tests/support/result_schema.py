@@ -8,6 +8,15 @@ from typing import Any
 from jsonschema import Draft202012Validator
 
 from greybox.base.json_file import ResultKind, read_schema
+from greybox.base.json_shape import make_definitions
+
+
+def find_schema(kind: Any) -> dict[str, Any]:
+    """The schema of a kind of file, whole in itself."""
+    if isinstance(kind, ResultKind):
+        return {"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]}
+    (schema,), definitions = make_definitions(kind)
+    return {**schema, "$defs": definitions}
 
 
 def strict(schema: Any) -> Any:
@@ -23,10 +32,11 @@ def strict(schema: Any) -> Any:
 
 
 @cache
-def strict_validator(kind: ResultKind) -> Draft202012Validator:
-    return Draft202012Validator({"$ref": f"#/$defs/{kind}", "$defs": strict(read_schema()["$defs"])})
+def strict_validator(kind: Any) -> Draft202012Validator:
+    schema = find_schema(kind)
+    return Draft202012Validator({**schema, "$defs": strict(schema["$defs"])})
 
 
-def strict_offences(data: Any, kind: ResultKind) -> list[str]:
+def strict_offences(data: Any, kind: Any) -> list[str]:
     """Everything in ``data`` that the schema does not describe or allow."""
     return [f"{error.json_path}: {error.message[:200]}" for error in strict_validator(kind).iter_errors(data)]

@@ -1,5 +1,6 @@
 """How large the noise of each sensor is, what colour it has, and where that is known from."""
 
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (
     AutoRegression,
     BoundDirection,
@@ -17,6 +18,7 @@ __all__ = [
     "NOISE_POLICY",
     "AutoRegression",
     "BoundDirection",
+    "GrowingNoise",
     "NoiseBound",
     "NoiseModel",
     "NoisePolicy",

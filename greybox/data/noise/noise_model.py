@@ -10,8 +10,10 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
+from greybox.base.json_shape import Finite
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 
 # Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
@@ -251,9 +253,9 @@ class NoiseSource(StrEnum):
     INNOVATIONS = "innovations"
 
     @classmethod
-    def _missing_(cls, value: object) -> NoiseSource | None:
-        """The source that an older file names by a phrase."""
-        phrases = {
+    def former_names(cls) -> dict[str, NoiseSource]:
+        """The phrases that the first files name a source by."""
+        return {
             "quiet record": cls.QUIET_RECORD,
             "repeated periods": cls.REPEATED_PERIODS,
             "repeated experiments": cls.REPEATED_EXPERIMENTS,
@@ -261,7 +263,10 @@ class NoiseSource(StrEnum):
             "the residual of the fit": cls.RESIDUAL,
             "the innovations": cls.INNOVATIONS,
         }
-        return phrases.get(str(value))
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoiseSource | None:
+        return cls.former_names().get(str(value))
 
     @property
     def is_independent(self) -> bool:
@@ -310,11 +315,11 @@ class NoiseBound:
     True
     """
 
-    level: float
+    level: Finite
     direction: BoundDirection
     source: NoiseSource
     correlation_time: float | None = None
-    relative_error: float = 0.0
+    relative_error: Finite = 0.0
 
     @property
     def floor(self) -> float | None:
@@ -352,6 +357,8 @@ class NoiseModel(Printable):
         What is known of each, by name of the measured outputs; what a source says in general where one is missing.
     common
         Whether outputs whose level is that of the residual have it in common.
+    growth
+        How the noise grows with the signal, by name of the outputs of which this is so; ``std`` is then its rms over the records.
     """
 
     outputs: tuple[str, ...]
@@ -361,11 +368,16 @@ class NoiseModel(Printable):
     known: bool
     bounds: Mapping[str, NoiseBound] = field(default_factory=dict)
     common: bool = False
+    growth: Mapping[str, GrowingNoise] = field(default_factory=dict)
 
     @property
     def sharing(self) -> tuple[int, ...]:
         """Numbers of the outputs that have one noise in common."""
-        ours = (j for j, name in enumerate(self.outputs) if self.sources.get(name) is NoiseSource.RESIDUAL)
+        ours = (
+            j
+            for j, name in enumerate(self.outputs)
+            if self.sources.get(name) is NoiseSource.RESIDUAL and name not in self.growth
+        )
         return tuple(ours) if self.common else ()
 
     @property

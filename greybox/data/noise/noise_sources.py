@@ -6,7 +6,7 @@ residual of a model that may lack something: it would call noise what is missing
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.data.experiment import Experiment, as_records
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (
     WHITE,
     AutoRegression,
@@ -71,7 +72,7 @@ class _Level:
 def estimate_noise(
     model: Model,
     experiments: Sequence[Experiment],
-    given: Mapping[str, float],
+    given: Mapping[str, float | GrowingNoise],
     quiet: Experiment | Sequence[Experiment] = (),
     *,
     robust: bool = False,
@@ -90,7 +91,7 @@ def estimate_noise(
     experiments
         The records that are to be fitted.
     given
-        Standard deviations by output, in the model's units.
+        Standard deviations by output, in the model's units, or how the noise grows with the signal (`GrowingNoise`).
     quiet
         Records with the input at rest; they also show the colour, of given noise as well.
     robust
@@ -116,17 +117,25 @@ def estimate_noise(
     """
     quiet_records = as_records(quiet)
     check_given_noise(model, given)
-    given = {**given, **_level_of_rows(model, experiments, given)}
+    growth = {name: noise for name, noise in given.items() if isinstance(noise, GrowingNoise)}
+    _check_logarithms(growth, experiments)
+    levels_given = {name: noise for name, noise in given.items() if not isinstance(noise, GrowingNoise)}
+    levels_given |= _level_of_rows(model, experiments, given)
     _check_quiet(model, experiments, quiet_records)
     levels: dict[str, _Level] = {}
     std, colour = np.ones(len(model.outputs)), [WHITE] * len(model.outputs)
     for j, output in enumerate(model.outputs):
         columns = [e.outputs[output.name] for e in experiments if output.name in e.outputs]
         if any(np.isfinite(c).any() for c in columns):
-            level = _estimate_level(model, experiments, quiet_records, output.name, given, robust, alike, policy)
+            if output.name in growth:
+                level = _level_of_growth(growth[output.name], np.concatenate(columns))
+            else:
+                level = _estimate_level(
+                    model, experiments, quiet_records, output.name, levels_given, robust, alike, policy
+                )
             colour[j], levels[output.name] = level.colour, level
     if common:
-        levels = _share_level(model, levels)
+        levels = _share_level(model, levels, growth)
     weights = _weigh_outputs(levels, experiments)
     for j, output in enumerate(model.outputs):
         std[j] = weights.get(output.name, 1.0)
@@ -136,10 +145,31 @@ def estimate_noise(
     known = all(source.is_independent for source in sources.values())
     period = float(np.median(np.concatenate([e.intervals for e in experiments]))) if experiments else 1.0
     bounds = {name: level.to_bound(period) for name, level in levels.items()}
-    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, common)
+    return NoiseModel(tuple(o.name for o in model.outputs), std, sources, tuple(colour), known, bounds, common, growth)
 
 
-def _level_of_rows(model: Model, experiments: Sequence[Experiment], given: Mapping[str, float]) -> dict[str, float]:
+def _level_of_growth(noise: GrowingNoise, readings: np.ndarray) -> _Level:
+    """The rms of noise that grows with the signal, the readings standing for the run; their movement until there is a residual."""
+    readings = readings[np.isfinite(readings)]
+    if noise.unknown:
+        return _Level(_measure_movement([readings]), NoiseSource.RESIDUAL)
+    return _Level(float(np.sqrt(np.mean(noise.std(readings) ** 2))), NoiseSource.GIVEN)
+
+
+def _check_logarithms(growth: Mapping[str, GrowingNoise], experiments: Sequence[Experiment]) -> None:
+    """Refuse readings that have no logarithm where the noise is that of a logarithm. Raises DataError."""
+    for name in (name for name, noise in growth.items() if noise.logarithmic):
+        for e in experiments:
+            values = e.outputs.get(name, np.empty(0))
+            wrong = np.flatnonzero(np.isfinite(values) & ~(values > 0))
+            if len(wrong):
+                raise DataError(
+                    f"experiment {e.name!r}: {name} is {values[wrong[0]]:g} in row {wrong[0] + 1}; its noise is that of log({name}), for"
+                    " which all readings must be positive: tell a floor and a share of the noise instead, or leave the row empty"
+                )
+
+
+def _level_of_rows(model: Model, experiments: Sequence[Experiment], given: Mapping[str, object]) -> dict[str, float]:
     """The rms of the standard deviations that the records tell row by row, by output. Raises DataError where some do not."""
     levels = {}
     for name in (o.name for o in model.outputs):
@@ -158,9 +188,9 @@ def _level_of_rows(model: Model, experiments: Sequence[Experiment], given: Mappi
     return levels
 
 
-def _share_level(model: Model, levels: Mapping[str, _Level]) -> dict[str, _Level]:
-    """The outputs whose noise nothing tells at one level: their greatest movement, until there is a fit with a residual."""
-    untold = {name: level for name, level in levels.items() if not level.source.is_independent}
+def _share_level(model: Model, levels: Mapping[str, _Level], apart: Iterable[str]) -> dict[str, _Level]:
+    """The outputs whose noise nothing tells, but those ``apart``, at one level: their greatest movement, until there is a residual."""
+    untold = {n: level for n, level in levels.items() if not level.source.is_independent and n not in apart}
     units = {o.name: o.unit for o in model.outputs if o.name in untold}
     if len(set(units.values())) > 1:
         shown = ", ".join(f"{name} in {unit}" for name, unit in units.items())
@@ -376,7 +406,7 @@ def _find_silent_outputs(levels: Mapping[str, _Level], experiments: Sequence[Exp
     return [name for name in resting if levels[name].source in (NoiseSource.SPECTRUM, NoiseSource.DIFFERENCES)]
 
 
-def check_given_noise(model: Model, given: Mapping[str, float]) -> None:
+def check_given_noise(model: Model, given: Mapping[str, float | GrowingNoise]) -> None:
     """Refuse noise of an output that the model has not, and what is no standard deviation. Raises ModelError."""
     names = [o.name for o in model.outputs]
     if not isinstance(given, Mapping):
@@ -386,6 +416,8 @@ def check_given_noise(model: Model, given: Mapping[str, float]) -> None:
     for name, value in given.items():
         if name not in names:
             raise ModelError(f"noise of {name!r}: the model has no such output; {nearest(name, names)}")
+        if isinstance(value, GrowingNoise):
+            continue
         if not (np.isfinite(value) and value > 0):
             unit = model.outputs[names.index(name)].unit
             raise ModelError(f"noise of {name!r}: {value} is not a positive standard deviation; give it in {unit}")

@@ -14,6 +14,7 @@ from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
+from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.problems import is_constant
@@ -75,7 +76,7 @@ class EstimationProblem:
     @property
     def is_whitened(self) -> bool:
         """Whether errors are more than divided by the noise of their output: of noise with a colour, or of another size in each row."""
-        return self.noise.coloured or any(record.spread is not None for record in self.records)
+        return self.noise.coloured or any(r.spread is not None or r.log_std is not None for r in self.records)
 
     @property
     def is_plain_squares(self) -> bool:
@@ -87,8 +88,35 @@ class EstimationProblem:
         return replace(self, noise=replace(self.noise, colour=tuple(AutoRegression() for _ in self.noise.colour)))
 
     def with_plain_squares(self) -> EstimationProblem:
-        """The same with the noise taken to be white, and no other loss than squares."""
-        return replace(self.with_white_noise(), loss=None)
+        """The same with the noise taken to be white and of one size for each output, and no other loss than squares."""
+        records = tuple(replace(record, spread=None, log_std=None) for record in self.records)
+        return replace(self.with_white_noise(), records=records, loss=None)
+
+    def with_growing_noise(self, growth: Mapping[str, GrowingNoise], runs: Sequence[np.ndarray]) -> EstimationProblem:
+        """The same with noise that grows with the signal as ``growth`` says, of the runs (N, ny) of its records; all of it has values."""
+        names, std = self.noise.outputs, self.noise.std.copy()
+        spreads = [
+            np.ones((len(r.samples(r.y)), len(names))) if r.spread is None else r.spread.copy() for r in self.records
+        ]
+        log_std = np.full(len(names), np.nan)
+        for j, name in enumerate(names):
+            if name not in growth:
+                continue
+            sizes = [growth[name].std(run[:, j]) for run in runs]
+            measured = [np.isfinite(r.samples(r.y)[:, j]) for r in self.records]
+            together = np.concatenate([s[m] for s, m in zip(sizes, measured, strict=True)])
+            std[j] = np.sqrt(np.mean(together**2)) if len(together) else 1.0
+            if growth[name].logarithmic:
+                log_std[j] = growth[name].share
+                continue
+            for spread, size in zip(spreads, sizes, strict=True):
+                spread[:, j] = size / std[j]
+        has_logarithms = bool(np.isfinite(log_std).any())
+        records = tuple(
+            replace(r, spread=spread, log_std=log_std if has_logarithms else None)
+            for r, spread in zip(self.records, spreads, strict=True)
+        )
+        return replace(self, records=records, noise=replace(self.noise, std=std, growth=dict(growth)))
 
     @property
     def variance_floor(self) -> np.ndarray | None:
@@ -127,7 +155,7 @@ class EstimationProblem:
 def prepare_problem(
     model: Model,
     experiments: Experiment | Sequence[Experiment],
-    noise: Mapping[str, float] | NoiseModel | None,
+    noise: Mapping[str, float | GrowingNoise] | NoiseModel | None,
     options: FitOptions,
     *,
     quiet: Experiment | Sequence[Experiment] = (),

@@ -256,10 +256,7 @@ class WhitenedShooting(SingleShooting):
     def whiten(self, errors: list[tuple[np.ndarray, np.ndarray]]) -> list[tuple[np.ndarray, np.ndarray]]:
         """Errors (N, ny) and their Jacobian (N, ny, L) in units of their innovations; ``errors`` is emptied on the way."""
         for (r, jacobian), record in zip(errors, self.records, strict=True):
-            if record.spread is not None:
-                # w = e / sd(t): what is left is as large in every row, and the colour is that of w.
-                r /= record.spread[: len(r)]
-                jacobian /= record.spread[: len(r), :, None]
+            record.scale_errors(r, jacobian, self.weight)
         if not any(colour.order for colour in self.colour):
             return errors
         result = []

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from greybox.base.errors import DataError, GreyboxError
+from greybox.base.errors import GreyboxError
 from greybox.shell.inputs import check_skipped_rows, load_fit_with_model, print_record_notes, refuse_repeated_records
 from greybox.shell.options import Cluster, Json, NoReport, Workers, check_writable
 from greybox.shell.progress import show_search_progress
@@ -111,6 +110,7 @@ def _detect(
     cluster: str,
 ) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.detect import detect_changes
 
     files = list_record_files(new)
@@ -135,6 +135,7 @@ def _detect(
 
 
 def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import survey_population
 
     machines = {str(path): read_like(known, list_record_files([path]), sampling_time) for path in new}
@@ -144,6 +145,7 @@ def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> Cha
 
 
 def _chart(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
+    from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(new)
@@ -151,32 +153,6 @@ def _chart(known: Fit, new: Sequence[Path], sampling_time: float | None) -> Chan
     refuse_repeated_records(files, records)
     print_record_notes(records)
     return chart_changes(known, records)
-
-
-def list_record_files(paths: Sequence[Path]) -> list[Path]:
-    """The files, and in the place of each folder the records in it, in the order of their names, numbers by their size.
-
-    Raises DataError for a folder without a record.
-    """
-    from greybox.data.formats import record_suffixes
-
-    files: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        inside = sorted(
-            (p for p in path.iterdir() if p.is_file() and p.suffix.lower() in record_suffixes()), key=_by_number
-        )
-        if not inside:
-            raise DataError(f"{path}: a folder without records; give a folder with CSV, MAT or other record files")
-        files += inside
-    return files
-
-
-def _by_number(path: Path) -> list[tuple[int, str]]:
-    """A name in pieces, so that day 10 comes after day 9."""
-    return [(int(piece), "") if piece.isdecimal() else (-1, piece) for piece in re.split(r"(\d+)", path.name)]
 
 
 def read_like(known: Fit, files: Sequence[Path], sampling_time: float | None) -> tuple[Experiment, ...]:

@@ -11,11 +11,11 @@ from typing import Any
 from greybox.base.files import write_file
 from greybox.base.findings import Check, Finding
 from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import format_json, to_json_data
 
 # What change detection has to say beside its numbers.
 

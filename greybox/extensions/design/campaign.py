@@ -19,6 +19,7 @@ from greybox.base.errors import DataError
 from greybox.base.files import hold_file, write_file
 from greybox.base.findings import Finding, Severity
 from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
@@ -27,7 +28,6 @@ from greybox.discovery.pipeline import discover
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import format_json, to_json_data
 from greybox.extensions.design.next_record import answer, fit_explanation, fit_rival
 from greybox.extensions.design.problem import (
     CAMPAIGN_POLICY,

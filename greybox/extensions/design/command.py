@@ -154,8 +154,8 @@ def design(
 
     Exit code 0: done. 2: bad input, or limits that cannot be met; nothing was written.
     """
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.estimation.result import Fit
-    from greybox.estimation.result_parts import format_json, to_json_data
     from greybox.extensions.design.next_record import design as design_record
     from greybox.extensions.design.result import design_data
 
@@ -394,9 +394,9 @@ def campaign(
     from dataclasses import replace
 
     from greybox.base.errors import DataError, GreyboxError
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.options import FitOptions
-    from greybox.estimation.result_parts import format_json, to_json_data
     from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, campaign_data, run_campaign
     from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem
     from greybox.extensions.design.rig import check_command

@@ -7,6 +7,7 @@ from math import isinf
 
 from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
+from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.result import Design
 from greybox.extensions.design.sentences import (
@@ -187,7 +188,7 @@ def _widths(campaign: Campaign) -> PageTable | None:
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
     """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
-    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (ResultKind.FIT, "fit.json")
+    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (Fit, "fit.json")
     path = campaign.folder / f"{step.number:02d}" / name
     if not path.exists():
         return {}

@@ -10,9 +10,9 @@ from typing import Any
 
 from greybox.base.files import write_file
 from greybox.base.findings import Finding
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
-from greybox.estimation.result_parts import format_json, to_json_data
 from greybox.extensions.design.limits import LimitPrediction
 from greybox.extensions.design.problem import CriterionName, DesignPolicy, GoalName
 from greybox.model.model import Model

@@ -12,7 +12,6 @@ import typer
 from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.extensions.export.target import ExportTarget
-from greybox.shell.answers import CodeAnswer, LinearAnswer
 from greybox.shell.inputs import load_fit_with_model
 from greybox.shell.options import NoReport, Texts, check_writable
 from greybox.shell.study import FIT, SPECS
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.result import Fit
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import CodeAnswer, LinearAnswer
 
 
 if TYPE_CHECKING:
@@ -141,7 +141,7 @@ def export(
     name = to_identifier(result.model.name)
     ending = kind.ending or (f"_observer{kind.suffix}" if observer else kind.suffix)
     target = _target(output or Path("results") / f"{name}-export" / f"{name}{ending}", to.value, kind, fit)
-    answer: LinearAnswer | CodeAnswer
+    answer: Any
     if kind.linear:
         answer, made = _linear(result, kind, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
     else:
@@ -154,8 +154,8 @@ def export(
 
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
+    from greybox.base.json_shape import format_json
     from greybox.estimation.linear.plant import to_plant
-    from greybox.estimation.result_parts import format_json
     from greybox.extensions.export.linear_files import linear_model_data
 
     linear = linear_model_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
@@ -182,6 +182,7 @@ def _linear(
     from greybox.estimation.linear.model_family import sample_family
     from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import LinearAnswer
 
     whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
     linear = minimal_realisation(whole) if minimal else whole
@@ -212,6 +213,7 @@ def _code(
     from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.observer import design_observer
     from greybox.extensions.export.page import Export
+    from greybox.shell.answers import CodeAnswer
 
     for finding in to_plant(fit).findings:
         print_note(f"warning: {finding}")

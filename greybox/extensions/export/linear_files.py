@@ -15,6 +15,7 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.files import write_file
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
@@ -22,7 +23,6 @@ from greybox.estimation.linear.model_family import ModelFamily, sample_family
 from greybox.estimation.linear.plant import Plant, to_plant
 from greybox.estimation.linear.transfer_channel import describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import format_json, to_json_data
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 from greybox.model.python_text import docstring, literal

@@ -35,7 +35,7 @@ USED = {
 
 def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
     """Fit the FMU of a study to its records, print the result and write fmu_fit.json. Raises GreyboxError."""
-    from greybox.estimation.result_parts import format_json
+    from greybox.base.json_shape import format_json
     from greybox.extensions.fmu.effects import prepare_fmu
     from greybox.show.sentences.shell import written
 

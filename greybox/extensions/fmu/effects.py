@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base.files import write_file
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import NamedModel, compare_named
@@ -25,7 +26,7 @@ from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
+from greybox.estimation.result_parts import Estimate, Misfit
 from greybox.extensions.fmu.description import FmuPlant
 from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, FmuObjective, choose_sizes, compute_misfits
 from greybox.extensions.fmu.local_model import (

@@ -13,6 +13,7 @@ from scipy.special import ndtri
 
 from greybox.base.errors import DataError
 from greybox.base.files import write_file
+from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
@@ -20,7 +21,7 @@ from greybox.data.noise.spectrum import estimate_noise_of_records
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import DEFAULT_POLICY, GaussNewtonPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.result_parts import Estimate, Misfit, format_json, to_json_data
+from greybox.estimation.result_parts import Estimate, Misfit
 from greybox.estimation.sandwich import estimate_residual_colour, sum_scores
 from greybox.extensions.fmu.description import FmuPlant, FmuVariable
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator

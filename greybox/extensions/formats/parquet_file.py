@@ -4,41 +4,160 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from itertools import pairwise
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base.errors import DataError, nearest
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width
-from greybox.data.formats import FileFormat
+from greybox.data.formats import FileFormat, RecordFile
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 
 
 def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
     """Columns of a Parquet file; an index that pandas stored is a column like the others."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     with pq.ParquetFile(path) as file:
-        check_width(len(file.schema_arrow), policy)
-        rows = file.metadata.num_rows
-        types, infos = pa.types, {}
-        for column in file.schema_arrow:
-            # A column without any value has the type null: gaps alone.
-            numeric = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
-            kind = "text" if str(column.type) in ("string", "large_string") else str(column.type)
-            infos[column.name] = ArrayInfo((rows,), "" if any(is_kind(column.type) for is_kind in numeric) else kind)
+        infos = _inspect_columns(file, policy)
 
     def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
         with pq.ParquetFile(path) as file:
             table = file.read(columns=list(names), use_threads=False)
-        # Numbers, NaN for nulls.
-        columns = {name: table.column(name).cast(pa.float64(), safe=False) for name in names}
-        return {name: np.asarray(column.to_numpy(), dtype=np.float64) for name, column in columns.items()}
+        return {name: _to_numbers(table.column(name)) for name in names}
 
     return ArrayTable.from_infos(infos, load, policy)
+
+
+def _inspect_columns(file: Any, policy: ReadingPolicy) -> dict[str, ArrayInfo]:
+    """What is known of the columns of an open file. Raises DataError for more than the policy allows."""
+    import pyarrow as pa
+
+    check_width(len(file.schema_arrow), policy)
+    rows = file.metadata.num_rows
+    types, infos = pa.types, {}
+    for column in file.schema_arrow:
+        # A column without any value has the type null: gaps alone.
+        numeric = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
+        kind = "text" if str(column.type) in ("string", "large_string") else str(column.type)
+        infos[column.name] = ArrayInfo((rows,), "" if any(is_kind(column.type) for is_kind in numeric) else kind)
+    return infos
+
+
+def _to_numbers(column: Any) -> np.ndarray:
+    """A column (N,) as numbers, NaN for nulls."""
+    import pyarrow as pa
+
+    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+
+
+# Many records in one file: a column names the record of each row, and the rows of a record stand together.
+
+
+def find_record_rows(path: Path, column: str) -> dict[str, tuple[int, int]]:
+    """Name of each record in a Parquet file -> its first row and the one behind its last, in the order of the file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    column
+        The column that names the record of each row: text, whole numbers or categories.
+
+    Raises
+    ------
+    DataError
+        Without such a column, for rows that name no record, and for a record whose rows do not stand together.
+    """
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        known = file.schema_arrow.names
+        if column not in known:
+            raise DataError(
+                f"{path.name}: no column {column!r} that names the record of each row; {nearest(column, known)}"
+            )
+        names = file.read(columns=[column], use_threads=False).column(column).combine_chunks()
+    if names.null_count:
+        raise DataError(
+            f"{path.name}: {names.null_count} rows name no record in column {column!r}; fill or remove them"
+        )
+    if not hasattr(names, "dictionary"):
+        names = names.dictionary_encode()
+    codes, titles = names.indices.to_numpy(zero_copy_only=False), names.dictionary.to_pylist()
+    if not len(codes):
+        raise DataError(f"{path.name}: no rows")
+    starts = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist()]
+    rows: dict[str, tuple[int, int]] = {}
+    for first, behind in pairwise([*starts, len(codes)]):
+        title = str(titles[codes[first]])
+        if title in rows:
+            raise DataError(
+                f"{path.name}: the rows of record {title!r} do not stand together (rows {rows[title][0] + 1} and {first + 1});"
+                f" sort the file by {column!r} and time"
+            )
+        rows[title] = (first, behind)
+    return rows
+
+
+def open_parquet_part(
+    path: Path, rows: tuple[int, int], column: str, policy: ReadingPolicy = READING_POLICY
+) -> RecordFile:
+    """The rows from the first to the one before the last of a Parquet file, as a file of its own without the ``column`` of names.
+
+    Neighbouring parts are read together: a row group is decoded once for all records in it that are read one after the other.
+    """
+    stamp = path.stat()
+    source = _open_source(path, stamp.st_size, stamp.st_mtime_ns)
+    first, behind = rows
+    infos = {
+        name: ArrayInfo((behind - first,), info.holds) for name, info in source.infos(policy).items() if name != column
+    }
+    return RecordFile(
+        path, PARQUET, ArrayTable.from_infos(infos, lambda names: source.load(names, first, behind), policy)
+    )
+
+
+class _ParquetSource:
+    """An open file, and the columns of the row groups that were read last."""
+
+    def __init__(self, path: Path) -> None:
+        import pyarrow.parquet as pq
+
+        self._file = pq.ParquetFile(path)
+        groups = self._file.metadata.num_row_groups
+        counts = [self._file.metadata.row_group(k).num_rows for k in range(groups)]
+        self._edges = np.concatenate([[0], np.cumsum(counts)])
+        self._columns = lru_cache(maxsize=KEPT_COLUMNS)(self._read_column)
+        self.infos = lru_cache(partial(_inspect_columns, self._file))
+
+    def load(self, names: Sequence[str], first: int, behind: int) -> dict[str, np.ndarray]:
+        """Rows ``first`` to ``behind - 1`` of some columns."""
+        groups = range(
+            int(np.searchsorted(self._edges, first, side="right")) - 1, int(np.searchsorted(self._edges, behind))
+        )
+        arrays = {}
+        for name in names:
+            parts = [self._columns(name, k)[max(first - self._edges[k], 0) : behind - self._edges[k]] for k in groups]
+            arrays[name] = np.concatenate(parts)
+        return arrays
+
+    def _read_column(self, name: str, group: int) -> np.ndarray:
+        return _to_numbers(self._file.read_row_group(group, columns=[name], use_threads=False).column(name))
+
+
+# Columns of row groups that are kept: those of a dozen signals, of the two groups that a record may lie across.
+KEPT_COLUMNS = 24
+
+
+@lru_cache(maxsize=1)
+def _open_source(path: Path, size: int, changed: int) -> _ParquetSource:
+    """The file, open from one record to the next; opened anew where its size or the time of its last change is another."""
+    return _ParquetSource(path)
 
 
 # Archives of NumPy arrays (.npz): headers first, arrays when they are wanted, nothing unpickled.

@@ -40,7 +40,13 @@ from greybox.show.pages.page import (
     typeset_number,
 )
 from greybox.show.pages.provenance import fit_provenance_section, records_section, signal_units
-from greybox.show.sentences.estimation import MISFIT_HEADS, name_test, to_constant_rows, to_misfit_cells
+from greybox.show.sentences.estimation import (
+    MISFIT_HEADS,
+    list_tests_not_made,
+    name_test,
+    to_constant_rows,
+    to_misfit_cells,
+)
 from greybox.show.sentences.wording import count_noun, join_names, record_text
 
 # What several pages say of a fit: whether to believe it, and its parameters.
@@ -336,10 +342,14 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
             " than noise."
         )
         yield Paragraphs([alarms], Tone.CAUTION)
-    else:
+    elif tests.tests:
         yield Paragraphs(
             [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], Tone.GOOD
         )
+    if tests.not_made:
+        yield Paragraphs([f"Not tested: {sentence}." for sentence in list_tests_not_made(tests)], Tone.CAUTION)
+    if not tests.tests:
+        return
     rows = [
         [
             f"{t.output}: {name_test(t)}",

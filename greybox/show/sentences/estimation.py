@@ -520,6 +520,8 @@ def write_noise(noise: FitNoise) -> str:
     for name, source in noise.sources.items():
         if name in noise.log_std:
             text = _write_estimated_level(noise, name)
+        elif name in noise.growth:
+            text = _write_growth(noise, name)
         else:
             bound = noise.bound(name)
             direction = source.direction if bound is None else bound.direction
@@ -528,6 +530,19 @@ def write_noise(noise: FitNoise) -> str:
     if len(groups) == 1 and not noise.log_std:
         return next(iter(groups))
     return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+
+
+def _write_growth(noise: FitNoise, output: str) -> str:
+    """``0.02 g + 9.8 % of the reading (floor and share estimated from the residual)``."""
+    growth = noise.growth[output]
+    origin = f"{' and '.join(growth.estimated)} estimated from the residual" if growth.estimated else "given"
+    if growth.unknown:
+        return "grows with the signal, not known"
+    if growth.logarithmic:
+        return f"{growth.share:.3g} in log({output}) ({origin.replace('share ', '')})"
+    parts = [f"{growth.floor:.3g} {noise.units.get(output, '')}".rstrip()] if growth.floor else []
+    parts += [f"{100 * (growth.share or 0.0):.3g} % of the reading"] if growth.share else []
+    return f"{' + '.join(parts)} ({origin})"
 
 
 def _write_estimated_level(noise: FitNoise, output: str) -> str:
@@ -673,7 +688,7 @@ def write_residual_test(test: ResidualTest) -> str:
 
 @renders("ResidualTests")
 def write_residual_tests(tests: ResidualTests) -> str:
-    """A table with a row for each test."""
+    """A table with a row for each test, and what could not be tested."""
     rows = [
         ("output", "test", "statistic", "p", ""),
         *((t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)) for t in tests.tests),
@@ -682,10 +697,20 @@ def write_residual_tests(tests: ResidualTests) -> str:
     lines = [
         "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[4]]).rstrip() for row in rows
     ]
+    if not tests.tests:
+        lines = []
     if tests.whitened:
         outputs = ", ".join(tests.whitened)
         lines.append(f"the residual of {outputs} was whitened with the noise model before the tests")
-    return "\n".join(lines)
+    return "\n".join(lines + [f"not tested: {sentence}" for sentence in list_tests_not_made(tests)])
+
+
+def list_tests_not_made(tests: ResidualTests) -> list[str]:
+    """``y has too few values for normality, equal variance``: one for each output that could not be tested for everything."""
+    return [
+        f"{output} has too few values for {', '.join(kind.value.replace('_', ' ') for kind in kinds)}"
+        for output, kinds in tests.not_made.items()
+    ]
 
 
 @renders("PredictionScores")

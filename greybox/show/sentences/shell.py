@@ -66,7 +66,7 @@ def fit_answer(answer: FitAnswer) -> str:
         lines.append(str(answer.tests))
     for title, misfits in (("estimation record", answer.misfits), ("validation record", answer.validation_misfits)):
         if misfits:
-            rows = [[record, output, *to_misfit_cells(misfit)] for record, output, misfit in misfits]
+            rows = [[m.record, m.output, *to_misfit_cells(m.misfit)] for m in misfits]
             lines += ["", *format_table([title, "output", *MISFIT_HEADS], rows)]
     return "\n".join(lines)
 

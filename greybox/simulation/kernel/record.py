@@ -46,6 +46,9 @@ class Record:
     spread: np.ndarray | None = None
     """Standard deviation of the noise of each sample over that of its output (samples, ny); None where it is the same in all rows."""
 
+    log_std: np.ndarray | None = None
+    """Standard deviation of the logarithm of each output (ny,), NaN for those whose error is that of the reading; None: all of them."""
+
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
             kind = np.int32 if name == "row" else np.float64
@@ -89,6 +92,31 @@ class Record:
         return replace(
             self, u=self.u[rows], y=self.y[rows], h=self.h[intervals], row=self.row[intervals], spread=spread
         )
+
+    def scale_errors(self, errors: np.ndarray, slopes: np.ndarray, weight: np.ndarray) -> None:
+        """Errors over the noise of their output to errors over that of their row, in place.
+
+        Parameters
+        ----------
+        errors
+            Of the first samples (n, ny), ``(y - yhat) weight``.
+        slopes
+            Of these (n, ny, L).
+        weight
+            One over the standard deviation of each output (ny,).
+        """
+        if self.log_std is not None:
+            seen = self.samples(self.y)[: len(errors)]
+            for j in np.flatnonzero(np.isfinite(self.log_std)):
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    run = seen[:, j] - errors[:, j] / weight[j]
+                    # w = (log y - log yhat) / s, dw = -dyhat / (yhat s): a run at or below zero has no logarithm and is no run.
+                    errors[:, j] = (np.log(seen[:, j]) - np.log(run)) / self.log_std[j]
+                slopes[:, j] /= (run * weight[j] * self.log_std[j])[:, None]
+        if self.spread is not None:
+            # w = e / sd(t): what is left is as large in every row, and the colour is that of w.
+            errors /= self.spread[: len(errors)]
+            slopes /= self.spread[: len(errors), :, None]
 
     def samples(self, values: np.ndarray) -> np.ndarray:
         """Of an array with one entry for each row (N, ...) the entries that are samples."""

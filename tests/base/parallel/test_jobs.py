@@ -122,7 +122,7 @@ def test_ctrl_c_keeps_what_is_finished():
             threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGINT)).start()
 
     results, interrupted = run_jobs(
-        lambda common, item: time.sleep(item) or item, None, [0, 0, 3, 3, 3, 3], workers=2, report=report
+        lambda common, item: time.sleep(item) or item, None, [0, 0, 60, 60, 60, 60], workers=2, report=report
     )
     assert interrupted
     assert [r.value for r in results[:2]] == [0, 0]

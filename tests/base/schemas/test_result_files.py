@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-from typing import get_args
 
 import numpy as np
 import pytest
@@ -12,17 +11,17 @@ from jsonschema import Draft202012Validator
 
 import greybox as gb
 from greybox.base.errors import DataError
-from greybox.base.findings import Severity
-from greybox.base.json_file import ResultKind, parse_json, read_json, read_schema
-from greybox.data.experiment import Hold
+from greybox.base.json_file import ResultKind, parse_json, read_json
 from greybox.data.noise.noise_model import NoiseSource
-from greybox.discovery.decision import Verdict
 from greybox.estimation.check import check
-from greybox.estimation.result import load_fit
-from greybox.estimation.result_parts import IntervalKind
+from greybox.estimation.result import Fit, load_fit
+from greybox.estimation.uncertainty import Bootstrap, Profile
+from greybox.shell.answers import FitAnswer
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
-from tests.support.result_schema import strict_offences
+from tests.support.result_schema import find_schema, strict_offences
+
+KINDS = (*ResultKind, Fit, FitAnswer, Profile, Bootstrap)
 
 RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 600, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)
 
@@ -55,36 +54,26 @@ def changed(saved, tmp_path):
 # --- the schema
 
 
-def test_the_schema_is_one_of_draft_2020_12():
-    schema = read_schema()
-    assert schema["$schema"] == "https://json-schema.org/draft/2020-12/schema"
-    Draft202012Validator.check_schema(schema)
-    assert set(ResultKind) <= set(schema["$defs"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_schema_is_one_of_draft_2020_12(kind):
+    Draft202012Validator.check_schema(find_schema(kind))
 
 
-def test_every_value_of_the_schema_is_described():
-    schema = read_schema()
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_value_of_the_schema_is_described(kind):
+    schema = find_schema(kind)
+    kinds = {"file": schema, **schema["$defs"]}
     bare = [
-        f"{kind}.{key}"
-        for kind in ResultKind
-        for key, value in schema["$defs"][kind]["properties"].items()
-        if "description" not in value and "$ref" not in value
+        f"{name}.{key}"
+        for name, each in kinds.items()
+        for key, value in each.get("properties", {}).items()
+        if not value.get("description") and "$ref" not in value
     ]
     assert not bare
 
 
-def test_the_choices_of_the_schema_are_those_of_the_library():
-    definitions = read_schema()["$defs"]
-    assert {*definitions["noise_source"]["enum"]} >= {*map(str, NoiseSource)}
-    assert {NoiseSource(value) for value in definitions["noise_source"]["enum"]} == {*NoiseSource}
-    assert definitions["finding"]["properties"]["severity"]["enum"] == [*map(str, Severity)]
-    assert definitions["fit"]["properties"]["interval_kind"]["enum"] == [*map(str, IntervalKind)]
-    assert {*definitions["discovery"]["properties"]["verdict"]["enum"]} == {*map(str, Verdict)}
-    assert definitions["trace"]["properties"]["hold"]["enum"] == [*get_args(Hold)]
-
-
 def test_a_fit_holds_what_the_schema_describes_and_nothing_else(saved):
-    assert strict_offences(json.loads(saved.read_text()), ResultKind.FIT) == []
+    assert strict_offences(json.loads(saved.read_text()), Fit) == []
 
 
 def test_a_linear_model_and_a_check_hold_what_the_schema_describes(fit, tmp_path):
@@ -181,7 +170,7 @@ TEXTS = {
 
 
 @pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
-@pytest.mark.parametrize("kind", ResultKind)
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_result_is_refused(tmp_path, text, kind):
     (tmp_path / "some.json").write_bytes(text)
     with pytest.raises(DataError, match=r"some\.json: not ") as error:
@@ -192,15 +181,16 @@ def test_what_is_no_result_is_refused(tmp_path, text, kind):
 def test_what_is_no_file_is_refused(tmp_path):
     for path in (tmp_path / "missing.json", tmp_path):
         with pytest.raises(DataError, match="give the fit"):
-            read_json(path, ResultKind.FIT)
+            read_json(path, Fit)
 
 
 def test_long_lists_of_numbers_are_checked_as_the_schema_says(saved):
     """The way around for long lists gives what the plain validator gives."""
-    plain = Draft202012Validator({"$ref": "#/$defs/numbers", "$defs": read_schema()["$defs"]})
+    number = {"type": "array", "items": {"$ref": "#/$defs/number_or_null"}, "$defs": find_schema(Fit)["$defs"]}
+    plain = Draft202012Validator(number)
     from greybox.base.json_file import _validator
 
-    quick = _validator(ResultKind.FIT).evolve(schema=plain.schema)
+    quick = _validator(Fit).evolve(schema=plain.schema)
     for values in ([1.0, None], [1.0, 2], [1.0, "x"], [True], [10**400], [float("inf")], [[1.0]], "x", [None, {}]):
         assert [e.json_path for e in quick.iter_errors(values)] == [e.json_path for e in plain.iter_errors(values)]
 

@@ -8,8 +8,10 @@ from scipy.signal import lfilter
 from scipy.stats import chi2, jarque_bera, kstest
 
 from greybox.base.errors import DataError
+from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import ResidualTestKind as Kind
 from greybox.estimation.residuals import (
     input_independence_test,
@@ -22,6 +24,7 @@ from greybox.estimation.residuals import (
 )
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
+from tests.support.first_order import rooney_biegler
 
 TRUTH = micro_actuator.fix("M", "Ra")
 LEVEL = {"x": 2e-7, "i": 5e-3}
@@ -169,3 +172,14 @@ def test_scores_of_other_records_use_the_predictor_of_the_fit():
     )
     with pytest.raises(DataError, match="steps ahead: 0; give whole numbers from 1"):
         score(found, steps=(0,))
+
+
+def test_a_test_that_too_few_values_allow_is_not_made():
+    """Its statistic of zero would pass."""
+    time = np.arange(7.0)
+    record = Experiment("six values", time, {"u": 0 * time}, {"y": np.r_[0.0, 8.3, 10.3, 19.0, 16.0, 15.6, 19.8]})
+    tests = residual_tests(fit(rooney_biegler(), record, options=FitOptions(at_rest=True)))
+    assert tests.tests == ()
+    kinds = {kind for kind in Kind if kind != "input_independence"}  # the input does not move
+    assert {output: set(missing) for output, missing in tests.not_made.items()} == {"y": kinds}
+    assert str(tests) == "not tested: y has too few values for whiteness, normality, equal variance, equal mean"

@@ -10,7 +10,7 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError
 from greybox.base.json_file import ResultKind
-from greybox.estimation.result_parts import to_json_data
+from greybox.base.json_shape import to_json_data
 from greybox.extensions.changes.result import ChangeCode, ChangeVerdict, change_data
 from greybox.extensions.changes.survey import chart_changes, survey_population
 from greybox.model.effects.catalogue import effect

@@ -11,9 +11,9 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
 from greybox.base.json_file import ResultKind
+from greybox.base.json_shape import to_json_data
 from greybox.data.noise.noise_model import DETECTION_RATIO
 from greybox.data.signals import SignalLimit
-from greybox.estimation.result_parts import to_json_data
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import (
     HiddenEffect,

@@ -10,7 +10,7 @@ import pytest
 
 from greybox.base.findings import Finding
 from greybox.estimation.result_parts import Misfit
-from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, SimulationAnswer
+from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, RecordMisfit, SimulationAnswer
 from greybox.shell.terminal import CommandCode as Code
 from greybox.show.sentences.shell import report_line, study_line, written
 
@@ -82,7 +82,7 @@ def test_a_fit_prints_what_was_asked_for_in_order() -> None:
             scores="table",
             validation_scores="other table",
             tests=Text(text="white"),
-            misfits=[("a", "x", misfit), ("b", "x", misfit)],
+            misfits=[RecordMisfit("a", "x", misfit), RecordMisfit("b", "x", misfit)],
         )
     )
     lines = text.splitlines()

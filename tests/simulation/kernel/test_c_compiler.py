@@ -409,10 +409,15 @@ def test_a_compiler_that_hangs_is_asked_once(monkeypatch, tmp_path):
     monkeypatch.setenv("CC", wrapper)
     compiler = compiling.find_compiler()
     monkeypatch.setattr(compiling, "find_compiler", lambda: replace(compiler, timeout=0.5))
+    # Counted here: on a busy machine half a second may end before the program has begun.
+    asked, run_program = [], compiling._run
+    monkeypatch.setattr(
+        compiling, "_run", lambda command, *timeout: asked.append(command[0]) or run_program(command, *timeout)
+    )
     with pytest.warns(GreyboxWarning, match=r"took more than 0\.5 s"):
         assert make_kernel(halving(0.6875)).name == "interpreted"
     assert make_kernel(halving(0.8125)).name == "interpreted"
-    assert (tmp_path / "slow-cc.count").read_text() == "1"
+    assert asked == [wrapper]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a group of processes of POSIX")
@@ -421,9 +426,13 @@ def test_what_a_slow_compiler_has_started_ends_with_it(tmp_path):
     wrapper = tmp_path / "cc"
     wrapper.write_text(f"#!/bin/sh\nsleep 60 & echo $! > {tmp_path}/pid\nwait\n")
     wrapper.chmod(0o700)
-    with pytest.raises(CompilerError, match="took more than"):
-        compiling.run_compiler([str(wrapper)], 0.5)
-    compiling._hanging.clear()
+    # On a busy machine half a second may end before the program has begun.
+    for seconds in (0.5, 5.0, 50.0):
+        with pytest.raises(CompilerError, match="took more than"):
+            compiling.run_compiler([str(wrapper)], seconds)
+        compiling._hanging.clear()
+        if (tmp_path / "pid").exists() and (tmp_path / "pid").read_text():
+            break
     pid = int((tmp_path / "pid").read_text())
     deadline = time.monotonic() + 5
     while (stat := Path(f"/proc/{pid}/stat")).exists() and stat.read_text().rpartition(")")[2].split()[0] != "Z":

@@ -1,0 +1,170 @@
+"""Where the records of a fleet lie: files, folders of files, or one Parquet file with a column that names the record of each row.
+
+Only their places are collected; each record is read where it is fitted, so that a fleet need not fit into memory.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from greybox.base.errors import DataError
+from greybox.data.columns import ColumnMapping
+from greybox.data.experiment import Experiment, Hold
+from greybox.data.formats import list_record_files
+from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.read import read_csv
+from greybox.model.model import Model
+
+
+@dataclass(frozen=True)
+class RecordReference:
+    """Where one record lies.
+
+    Parameters
+    ----------
+    name
+        What results call it.
+    path
+        Its file.
+    rows, column
+        In a file of several records its first row and the one behind its last, and the column that names the record of each row.
+    problem
+        Why it cannot be read, where that is known already.
+    """
+
+    name: str
+    path: Path
+    rows: tuple[int, int] | None = None
+    column: str = ""
+    problem: str = ""
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What changes when the record does: its place, size and time of the last change."""
+        try:
+            stamp = self.path.stat()
+        except OSError:
+            return str(self.path.resolve()), self.rows
+        return str(self.path.resolve()), self.rows, stamp.st_size, stamp.st_mtime_ns
+
+
+@dataclass(frozen=True)
+class RecordCollection:
+    """The records of a fleet, and how their files are laid out.
+
+    Parameters
+    ----------
+    references
+        Where each lies.
+    layout
+        Arguments of `greybox.read_csv` for all of them.
+    """
+
+    references: tuple[RecordReference, ...]
+    layout: Mapping[str, Any] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.references)
+
+    def read(self, reference: RecordReference, model: Model) -> Experiment:
+        """One record in the model's units. Raises DataError."""
+        if reference.problem:
+            raise DataError(reference.problem)
+        if reference.rows is None:
+            return read_csv(reference.path, model, name=reference.name, **self.layout)
+        from greybox.extensions.formats.parquet_file import open_parquet_part
+
+        part = open_parquet_part(
+            reference.path, reference.rows, reference.column, self.layout.get("reading", READING_POLICY)
+        )
+        return read_csv(part, model, name=reference.name, **self.layout)
+
+
+def find_records(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    record: str = "",
+    columns: ColumnMapping | Sequence[str] | None = None,
+    sampling_time: float | None = None,
+    hold: Hold = "zero",
+    conditions: Mapping[str, float | None] | None = None,
+    allow_constant_input: bool = False,
+    reading: ReadingPolicy = READING_POLICY,
+) -> RecordCollection:
+    """List the records in files and folders; none is read yet.
+
+    Parameters
+    ----------
+    paths
+        Files of any kind that can be read, and folders of such files. Files of the same name get their folder's name in front.
+    record
+        Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
+    columns, sampling_time, hold, conditions, allow_constant_input, reading
+        As of `greybox.read_csv`, for all records.
+
+    Returns
+    -------
+    RecordCollection
+        In the order of the names, numbers by their size; records of one Parquet file in the order of the file. A Parquet file that
+        cannot be opened counts as a record with its reason.
+
+    Raises
+    ------
+    DataError
+        For no file, a folder without records, or ``record`` beside a file that is no Parquet file.
+
+    Examples
+    --------
+    >>> find_records("bench/2024-06", hold="first")  # doctest: +SKIP
+    >>> find_records("bench.parquet", record="serial_number")  # doctest: +SKIP
+    """
+    files = list_record_files([paths] if isinstance(paths, str | os.PathLike) else paths)
+    if not files:
+        raise DataError("no records; give a file or a folder of records")
+    references = [each for file in files for each in (_list_parts(file, record) if record else _list_file(file))]
+    for prefix in (_add_parent, _add_path):
+        counts = Counter(each.name for each in references)
+        references = [prefix(each) if counts[each.name] > 1 else each for each in references]
+    layout = {
+        "columns": columns,
+        "sampling_time": sampling_time,
+        "hold": hold,
+        "conditions": conditions,
+        "allow_constant_input": allow_constant_input,
+        "reading": reading,
+    }
+    return RecordCollection(tuple(references), layout)
+
+
+def _list_file(file: Path) -> list[RecordReference]:
+    return [RecordReference(file.stem, file.absolute())]
+
+
+def _list_parts(file: Path, record: str) -> list[RecordReference]:
+    """The records of one file by the column ``record``."""
+    from greybox.extensions.formats.parquet_file import PARQUET, find_record_rows
+
+    if file.suffix.lower() not in PARQUET.suffixes:
+        raise DataError(
+            f"{file.name}: a column names the record of each row in Parquet files only; give a Parquet file, or one file for each"
+            f" record without record={record!r} (shell: --record {record})"
+        )
+    try:
+        rows = find_record_rows(file, record)
+    except DataError as error:
+        return [RecordReference(file.stem, file.absolute(), problem=str(error))]
+    return [RecordReference(name, file.absolute(), part, record) for name, part in rows.items()]
+
+
+def _add_parent(reference: RecordReference) -> RecordReference:
+    place = reference.path.parent.name if reference.rows is None else reference.path.stem
+    return replace(reference, name=f"{place}/{reference.name}")
+
+
+def _add_path(reference: RecordReference) -> RecordReference:
+    return replace(reference, name=f"{reference.path}{'' if reference.rows is None else ' ' + reference.name}")
