@@ -261,10 +261,18 @@ def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
     from greybox.base.json_file import ResultKind, read_schema
     from greybox.base.json_shape import definition_name, make_definitions
+    from greybox.estimation.check import ModelCheck
     from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.extensions.changes.result import ChangeDetection
+    from greybox.extensions.design.campaign import Campaign
+    from greybox.extensions.design.result import Design
+    from greybox.extensions.export.linear_files import LinearFile
+    from greybox.extensions.fmu.fit_fmu import FmuFit
     from greybox.shell.answers import FitAnswer
+    from greybox.shell.printed import ComparisonAnswer
 
-    kinds = (FitAnswer, Profile, Bootstrap)
+    kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
+    kinds += (ModelCheck, LinearFile, FmuFit)
     definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
     sections = []
     for kind in (*map(definition_name, kinds), *ResultKind):

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import cache
-from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
-from greybox.base.errors import DataError, GreyboxError, nearest, shorten
-from greybox.base.extensions import ExtensionKind, list_extensions
+from greybox.base.errors import DataError, shorten
 from greybox.base.files import write_file
-from greybox.base.json_shape import DRAFT, FileKind, iterate_json, make_definitions
+from greybox.base.json_shape import FileKind, iterate_json, make_definitions, to_json_data
 
 # How large a JSON file may be.
 
@@ -29,26 +28,12 @@ class ResultKind(StrEnum):
     """The kinds of files whose schema is written by hand, by their names in it."""
 
     DISCOVERY = "discovery"
-    COMPARISON = "comparison"
-    DESIGN = "design"
-    CAMPAIGN = "campaign"
-    CHANGE = "change"
-    MODEL_CHECK = "model_check"
-    LINEAR_MODEL = "linear_model"
-    FMU_FIT = "fmu_fit"
     REFIT = "refit"
     """One line of a journal."""
 
 
 TITLES: Mapping[ResultKind, FileKind] = {
     ResultKind.DISCOVERY: FileKind("a discovery", "discovery.json that greybox discover has written"),
-    ResultKind.COMPARISON: FileKind("a comparison", "compare.json that greybox compare has written"),
-    ResultKind.DESIGN: FileKind("a design", "design.json that greybox design has written"),
-    ResultKind.CAMPAIGN: FileKind("a campaign", "campaign.json that greybox campaign has written"),
-    ResultKind.CHANGE: FileKind("a change detection", "changed.json that greybox changed has written"),
-    ResultKind.MODEL_CHECK: FileKind("a check", "check.json that greybox check has written"),
-    ResultKind.LINEAR_MODEL: FileKind("a linear model", "file that greybox export --to json has written"),
-    ResultKind.FMU_FIT: FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written"),
     ResultKind.REFIT: FileKind("a journal entry", "journal.jsonl that greybox discover has written", None),
 }
 """What messages call each kind, and what to give in the place of another file."""
@@ -64,7 +49,31 @@ def read_schema() -> Mapping[str, Any]:
 LARGEST_FILE = 1000000000
 
 
-def write_json(path: str | Path, value: Any) -> Path:
+class StoredResult:
+    """A result that is written to a file of its own, under the keys of its class."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of its file as numbers, texts, lists and dictionaries; what is not finite is None."""
+        data: dict[str, Any] = to_json_data(self)
+        return data
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it as JSON.
+
+        Parameters
+        ----------
+        path
+            The file; folders are made. Numbers that are not finite become null.
+
+        Returns
+        -------
+        Path
+            The file that was written.
+        """
+        return write_json(path, self)
+
+
+def write_json(path: str | os.PathLike[str], value: Any) -> Path:
     """Write a result to its file, under the keys of its class. Folders are made; numbers that are not finite become null."""
     return write_file(path, iterate_json(value))
 
@@ -207,89 +216,3 @@ def _write_value(value: Any) -> str:
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:
         return "a number out of range"
     return shorten(json.dumps(value, ensure_ascii=False), 60)
-
-
-# Which JSON a command prints with ``--json``, and the schema of that alone.
-
-PRINTED: Mapping[str, tuple[str, ...]] = {
-    "fit": ("greybox.shell.answers:FitAnswer", ResultKind.FMU_FIT),
-    "compare": (ResultKind.COMPARISON,),
-    "discover": (ResultKind.DISCOVERY,),
-    "app": ("app_address",),
-    "changed": (ResultKind.CHANGE,),
-    "design": (ResultKind.DESIGN,),
-    "campaign": (ResultKind.CAMPAIGN,),
-    "check": (ResultKind.MODEL_CHECK, "file_survey", "file_surveys"),
-    "export": ("export",),
-    "simulate": ("simulation",),
-    "models": ("model_list", "model_outline"),
-    "effects": ("effect_list",),
-    "init": ("project",),
-    "extensions": ("extension_list",),
-    "demo": (ResultKind.DISCOVERY,),
-    "schema": ("json_schema",),
-}
-"""Command -> kinds of what it prints, by their names in the schema; several where it depends on what was given. A module with the command
-of an extension has a table ``PRINTS`` for its own."""
-
-
-def list_printed() -> dict[str, tuple[str, ...]]:
-    """Command -> kinds of what it prints, those of extensions included."""
-    printed = dict(PRINTED)
-    for entry in list_extensions(ExtensionKind.COMMANDS):
-        if not entry.failure:
-            printed |= getattr(import_module(entry.place.partition(":")[0]), "PRINTS", {})
-    return printed
-
-
-def schema_of_command(command: str) -> dict[str, Any]:
-    """The JSON Schema of what ``greybox COMMAND --json`` prints, whole in itself.
-
-    Parameters
-    ----------
-    command
-        ``fit``, ``discover``, ``changed`` ...
-
-    Returns
-    -------
-    dict
-        A schema of draft 2020-12 that refers to nothing outside itself.
-
-    Raises
-    ------
-    GreyboxError
-        For a command that does not exist.
-    """
-    printed = list_printed()
-    if command not in printed:
-        raise GreyboxError(f"no command {command!r}; {nearest(command, list(printed))}")
-    classes = [_find_class(place) for place in printed[command] if ":" in place]
-    references, definitions = make_definitions(*classes)
-    references += [{"$ref": f"#/$defs/{kind}"} for kind in printed[command] if ":" not in kind]
-    everything = {**read_schema()["$defs"], **definitions}
-    needed = _collect_definitions(re.findall(r"'#/\$defs/(\w+)'", repr(references)), everything)
-    return {
-        "$schema": DRAFT,
-        "$id": f"urn:greybox:command:{command}:1",
-        "title": f"What greybox {command} --json prints",
-        **(references[0] if len(references) == 1 else {"anyOf": references}),
-        "$defs": {name: everything[name] for name in needed},
-    }
-
-
-def _find_class(place: str) -> type:
-    """The class ``module:name``."""
-    module, _, name = place.partition(":")
-    shape: type = getattr(import_module(module), name)
-    return shape
-
-
-def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:
-    """Names of these definitions and of all that they refer to, in the order of the file."""
-    needed, pending = set[str](), list(kinds)
-    while pending:
-        name = pending.pop()
-        if name not in needed:
-            needed.add(name)
-            pending += re.findall(r"'#/\$defs/(\w+)'", repr(everything[name]))
-    return [name for name in everything if name in needed]

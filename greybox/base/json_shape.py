@@ -7,8 +7,9 @@ each key in the order of the file:
 ``unit``                the attribute of that name: a field, or a property with an annotation
 ``moved=shift``         the attribute ``shift`` under the older key ``moved``
 ``cost=solver.cost``    an attribute of an attribute: the file is flatter than the value
-``notes=str(findings)`` the sentence of each finding, or of the one value
+``notes=str(findings)`` the sentence of each finding, or of the one value: empty for None
 ``memory?``             left out where it is empty
+``models!``             always there, though it is no field without a default: a reader may rely on it
 ``*``                   all fields, in their order
 ``fit.*``               all keys of the value of the field ``fit``
 ======================  =================================================================================
@@ -28,12 +29,24 @@ import re
 import secrets
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, partial
 from itertools import pairwise
 from textwrap import dedent
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    NotRequired,
+    TypeVar,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+    is_typeddict,
+)
 
 import numpy as np
 
@@ -66,6 +79,8 @@ UnboundedArray = Annotated[np.ndarray, Null(math.inf)]
 """Numbers (N,), infinite where the file has null."""
 Matrix = Annotated[np.ndarray, Axes(2)]
 """Rows of numbers (N, M)."""
+ComplexArray = Annotated[np.ndarray, complex]
+"""Complex numbers (N,), in a file each with its real and its imaginary part."""
 
 
 @dataclass(frozen=True)
@@ -91,15 +106,16 @@ class FileKind:
 
 
 class Key(NamedTuple):
-    """One key of a file: the attributes that lead to its value, whether that is written as text, and whether it may be left out."""
+    """One key of a file: the attributes that lead to its value, whether that is written as text, left out where empty, always there."""
 
     name: str
     path: tuple[str, ...]
-    as_text: bool
-    may_lack: bool
+    as_text: bool = False
+    may_lack: bool = False
+    is_sure: bool = False
 
 
-_WORD = re.compile(r"(\w+)(\??)(?:=(str\()?([\w.]+)\)?)?")
+_WORD = re.compile(r"(\w+)([?!]?)(?:=(str\()?([\w.]+)\)?)?")
 
 
 @cache
@@ -108,7 +124,7 @@ def list_keys(kind: Any) -> tuple[Key, ...]:
     keys: list[Key] = []
     for word in getattr(kind, "KEYS", "*").split():
         if word == "*":
-            keys += (Key(f.name, (f.name,), False, False) for f in fields(kind))
+            keys += (Key(name, (name,)) for name in _list_fields(kind))
             continue
         if word.endswith(".*"):
             field = word.removesuffix(".*")
@@ -117,8 +133,8 @@ def list_keys(kind: Any) -> tuple[Key, ...]:
         match = _WORD.fullmatch(word)
         if match is None:
             raise ValueError(f"{kind.__name__}.KEYS: {word!r} is no key")
-        name, may_lack, as_text, path = match.groups()
-        keys.append(Key(name, tuple((path or name).split(".")), bool(as_text), bool(may_lack)))
+        name, mark, as_text, path = match.groups()
+        keys.append(Key(name, tuple((path or name).split(".")), bool(as_text), mark == "?", mark == "!"))
     return tuple(keys)
 
 
@@ -150,12 +166,12 @@ def to_json_data(value: Any, convert_array: Callable[[np.ndarray], Any] | None =
     if isinstance(value, complex):
         return [to_json_data(value.real), to_json_data(value.imag)]
     data = _begin(kind)
-    for name, path, as_text, may_lack in list_keys(kind):
+    for name, path, as_text, may_lack, _ in list_keys(kind):
         each = value
         for attribute in path:
             each = None if each is None else getattr(each, attribute)
         if as_text:
-            each = [str(one) for one in each] if isinstance(each, (list, tuple)) else str(each)
+            each = [*map(str, each)] if isinstance(each, (list, tuple)) else "" if each is None else str(each)
         if not may_lack or (each is not None and (len(each) if hasattr(each, "__len__") else each)):
             data[name] = to_json_data(each, convert_array)
     return data
@@ -233,7 +249,7 @@ def from_json_data(kind: type[Read], data: Mapping[str, Any], given: Mapping[str
 def _read_plan(kind: Any) -> list[tuple[Key, Callable[[Any], Any]]]:
     """Each key that is read back, with the function that makes its value."""
     ends = ((key, [*_follow(kind, key.path)]) for key in list_keys(kind))
-    return [(k, _restorer(a[-1].hint)) for k, a in ends if not k.as_text and all(each.field for each in a)]
+    return [(k, _restorer(a[-1].hint)) for k, a in ends if not k.as_text and all(each.is_field for each in a)]
 
 
 def _put(values: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
@@ -324,8 +340,8 @@ def _describe(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if hint in (float, np.ndarray, complex):
         null = next((mark.value for mark in marks if isinstance(mark, Null)), math.nan)
         number: dict[str, Any] = {"$ref": f"#/$defs/{'number' if null is None else 'number_or_null'}"}
-        if hint is complex:  # real and imaginary part
-            return {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
+        if hint is complex or complex in marks:  # real and imaginary part
+            number = {"type": "array", "items": number, "minItems": 2, "maxItems": 2}
         for _ in range(_axes(marks) if hint is np.ndarray else 0):
             number = {"type": "array", "items": number}
         return number
@@ -346,7 +362,7 @@ def _describe(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
         return {"enum": [*arguments]}
     if isinstance(hint, type) and issubclass(hint, Enum):
         return {"enum": [*map(str, hint), *getattr(hint, "former_names", dict)()]}
-    if is_dataclass(hint):
+    if is_dataclass(hint) or is_typeddict(hint):
         name = definition_name(hint)
         if name not in definitions:
             definitions[name] = {}  # a class may hold values of its own kind
@@ -381,8 +397,7 @@ def _describe_class(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
             "description", ""
         )
         properties[key.name] = {"description": text, **schema}
-        is_field = attributes[0].field is not None and not key.as_text and not key.may_lack
-        if is_field and all(a.field is None or _is_needed(a.field) for a in attributes):
+        if key.is_sure or not (key.as_text or key.may_lack or any(not a.is_needed for a in attributes)):
             needed.append(key.name)
     file: FileKind | None = getattr(kind, "FILE", None)
     if file is not None and file.version is not None:
@@ -391,10 +406,6 @@ def _describe_class(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
         properties = {"format": version} | properties
     text = _first_paragraph(kind)
     return {"description": text, "type": "object", "properties": properties, "required": needed}
-
-
-def _is_needed(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _or_null(schema: dict[str, Any], definitions: Mapping[str, Any]) -> dict[str, Any]:
@@ -414,24 +425,29 @@ def _or_null(schema: dict[str, Any], definitions: Mapping[str, Any]) -> dict[str
 
 class _Attribute(NamedTuple):
     hint: Any
-    field: Field[Any] | None
     description: str
+    is_field: bool = False
+    is_needed: bool = False
 
 
 def _follow(kind: Any, path: Sequence[str]) -> Iterator[_Attribute]:
     """The attributes of a path, each of the class that the one before it is of."""
     for name in path:
-        member = inspect.getattr_static(kind, name, None)
-        field = next((f for f in fields(kind) if f.name == name), None) if is_dataclass(kind) else None
-        if field is not None:
-            attribute = _Attribute(_hints(kind)[name], field, _describe_fields(kind).get(name, ""))
+        if is_typeddict(kind):
+            hint = _hints(kind)[name]
+            may_lack = get_origin(hint) is NotRequired
+            hint = get_args(hint)[0] if may_lack else hint
+            attribute = _Attribute(hint, _describe_fields(kind).get(name, ""), True, not may_lack)
+        elif (field := kind.__dataclass_fields__.get(name)) is not None:
+            is_needed = field.default is MISSING and field.default_factory is MISSING
+            attribute = _Attribute(_hints(kind)[name], _describe_fields(kind).get(name, ""), True, is_needed)
         else:
-            if not hasattr(member, "fget"):
+            member = inspect.getattr_static(kind, name, None)
+            getter = getattr(member, "fget", None) or getattr(member, "func", None)
+            if getter is None:
                 raise TypeError(f"{kind.__name__}.KEYS: {'.'.join(path)} leads to no field and no property")
-            getter = member.fget
-            attribute = _Attribute(
-                get_type_hints(getter, include_extras=True).get("return", Any), None, _first_paragraph(getter)
-            )
+            hint = get_type_hints(getter, include_extras=True).get("return", Any)
+            attribute = _Attribute(hint, _first_paragraph(getter))
         yield attribute
         kind = _strip(_without_none(attribute.hint))[0]
 
@@ -439,6 +455,10 @@ def _follow(kind: Any, path: Sequence[str]) -> Iterator[_Attribute]:
 @cache
 def _hints(kind: Any) -> Mapping[str, Any]:
     return get_type_hints(kind, include_extras=True)
+
+
+def _list_fields(kind: Any) -> tuple[str, ...]:
+    return tuple(_hints(kind)) if is_typeddict(kind) else tuple(field.name for field in fields(kind))
 
 
 def _strip(hint: Any) -> tuple[Any, tuple[Any, ...]]:
@@ -461,18 +481,18 @@ def _first_paragraph(described: Any) -> str:
 
 
 _SECTION = re.compile(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[^\n]*\n-+\n|\Z)", re.MULTILINE | re.DOTALL)
-_ENTRY = re.compile(r"^(\w[\w, ]*)(?: :.*)?\n((?:[ ]+.*\n?|\n)+)", re.MULTILINE)
+_ENTRY = re.compile(r"^([\w$][\w$, ]*)(?: :.*)?\n((?:[ ]+.*\n?|\n)+)", re.MULTILINE)
 
 
 @cache
 def _describe_fields(kind: Any) -> Mapping[str, str]:
     """What the docstring of a class says of each field, those of its bases included."""
     texts: dict[str, str] = {}
-    for each in reversed(kind.__mro__):
+    for each in (kind,) if is_typeddict(kind) else reversed(kind.__mro__):
         for section in _SECTION.findall(inspect.cleandoc(each.__doc__ or "")):
             for names, text in _ENTRY.findall(section + "\n"):
                 texts |= dict.fromkeys(re.split(r",\s*", names.strip()), " ".join(text.split()))
-    if any(field.name not in texts for field in fields(kind)):
+    if any(name not in texts for name in _list_fields(kind)):
         # The fields of a policy have their sentence below them.
         (definition,) = ast.parse(dedent(inspect.getsource(kind))).body
         for one, below in pairwise(definition.body):  # type: ignore[attr-defined]

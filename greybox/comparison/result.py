@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from greybox.base.files import write_file
 from greybox.base.findings import Finding
-from greybox.base.json_file import ResultKind, read_json
-from greybox.base.json_shape import to_json_data
+from greybox.base.json_file import read_json, write_json
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.policy import StructureScanPolicy
 from greybox.data.experiment import Experiment
@@ -101,11 +99,22 @@ class ComparisonRun:
 
 @dataclass(frozen=True)
 class ComparisonScore:
-    """Errors of one output over one or more records, in ``unit``.
+    """Errors of one output over one or more records; infinite where a run leaves all bounds.
 
-    ``rmse`` of the free run, ``best_fit_percent = 100 (1 - ||y - yhat|| / ||y - mean(y)||)`` with each record's own mean,
-    ``one_step_rmse`` of the prediction one sample ahead, ``ahead_rmse`` of those further ahead by the number of samples; infinite
-    where a run leaves all bounds. ``samples`` went into it.
+    Attributes
+    ----------
+    rmse
+        Root mean square error of the free run.
+    best_fit_percent
+        ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` of the free run, with each record's own mean.
+    one_step_rmse
+        Error of the prediction one sample ahead.
+    samples
+        How many went into it.
+    unit
+        Of the output.
+    ahead_rmse
+        Errors of predictions further ahead, by the number of samples.
     """
 
     rmse: float
@@ -114,6 +123,8 @@ class ComparisonScore:
     samples: int
     unit: str = ""
     ahead_rmse: Mapping[int, float] = field(default_factory=dict)
+
+    KEYS: ClassVar[str] = "rmse best_fit_percent one_step_rmse samples unit ahead_rmse?"
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +175,10 @@ class ComparisonEntry:
     training_runs: tuple[ComparisonRun, ...] = ()
     validation_runs: tuple[ComparisonRun, ...] = ()
 
+    KEYS: ClassVar[str] = """
+        kind parameters structure validation training records bic stable feedthrough seconds notes=str(findings) findings
+        """
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Printable):
@@ -199,8 +214,23 @@ class Comparison(Printable):
     policy: ComparisonPolicy = DEFAULT_COMPARISON
     options: FitOptions | None = None
 
+    FILE: ClassVar[FileKind] = FileKind("a comparison", "compare.json that greybox compare has written")
+    KEYS: ClassVar[str] = """
+        models! outputs training validation skip verdict=str(verdict) notes=str(findings) findings=all_findings policy options
+        """
+
     def __getitem__(self, name: str) -> ComparisonEntry:
         return next(e for e in self.entries if e.name == name)
+
+    @property
+    def models(self) -> dict[str, ComparisonEntry]:
+        """Name -> model."""
+        return {entry.name: entry for entry in self.entries}
+
+    @property
+    def all_findings(self) -> tuple[Finding, ...]:
+        """The verdict, and what could not be compared."""
+        return (*self.verdict, *self.findings)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -255,11 +285,8 @@ def _sum_of_squares(error: np.ndarray) -> float:
 
 # A comparison as JSON: ``compare.json``.
 
-FORMAT = 1
-"""Version of ``compare.json``."""
 
-
-def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str, Any] | None = None) -> Path:
+def save_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Write a comparison as JSON.
 
     Parameters
@@ -268,8 +295,6 @@ def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str
         What `greybox.compare` gave.
     path
         The file; missing folders are made.
-    extra
-        Further entries beside those of the comparison.
 
     Returns
     -------
@@ -281,8 +306,7 @@ def save_comparison(comparison: Comparison, path: str | Path, extra: Mapping[str
     >>> comparison = gb.compare([fit], record)  # doctest: +SKIP
     >>> gb.comparison.save_comparison(comparison, "results/compare.json")  # doctest: +SKIP
     """
-    data = to_json_data({**comparison_data(comparison), **(extra or {})})
-    return write_file(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    return write_json(path, comparison)
 
 
 def load_comparison(path: str | Path) -> dict[str, Any]:
@@ -307,52 +331,4 @@ def load_comparison(path: str | Path) -> dict[str, Any]:
     --------
     >>> gb.comparison.load_comparison("results/compare.json")["verdict"]  # doctest: +SKIP
     """
-    return read_json(path, ResultKind.COMPARISON)
-
-
-def comparison_data(comparison: Comparison) -> dict[str, Any]:
-    """The comparison as nested dictionaries: ``models`` -> name -> kind, parameters, validation ..., and the verdict."""
-    return {
-        "format": FORMAT,
-        "models": {entry.name: _entry_data(entry) for entry in comparison.entries},
-        "outputs": dict(comparison.outputs),
-        "training": list(comparison.training),
-        "validation": list(comparison.validation),
-        "skip": comparison.skip,
-        "verdict": list(map(str, comparison.verdict)),
-        "notes": list(map(str, comparison.findings)),
-        "findings": [*comparison.verdict, *comparison.findings],
-        "policy": comparison.policy,
-        "options": None if comparison.options is None else comparison.options.to_data(),
-    }
-
-
-def _entry_data(entry: ComparisonEntry) -> dict[str, Any]:
-    return {
-        "kind": str(entry.kind),
-        "parameters": entry.parameters,
-        "structure": dict(entry.structure),
-        "validation": _scores_data(entry.validation),
-        "training": _scores_data(entry.training),
-        "records": {record: _scores_data(scores) for record, scores in entry.records.items()},
-        "bic": entry.bic,
-        "stable": entry.stable,
-        "feedthrough": dict(entry.feedthrough),
-        "seconds": entry.seconds,
-        "notes": list(map(str, entry.findings)),
-        "findings": entry.findings,
-    }
-
-
-def _scores_data(scores: Mapping[str, ComparisonScore]) -> dict[str, Any]:
-    return {
-        output: {
-            "rmse": score.rmse,
-            "best_fit_percent": score.best_fit_percent,
-            "one_step_rmse": score.one_step_rmse,
-            "samples": score.samples,
-            "unit": score.unit,
-            **({"ahead_rmse": {str(k): v for k, v in score.ahead_rmse.items()}} if score.ahead_rmse else {}),
-        }
-        for output, score in scores.items()
-    }
+    return read_json(path, Comparison)

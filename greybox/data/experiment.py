@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,6 +102,9 @@ class Experiment(Printable):
     noise: Mapping[str, np.ndarray] = field(default_factory=dict)
     sampling_time: float | None = field(init=False)
     fingerprint: str = field(init=False)
+
+    KEYS: ClassVar[str] = "name rows! duration sampling_time data=fingerprint notes=str(findings) findings"
+    """What results say of a record; its data are in its own file."""
 
     def __post_init__(self) -> None:
         if self.hold not in HOLDS:

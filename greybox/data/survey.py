@@ -6,13 +6,14 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.base.errors import ModelError
 from greybox.base.findings import Finding, Severity
+from greybox.base.json_file import StoredResult
 from greybox.base.units import convert, unit_converter
 from greybox.base.values import Printable
 from greybox.data.array_table import ArrayTable
@@ -80,7 +81,7 @@ class SignalSurvey:
 
 
 @dataclass(frozen=True)
-class FileSurvey(Printable):
+class FileSurvey(Printable, StoredResult):
     """What a file holds.
 
     Attributes
@@ -100,27 +101,17 @@ class FileSurvey(Printable):
     signals: tuple[SignalSurvey, ...]
     findings: tuple[Finding, ...]
 
+    KEYS: ClassVar[str] = "file kind signals columns! findings notes=str(findings)"
+
     @property
     def columns(self) -> Mapping[str, str]:
         """Proposed columns, name -> header: time, and every input and output. Names are those of the file, as a model can write them."""
         chosen = [s for s in self.signals if s.use in ("time", "input", "output")]
         return {s.name: s.header for s in chosen}
 
-    def as_dict(self) -> dict[str, Any]:
-        """Everything as numbers, texts, lists and dictionaries, ready for JSON."""
-        findings = [
-            {"code": str(f.code), "severity": str(f.severity), "subject": f.subject, "values": dict(f.values)}
-            for f in self.findings
-        ]
-        signals = [asdict(s) for s in self.signals]
-        return {
-            "file": self.file,
-            "kind": self.kind,
-            "signals": signals,
-            "columns": dict(self.columns),
-            "findings": findings,
-            "notes": [str(f) for f in self.findings],
-        }
+
+FileSurveys = list[FileSurvey]
+"""What several files hold."""
 
 
 def survey_file(

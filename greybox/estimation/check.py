@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import ClassVar, TypedDict
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
+from greybox.base.json_file import StoredResult
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
-from greybox.data.noise.noise_model import NoiseModel
+from greybox.data.noise.noise_model import NoiseModel, NoiseSource
 from greybox.estimation.fit_issues import find_excluded_outputs
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.practical import (
@@ -31,12 +32,68 @@ from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 
-FORMAT = 1
-"""Version of ``check.json``."""
+
+class CheckedNoise(TypedDict):
+    """Noise of the outputs.
+
+    Attributes
+    ----------
+    std
+        Output -> standard deviation.
+    source
+        Where it is known from, in a line.
+    sources
+        Output -> where it is known from.
+    """
+
+    std: Mapping[str, float]
+    source: str
+    sources: Mapping[str, NoiseSource]
+
+
+class Doubt(TypedDict):
+    """Why nothing can be said of a structure.
+
+    Attributes
+    ----------
+    doubt
+        In a sentence.
+    """
+
+    doubt: str
+
+
+class FoundPlace(TypedDict):
+    """An effect that finds a place in a model.
+
+    Attributes
+    ----------
+    name, site
+        The effect there, and the balance, input or output.
+    """
+
+    name: str
+    site: str
+
+
+class MissingPlace(TypedDict):
+    """An effect that finds no place in a model.
+
+    Attributes
+    ----------
+    name, reason
+        The effect, and the reason in a sentence.
+    missing
+        Kind (site, state, input, parameter, unit) and name or role of what the model lacks; null for another reason.
+    """
+
+    name: str
+    reason: str
+    missing: Mapping[str, str] | None
 
 
 @dataclass(frozen=True)
-class ModelCheck(Printable):
+class ModelCheck(Printable, StoredResult):
     """What is known of a model, and of records for it, before a fit.
 
     Parameters
@@ -86,6 +143,12 @@ class ModelCheck(Printable):
     placements: tuple[Placement, ...] = ()
     options: FitOptions = field(default_factory=FitOptions, repr=False)
 
+    FILE: ClassVar[FileKind] = FileKind("a check", "check.json that greybox check has written")
+    KEYS: ClassVar[str] = """
+        model!=model.title linear discretisation kernel records=experiments assumed=str(assumed) noise=noise_outline
+        structure!=structure_or_doubt data=practical complete roles effects=placed without_place options
+        """
+
     @property
     def constants(self) -> Mapping[str, ExpectedPrecision]:
         """What to expect of each free constant."""
@@ -124,65 +187,33 @@ class ModelCheck(Printable):
         structure_complete = self.structure is None or self.structure.complete
         return structure_complete and not self.failure and all(c.determined for c in self.constants.values())
 
-    def as_dict(self) -> dict[str, Any]:
-        """The results as numbers, texts, lists and dictionaries, ready for JSON; what is not finite is None."""
-        structure, practical = self.structure, self.practical
-        records = [
+    @property
+    def noise_outline(self) -> CheckedNoise:
+        """Noise of the outputs."""
+        source = "; ".join(map(str, (self.noise_model, *self.excluded)))
+        return {"std": self.noise, "source": source, "sources": self.noise_model.sources}
+
+    @property
+    def structure_or_doubt(self) -> StructuralIdentifiability | Doubt:
+        """What any record can determine; why nothing can be said, where the model could not be run."""
+        return {"doubt": self.doubt} if self.structure is None else self.structure
+
+    @property
+    def placed(self) -> tuple[FoundPlace, ...]:
+        """Effects of the catalogue that find a place in the model, and where."""
+        return tuple({"name": p.name, "site": p.site} for p in self.placements if p.effect is not None)
+
+    @property
+    def without_place(self) -> tuple[MissingPlace, ...]:
+        """Effects of the catalogue that find none, and what the model lacks for each."""
+        return tuple(
             {
-                "name": e.name,
-                "rows": e.rows,
-                "duration": e.duration,
-                "sampling_time": e.sampling_time,
-                "data": e.fingerprint,
-                "notes": [str(finding) for finding in e.findings],
-                "findings": e.findings,
+                "name": p.name,
+                "reason": p.reason,
+                "missing": None if p.missing is None else dict(zip(("kind", "name"), p.missing, strict=True)),
             }
-            for e in self.experiments
-        ]
-        structure_data = {"doubt": self.doubt}
-        if structure is not None:
-            structure_data = _to_plain(structure) | {
-                "remedies": [str(finding) for finding in structure.recommendations],
-                "verdict": structure.verdict,
-            }
-        practical_data = _to_plain(practical) | {
-            "remarks": [str(finding) for finding in practical.findings],
-            "failure": str(practical.failure or ""),
-            "excitation": [
-                _to_plain(excitation) | {"warnings": [str(finding) for finding in excitation.findings]}
-                for excitation in practical.excitation
-            ],
-        }
-        return _to_plain(
-            {
-                "format": FORMAT,
-                "model": self.model.title,
-                "linear": self.linear,
-                "discretisation": self.discretisation,
-                "kernel": self.kernel,
-                "records": records,
-                "assumed": str(self.assumed or ""),
-                "noise": {
-                    "std": self.noise,
-                    "source": "; ".join(map(str, (self.noise_model, *self.excluded))),
-                    "sources": self.noise_model.sources,
-                },
-                "structure": structure_data,
-                "data": practical_data,
-                "complete": self.complete,
-                "roles": self.roles,
-                "effects": [{"name": p.name, "site": p.site} for p in self.placements if p.effect is not None],
-                "without_place": [
-                    {
-                        "name": p.name,
-                        "reason": p.reason,
-                        "missing": None if p.missing is None else dict(zip(("kind", "name"), p.missing, strict=True)),
-                    }
-                    for p in self.placements
-                    if p.effect is None
-                ],
-                "options": self.options.to_data(),
-            }
+            for p in self.placements
+            if p.effect is None
         )
 
 
@@ -271,16 +302,3 @@ def check(
         tuple(find_placements(model, all_effects())),
         options,
     )
-
-
-def _to_plain(value: Any) -> Any:
-    """Dataclasses and mappings as dictionaries, sequences as lists, what is not finite as None."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: _to_plain(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(key): _to_plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_to_plain(item) for item in value]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value

@@ -9,8 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import StrEnum
-from functools import lru_cache
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -286,6 +285,11 @@ class FitOptions:
     common_noise: bool = False
     other_starts: int = 6
 
+    KEYS: ClassVar[str] = """
+        method substeps progressive iterations tolerance thorough transcription arc_length hessian at_rest loss per_experiment
+        common_noise other_starts policy
+        """
+
     def __post_init__(self) -> None:
         object.__setattr__(
             self,
@@ -325,8 +329,8 @@ class FitOptions:
 
     def to_data(self) -> dict[str, Any]:
         """The options as plain values, for a result to store."""
-        choices = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "policy"}
-        return {**to_json_data(choices), "policy": _to_policy_data(self.policy)}
+        data: dict[str, Any] = to_json_data(self)
+        return data
 
     @property
     def integration(self) -> FitOptions:
@@ -341,12 +345,6 @@ class FitOptions:
     def to_loss(self) -> RobustLoss | None:
         """The robust loss; None for least squares. Raises ModelError for text that names none."""
         return parse_loss(self.loss, self.policy.huber_threshold)
-
-
-@lru_cache(maxsize=8)
-def _to_policy_data(policy: EstimationPolicy) -> dict[str, Any]:
-    """A policy as plain values; nearly every fit has the same."""
-    return dict(to_json_data(policy))
 
 
 def resolve_options(options: Any) -> FitOptions:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import chdtrc, fdtrc
 
 from greybox.base.errors import DataError
 from greybox.base.linear_algebra import RankTolerance, decompose_symmetric
-from greybox.base.numerics import REDUNDANT_VARIANCE
+from greybox.base.numerics import REDUNDANT_VARIANCE, ROWS_AT_A_TIME
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
@@ -21,7 +22,7 @@ from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import Predictor, predictor
 from greybox.estimation.result import Fit
-from greybox.estimation.sandwich import compute_toeplitz_form
+from greybox.estimation.sandwich import Columns, compute_correlations, compute_toeplitz_form
 from greybox.model.model import Model
 
 # The statistics behind the residual tests: each returns a statistic and a p-value. Series may hold NaN in gaps.
@@ -48,32 +49,80 @@ def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
     return statistic, float(chdtrc(lags, statistic))
 
 
-def lagged_matrix(signal: np.ndarray, lags: int) -> np.ndarray:
-    """``signal`` (N,) less its mean, delayed by 0 ... ``lags`` samples (N, lags + 1), zero before it began."""
-    signal = signal - signal.mean()
-    return np.column_stack([np.concatenate([np.zeros(k), signal[: len(signal) - k]]) for k in range(lags + 1)])
+@dataclass(frozen=True, eq=False)
+class LaggedInput:
+    """An input delayed by 0 ... ``lags`` samples, zero before it began, as rows (N, lags + 1): a long record has 21 numbers for each row.
+
+    Parameters
+    ----------
+    signal
+        The input (N,) less its mean.
+    lags
+        Delays.
+    slopes, share
+        What is taken off: sensitivities (N, k) times their shares (k, lags + 1).
+    """
+
+    signal: np.ndarray
+    lags: int
+    slopes: np.ndarray | None = None
+    share: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, signal: np.ndarray, lags: int) -> LaggedInput:
+        """That of an input (N,) with its mean."""
+        return cls(signal - signal.mean(), lags)
+
+    def __len__(self) -> int:
+        return len(self.signal)
+
+    def __getitem__(self, rows: slice, /) -> np.ndarray:
+        first, last, _ = rows.indices(len(self))
+        before = np.zeros(max(self.lags - first, 0))
+        reached = np.concatenate([before, self.signal[max(first - self.lags, 0) : last]])
+        delayed = sliding_window_view(reached, self.lags + 1)[:, ::-1] if last > first else np.zeros((0, self.lags + 1))
+        if self.slopes is None or self.share is None:
+            return np.ascontiguousarray(delayed)
+        return delayed - self.slopes[rows] @ self.share
+
+
+@dataclass(frozen=True, eq=False)
+class _WhereMeasured:
+    """Regressors with zeros in the gaps of a residual: ``measured`` (N,)."""
+
+    regressors: Columns
+    measured: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.measured)
+
+    def __getitem__(self, rows: slice, /) -> np.ndarray:
+        return np.where(self.measured[rows, None], self.regressors[rows], 0.0)
+
+
+def _blocks(rows: int) -> Iterator[slice]:
+    return (slice(first, min(first + ROWS_AT_A_TIME, rows)) for first in range(0, rows, ROWS_AT_A_TIME))
 
 
 def input_independence_test(
-    residuals: Sequence[np.ndarray], regressors: Sequence[np.ndarray], colour: AutoRegression
+    residuals: Sequence[np.ndarray], regressors: Sequence[Columns], colour: AutoRegression
 ) -> tuple[float, float]:
     """``c' P^+ c`` with ``c = sum U'r`` of the regressors U (N, m) and its covariance ``P = sum U' R U``, chi-square if unrelated.
 
     R is the covariance of the residual as the autoregression ``colour`` has it: for coloured residuals the white-noise
     formula takes chance for dependence (Ljung, System identification, 2nd ed., section 16.6).
     """
-    size = regressors[0].shape[1]
+    size = regressors[0][:0].shape[1]
     c, p = np.zeros(size), np.zeros((size, size))
-    everything = np.concatenate(residuals)
-    variance = float(np.nanmean(everything**2))
+    variance = float(np.nanmean(np.square(np.concatenate(residuals))))
     if variance == 0 or not np.isfinite(variance):
         return 0.0, 1.0
     for r, u in zip(residuals, regressors, strict=True):
-        measured = np.isfinite(r)
-        u = np.where(measured[:, None], u, 0.0)
-        c += u.T @ np.where(measured, r, 0.0)
+        inside = _WhereMeasured(u, np.isfinite(r))
+        for rows in _blocks(len(r)):
+            c += inside[rows].T @ np.where(inside.measured[rows], r[rows], 0.0)
         # P = sum U'R U with R_ij = s^2 rho(i - j).
-        p += variance * compute_toeplitz_form(u, colour.autocorrelation(len(r)))
+        p += variance * compute_toeplitz_form(inside, compute_correlations(colour, len(r)))
     spread = decompose_symmetric(p, LAGGED_SIGNALS)
     if not spread.rank:
         return 0.0, 1.0
@@ -319,9 +368,13 @@ def residual_tests(fit: Fit) -> ResidualTests:
         # Sensitivities of each record laid out over all unknowns.
         slopes = []
         for e, (r, jacobian) in enumerate(rows):
+            lanes = objective.variables.columns(e)
+            if np.array_equal(lanes, np.arange(objective.variables.size)):
+                slopes.append(jacobian[:, j])  # of one record there is nothing to lay out
+                continue
             slopes.append(np.zeros((len(r), objective.variables.size)))
-            slopes[e][:, objective.variables.columns(e)] = jacobian[:, j]
-        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbounded)
+            slopes[e][:, lanes] = jacobian[:, j]
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, None if raw is rows else unbounded)
         tested[output.name] = ResidualSeries(
             tuple(residuals),
             tuple(unbounded),
@@ -375,7 +428,7 @@ def run_residual_tests(
     colour = fit_autoregression(series)
     rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
     white = [colour.whiten(r / rms) for r in residuals]
-    count, is_measured = int(np.isfinite(series).sum()), np.concatenate([np.isfinite(r) for r in residuals])
+    count = int(np.isfinite(series).sum())
 
     def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
         statistic, p_value = result
@@ -388,13 +441,9 @@ def run_residual_tests(
     ]
     for name, records in inputs.items():
         if any(np.ptp(u) > 0 for u in records) and count > SAMPLES_PER_INPUT_LAG * RESIDUAL_TEST_INPUT_LAGS:
-            u = np.concatenate([lagged_matrix(signal, RESIDUAL_TEST_INPUT_LAGS) for signal in records])
-            u = np.where(is_measured[:, None], u, 0.0)
+            regressors = [LaggedInput.of(signal, RESIDUAL_TEST_INPUT_LAGS) for signal in records]
             if slopes is not None and slopes[0].shape[1]:
-                # Less what the fitted constants could make of it, U - J (J'J)^+ J'U: that the residual cannot contain any more.
-                j = np.where(is_measured[:, None], np.concatenate(slopes), 0.0)
-                u = u - j @ decompose_symmetric(j.T @ j).solve(j.T @ u)
-            regressors = np.split(u, np.cumsum([len(r) for r in residuals])[:-1])
+                regressors = _take_off(regressors, slopes, [np.isfinite(r) for r in residuals])
             result = input_independence_test(residuals, regressors, colour)
             tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
     whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
@@ -405,6 +454,21 @@ def run_residual_tests(
         ResidualTestKind.EQUAL_MEAN: equal_mean_test(blocks),
     }
     return tests + [make_test(kind, result) for kind, result in others.items() if result is not None]
+
+
+def _take_off(
+    regressors: Sequence[LaggedInput], slopes: Sequence[np.ndarray], measured: Sequence[np.ndarray]
+) -> list[LaggedInput]:
+    """Regressors less what the fitted constants could make of them, ``U - J (J'J)^+ J'U``: the residual cannot contain that any more."""
+    size = slopes[0].shape[1]
+    squares, products = np.zeros((size, size)), np.zeros((size, regressors[0].lags + 1))
+    for u, slope, known in zip(regressors, slopes, measured, strict=True):
+        for rows in _blocks(len(u)):
+            j = np.where(known[rows, None], slope[rows], 0.0)
+            squares += j.T @ j
+            products += j.T @ u[rows]
+    share = decompose_symmetric(squares).solve(products)
+    return [replace(u, slopes=slope, share=share) for u, slope in zip(regressors, slopes, strict=True)]
 
 
 # Free run and prediction side by side: the errors of a model without and with past measurements.

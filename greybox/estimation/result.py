@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.findings import Finding
-from greybox.base.json_file import read_json, write_json
+from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, from_json_data
 from greybox.base.units import parse_unit
 from greybox.base.values import Printable, ReadOnly
@@ -49,7 +49,7 @@ class ResultCode(StrEnum):
 
 
 @dataclass(frozen=True)
-class Fit(Printable, ReadOnly):
+class Fit(Printable, ReadOnly, StoredResult):
     """A fitted model, read-only throughout.
 
     Attributes
@@ -104,7 +104,7 @@ class Fit(Printable, ReadOnly):
 
     FILE: ClassVar[FileKind] = FileKind("a fit", "fit.json that greybox fit has written")
     KEYS: ClassVar[str] = """
-        model=model.name effects=model.effect_names status=solver.status success=solver.success meaning=str(solver) parameters
+        model=model.name effects!=model.effect_names status=solver.status success=solver.success meaning=str(solver) parameters
         misfit traces free=uncertainty.free covariance=uncertainty.covariance noise=noise.std noise_source=str(noise)
         discretisation=discretisation.label integration_error=discretisation.error cost=solver.cost solver=solver.figures
         options=provenance.stored_options equations=provenance.equations versions=provenance.versions notes=str(findings)
@@ -142,21 +142,6 @@ class Fit(Printable, ReadOnly):
         """The same on the validation records."""
         return _least_ratios(self.noise, self.validation.misfit)
 
-    def save(self, path: str | Path) -> Path:
-        """Write ``fit.json``; `greybox.load_fit` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_json(path, self)
-
 
 def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, float]:
     bounds = {name: noise.bound(name) for name in misfit}
@@ -165,7 +150,7 @@ def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, fl
 
 
 def load_fit(path: str | Path, model: Model) -> Fit:
-    """Read a fit that `Fit.save` wrote.
+    """Read a fit that `Fit.save` wrote, without loss.
 
     Parameters
     ----------

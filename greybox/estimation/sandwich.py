@@ -43,7 +43,7 @@ class ResidualColour:
         for model, count in zip(self.models, self.counts, strict=True):
             # sum |rho_k| and sum rho_k^2 over both signs of k: the correlation time, and Bartlett's for the variance
             # of a variance.
-            rho = _compute_correlations(model, max(count, 1))
+            rho = compute_correlations(model, max(count, 1))
             result.append((float(2 * np.abs(rho).sum() - 1), float(2 * (rho @ rho) - 1)))
         return result
 
@@ -150,7 +150,7 @@ def sum_scores(
             white[block] += colour.variance[j] * squares
             if process.order:
                 take = partial(_take_slopes, r, jacobian, j)
-                squares = _compute_form(take, len(r), _compute_correlations(process, len(r)))
+                squares = _compute_form(take, len(r), compute_correlations(process, len(r)))
             coloured[block] += colour.variance[j] * squares
     return ScoreSums(score, information, white, coloured)
 
@@ -198,7 +198,7 @@ def _take_slopes(r: np.ndarray, jacobian: np.ndarray, output: int, rows: slice) 
     return columns if measured.all() else np.where(measured[:, None], columns, 0.0)
 
 
-def _compute_correlations(process: AutoRegression, count: int) -> np.ndarray:
+def compute_correlations(process: AutoRegression, count: int) -> np.ndarray:
     """Autocorrelation over ``count`` rows; of a long record no further than it reaches, which is seldom far."""
     if _is_long(count):
         rho = process.autocorrelation(ROWS_AT_A_TIME)
@@ -212,15 +212,24 @@ def _is_long(count: int) -> bool:
     return 2 * count - 1 > NUMBERS_AT_A_TIME
 
 
-def compute_toeplitz_form(columns: np.ndarray, rho: np.ndarray) -> np.ndarray:
+class Columns(Protocol):
+    """Columns X (N, L): an array, or what makes some of its rows when they are asked for."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, rows: slice, /) -> np.ndarray: ...
+
+
+def compute_toeplitz_form(columns: Columns, rho: np.ndarray) -> np.ndarray:
     """``X' T X`` (L, L) of ``columns`` X (N, L) with the symmetric Toeplitz matrix T whose first column is ``rho`` (up to N), then zero."""
     return _compute_form(columns.__getitem__, len(columns), rho)
 
 
 def _compute_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) -> np.ndarray:
     """The same of ``n`` rows of columns, of which ``take`` gives some."""
-    if _is_long(n):
-        return _compute_long_form(take, n, rho)
+    width = take(slice(0, 0)).shape[1]
+    if _is_long(n) or n * width > NUMBERS_AT_A_TIME:
+        return _compute_long_form(take, n, width, rho)
     columns = take(slice(0, n))
     # T = I: white.
     if not rho[1:].any():
@@ -240,20 +249,24 @@ def _compute_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) 
     return (form + form.T) / 2
 
 
-def _compute_long_form(take: Callable[[slice], np.ndarray], n: int, rho: np.ndarray) -> np.ndarray:
+# Columns of which a block of a long form has as many rows as its Fourier transform; of more columns it has fewer.
+FEW_COLUMNS = 4
+
+
+def _compute_long_form(take: Callable[[slice], np.ndarray], n: int, width: int, rho: np.ndarray) -> np.ndarray:
     """The same a block of rows at a time, each with the rows around it that ``rho`` reaches: FFTs of a bounded size.
 
     Correlations that are below the last digit of the first one, and stay there, are taken for zero.
     """
     reach = _find_reach(rho)
-    step = max(NUMBERS_AT_A_TIME // 16, reach)
+    step = max(NUMBERS_AT_A_TIME // 16 * FEW_COLUMNS // max(width, FEW_COLUMNS), reach)
     size = next_fast_len(step + 2 * reach, real=True)
     kernel = np.zeros(size)
     kernel[: reach + 1] = rho[: reach + 1]
     # Negative lags stand at the end of the circle.
     kernel[size - reach :] = rho[reach:0:-1]
     spectrum = rfft(kernel)
-    form = np.zeros((take(slice(0, 0)).shape[1],) * 2)
+    form = np.zeros((width, width))
     for first in range(0, n, step):
         last, before, after = min(first + step, n), max(first - reach, 0), min(first + step + reach, n)
         columns = take(slice(before, after))

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from greybox.base.errors import DataError, FitError, ModelError, nearest
-from greybox.base.json_file import read_json, write_json
+from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import (
     FileKind,
     Finite,
@@ -60,30 +60,15 @@ DEFAULT_BOOTSTRAP_POLICY = BootstrapPolicy()
 # Profiles and bootstraps as JSON files that are written and read without loss.
 
 
-class IntervalFile:
+class IntervalFile(StoredResult):
     """A value about intervals that can be saved: its fields are the keys of the file."""
 
-    KEYS: ClassVar[str] = "kind *"
+    KEYS: ClassVar[str] = "kind! *"
 
     @property
     def kind(self) -> str:
         """``profile`` or ``bootstrap``: which of these files it is."""
         return type(self).__name__.lower()
-
-    def save(self, path: str | Path) -> Path:
-        """Write it as JSON; `load_profile` or `load_bootstrap` reads it back without loss.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made. Numbers that are not finite become null.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_json(path, self)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,6 @@ from typing import Annotated
 import typer
 
 from greybox.base.errors import GreyboxError
-from greybox.base.files import write_file
 from greybox.shell.inputs import build_model, check_substeps, constrain, fit_options, layout_of, read_records
 from greybox.shell.options import Json, NoReport, check_writable, takes_study
 from greybox.shell.plants import plant_kind
@@ -40,6 +39,7 @@ def check(
     A file in the place of MODEL is looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to
     name. Nothing is written.
     """
+    from greybox.base.json_shape import format_json
     from greybox.estimation.check import check as check_model
     from greybox.show.sentences.shell import report_line
 
@@ -65,10 +65,9 @@ def check(
             outputs=list(study.outputs) or None,
             options=fit_options(study),
         )
-    text = json_format.dumps(result.as_dict(), indent=2)
-    saved = write_file(folder / "check.json", text + "\n")
+    saved = result.save(folder / "check.json")
     report = None if no_report else write_report(result, folder / "report.html")
-    typer.echo(text if json else f"{result}\n\nwritten: {saved}")
+    typer.echo(format_json(result.as_dict()) if json else f"{result}\n\nwritten: {saved}")
     if report and not json:
         typer.echo(report_line(report))
 

@@ -245,19 +245,17 @@ def _write(
     pictures: bool,
 ) -> None:
     from greybox.base.extensions import read_versions
-    from greybox.comparison.result import save_comparison
+    from greybox.base.json_file import write_json
     from greybox.data.experiment import collect_record_findings
+    from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences.registry import sentences
     from greybox.show.sentences.shell import report_line, written
 
     known = sentences(collect_record_findings([*records, *validation]))
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
     constants = {title: fit.parameters for title, fit in fits.items()}
-    saved = save_comparison(
-        result,
-        folder / "compare.json",
-        {"data": fingerprints, "remarks": known, "constants": constants, "versions": read_versions()},
-    )
+    answer = ComparisonAnswer(result, fingerprints, known, constants, read_versions())
+    saved = write_json(folder / "compare.json", answer)
     if json:
         typer.echo(saved.read_text(encoding="utf-8"), nl=False)
     elif not quiet:

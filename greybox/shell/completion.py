@@ -34,7 +34,7 @@ def models(incomplete: str) -> list[Offer]:
 
 def commands(incomplete: str) -> list[Offer]:
     """Commands that print JSON."""
-    from greybox.base.json_file import list_printed
+    from greybox.shell.printed import list_printed
 
     return _beginning(((name, "") for name in list_printed()), incomplete)
 

@@ -287,7 +287,7 @@ def schema(
     For scripts and agents: what a key means, its unit, and what may be null. What a command writes to its folder (fit.json, discovery.json,
     changed.json ...) has the same content. Draft 2020-12, whole in itself. With or without --json the output is the same.
     """
-    from greybox.base.json_file import schema_of_command
+    from greybox.shell.printed import schema_of_command
 
     typer.echo(json_format.dumps(schema_of_command(command), indent=1, ensure_ascii=False))
 

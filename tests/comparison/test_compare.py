@@ -11,10 +11,9 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import with_code
-from greybox.base.json_file import ResultKind
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import ComparisonPolicy, load_comparison, save_comparison
+from greybox.comparison.result import Comparison, ComparisonPolicy, load_comparison, save_comparison
 from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv
@@ -197,7 +196,7 @@ def test_the_file_has_the_promised_form(compared, tmp_path):
     _, found = compared
     saved = json.loads(save_comparison(found, tmp_path / "compare.json").read_text())
     assert load_comparison(tmp_path / "compare.json") == saved
-    assert strict_offences(saved, ResultKind.COMPARISON) == []
+    assert strict_offences(saved, Comparison) == []
     for name, entry in saved["models"].items():
         assert entry["kind"] in ("grey", "black") and isinstance(entry["parameters"], int)
         score = entry["validation"]["y"]

@@ -9,10 +9,9 @@ import pytest
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from greybox.base.json_file import ResultKind
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import ComparisonPolicy, save_comparison
+from greybox.comparison.result import Comparison, ComparisonPolicy, save_comparison
 from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 
@@ -62,7 +61,7 @@ def test_a_state_space_model_of_all_outputs_is_a_rival_with_the_order_of_the_pla
 
 def test_its_entry_is_in_the_file(compared, tmp_path):
     data = json.loads(save_comparison(compared[0], tmp_path / "compare.json").read_text())
-    assert strict_offences(data, ResultKind.COMPARISON) == []
+    assert strict_offences(data, Comparison) == []
     assert "subspace" in data["models"]
 
 

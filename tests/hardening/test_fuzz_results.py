@@ -20,7 +20,7 @@ import pytest
 import greybox as gb
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.comparison.result import load_comparison
 from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome
@@ -32,7 +32,7 @@ from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.problem import CampaignCode, DesignPolicy
 from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
 from greybox.model.model import Model
 from greybox.shell.own_effects import find_own_effects, keep_effect
 from greybox.shell.study_file import read_study
@@ -170,7 +170,7 @@ def use_design(path: Path, plan: object) -> None:
 
 
 def use_fmu_fit(path: Path, _: object) -> None:
-    assert all(entry["unit"] is not None for entry in read_json(path, ResultKind.FMU_FIT)["parameters"].values())
+    assert all(entry["unit"] is not None for entry in read_json(path, FmuFit)["parameters"].values())
 
 
 SHORT = DesignPolicy(

@@ -14,10 +14,10 @@ from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
-from greybox.base.json_file import list_printed, schema_of_command
 from greybox.estimation.result import load_fit
 from greybox.shell.answers import FitAnswer
 from greybox.shell.commands import app
+from greybox.shell.printed import list_printed, schema_of_command
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
 from tests.support.result_schema import strict_offences
@@ -61,8 +61,8 @@ EXAMPLES = {
     "discover": "micro_actuator train.csv --validate test.csv --fix M --fix Ra --effects cubic_stiffness --workers 1 --no-report",
     "app": "micro_actuator train.csv",
     "changed": "fit.json test.csv --no-effects --no-report",
-    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "design": "fit.json --limit u=-1:1 --duration 0.02 --no-report",
+    "fleet": "micro_actuator train.csv test.csv --fix M --fix Ra --at-rest --no-report",
     "campaign": "micro_actuator --limit u=-1:1 --duration 0.02 --sampling-time 2.5e-4 --noise x=1e-7 --no-report",
     "check": "train.csv test.csv",
     "export": "fit.json --to json --samples 2 --no-report",

@@ -36,11 +36,17 @@ from greybox.model.model import Model
 
 @dataclass(frozen=True)
 class OpenDirection(Printable):
-    """Constants that can change together: ``weights`` are their relative changes, the largest at most some units.
+    """Constants that can change together.
 
-    ``scaling``: the weights are exponents, valid everywhere: each constant times ``c^weight`` leaves the outputs as they
-    are, for every ``c``. Otherwise they hold near one point only. ``seen_by`` are the outputs, not among the measured
-    ones, that would show the change.
+    Attributes
+    ----------
+    weights
+        Their relative changes, the largest at most some units.
+    scaling
+        Whether the weights are exponents, valid everywhere: each constant times ``c^weight`` leaves the outputs as they are, for every
+        ``c``. Otherwise they hold near one point only.
+    seen_by
+        The outputs, not among the measured ones, that would show the change.
     """
 
     weights: Mapping[str, float]

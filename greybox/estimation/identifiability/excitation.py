@@ -6,6 +6,7 @@ import math
 import statistics
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,8 @@ class Excitation(Printable):
     needed: int | None = None
     poles: float = 0.0
     findings: tuple[Finding, ...] = ()
+
+    KEYS: ClassVar[str] = "* warnings=str(findings)"
 
 
 # Band over the model's fastest motion, below which that motion hardly shows.

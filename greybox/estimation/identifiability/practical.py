@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -69,9 +70,8 @@ class PracticalIdentifiability:
         Further ones that come from averaging alone.
     combinations, by_averaging
         These as formulas, with their expected relative standard deviation.
-    weakest
-        Relative weights of the worst direction among those that the structure determines, and ``weakest_std`` its relative standard
-        deviation.
+    weakest, weakest_std
+        Relative weights of the worst direction among those that the structure determines, and its relative standard deviation.
     excitation
         How rich the inputs of each record are.
     findings
@@ -90,6 +90,11 @@ class PracticalIdentifiability:
     excitation: tuple[Excitation, ...]
     findings: tuple[Finding, ...]
     failure: Finding | None = None
+
+    KEYS: ClassVar[str] = """
+        constants rank averaged combinations by_averaging weakest weakest_std excitation findings failure=str(failure)
+        remarks=str(findings)
+        """
 
     @property
     def undetermined(self) -> tuple[str, ...]:

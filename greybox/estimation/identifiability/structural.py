@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -79,6 +80,8 @@ class StructuralIdentifiability(Printable):
     certain: bool
     method: str
 
+    KEYS: ClassVar[str] = "* remedies=str(recommendations) verdict"
+
     @property
     def complete(self) -> bool:
         """Whether every free constant is determined."""
@@ -86,7 +89,7 @@ class StructuralIdentifiability(Printable):
 
     @property
     def verdict(self) -> IdentifiabilityVerdict:
-        """The result in one word."""
+        """The result in a word."""
         if not self.count:
             return IdentifiabilityVerdict.NOTHING_FREE
         return IdentifiabilityVerdict.COMPLETE if self.complete else IdentifiabilityVerdict.INCOMPLETE

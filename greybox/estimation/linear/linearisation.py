@@ -11,6 +11,7 @@ from scipy.linalg import qr
 
 from greybox.base.errors import ModelError
 from greybox.base.findings import Finding
+from greybox.base.json_shape import ComplexArray, Matrix
 from greybox.base.linear_algebra import REACHABILITY, range_basis
 from greybox.base.numerics import (
     BALANCING_SWEEPS,
@@ -132,10 +133,10 @@ class Linearisation(Printable):
     """
 
     name: str
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
     state_names: tuple[str, ...]
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
@@ -161,7 +162,7 @@ class Linearisation(Printable):
             )
 
     @property
-    def poles(self) -> np.ndarray:
+    def poles(self) -> ComplexArray:
         """Eigenvalues of ``A`` (nx,), in 1/s, or in the z-plane for a sampled model; slowest first."""
         return compute_poles(self.A, self.dt)
 

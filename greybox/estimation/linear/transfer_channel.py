@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
+from greybox.base.json_shape import ComplexArray
 from greybox.base.linear_algebra import REACHABILITY, decompose_columns
 from greybox.base.numerics import REACHABILITY_RANK, TINY
 from greybox.base.values import Printable
@@ -28,18 +30,30 @@ GRID_POINTS = 2000
 class TransferChannel:
     """``G(s) = factor * prod(s - zeros) / prod(s - poles)`` (z in the place of s with ``dt`` above zero), cancelled.
 
-    ``integrators``: how often it integrates. ``gain``: output per input at rest, in ``unit``; of an integrating channel what is left of
-    ``s^n G(s)`` there, per second to that power. ``delay`` in seconds is besides that.
+    Attributes
+    ----------
+    output, input
+        From where to where.
+    zeros, poles, factor
+        Those of the equation above.
+    dt
+        Sampling time in seconds, 0 for continuous.
+    delay
+        In seconds, besides that.
+    unit
+        Unit of the gain.
     """
 
     output: str
     input: str
-    zeros: np.ndarray
-    poles: np.ndarray
+    zeros: ComplexArray
+    poles: ComplexArray
     factor: float
     dt: float
     delay: float
     unit: str
+
+    KEYS: ClassVar[str] = "zeros! poles! factor! gain! integrators! bandwidth! unit!"
 
     @property
     def integrators(self) -> int:
@@ -48,7 +62,7 @@ class TransferChannel:
 
     @property
     def gain(self) -> float:
-        """Gain at rest, or of the integrator."""
+        """Output per input at rest; of an integrating channel what is left of ``s^n G(s)`` there, per second to the power of n."""
         rest = 1.0 if self.dt else 0.0
         steps = self.dt**self.integrators if self.dt else 1.0
         others = self.poles[~is_at_rest(self.poles, self.dt)]

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -38,6 +38,22 @@ if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.extensions.app.session import Session
     from greybox.model.model import Model
+
+
+class PrintedAddress(TypedDict):
+    """What ``greybox app --json`` prints once the page is served.
+
+    Attributes
+    ----------
+    address
+        What a browser opens; whoever has it can use the app.
+    folder
+        Where it exports to.
+    """
+
+    address: str
+    folder: str
+
 
 APP = "app"
 MODEL_FILE = "model.py"
@@ -268,3 +284,6 @@ COMMAND = Command(
         "greybox app study.toml",
     ),
 )
+
+PRINTS = {"app": ("greybox.extensions.app.command:PrintedAddress",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -190,3 +190,6 @@ CHANGED = Command(
         "greybox changed results/rig-fit/fit.json months/ --chart",
     ),
 )
+
+PRINTS = {"changed": ("greybox.extensions.changes.result:ChangeDetection",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypedDict
 
-from greybox.base.files import write_file
 from greybox.base.findings import Check, Finding
-from greybox.base.json_file import ResultKind, read_json
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import StoredResult, read_json
+from greybox.base.json_shape import FileKind, Interval
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
 from greybox.discovery.result import Discovery
@@ -59,10 +58,6 @@ class ChangeRule(StrEnum):
     RESIDUAL_AS_WHITE = "change_residual_as_white"
 
 
-FORMAT = 1
-"""Version of ``changed.json``."""
-
-
 class ChangeVerdict(StrEnum):
     """What may be said of a machine today."""
 
@@ -92,10 +87,27 @@ class ConstantChange:
     before: float
     after: float
     unit: str
-    interval: tuple[float, float] | None
+    interval: Interval | None
     p: float | None
     moved: bool
     smallest: float | None
+
+
+class MachineConstant(TypedDict):
+    """One constant of one machine; all are None where the records leave it open.
+
+    Attributes
+    ----------
+    value, std, unit
+        The estimate, and the standard deviation that the records leave.
+    p
+        How often a machine of this kind lies as far from the others, corrected for all looks.
+    """
+
+    value: float | None
+    std: float | None
+    unit: str
+    p: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +125,7 @@ class MachineReport:
     """
 
     name: str
-    constants: Mapping[str, Mapping[str, Any]]
+    constants: Mapping[str, MachineConstant]
     outlying: tuple[str, ...]
 
 
@@ -132,19 +144,49 @@ class PopulationConstant:
     """
 
     mean: float
-    interval: tuple[float, float]
+    interval: Interval
     unit: str
     spread: float
     relative: bool
 
 
+class ChartedConstant(TypedDict):
+    """One constant in one record.
+
+    Attributes
+    ----------
+    value, interval
+        The estimate with its 95 % interval; None where the record leaves it open.
+    """
+
+    value: float
+    interval: Interval | None
+
+
 @dataclass(frozen=True)
 class ChartedRecord:
-    """One record of a course: constant -> value and 95 % interval (None where the record leaves it open)."""
+    """One record of a course.
+
+    Parameters
+    ----------
+    name
+        The record.
+    constants
+        Constant -> value and 95 % interval (None where the record leaves it open).
+    status
+        How its fit ended.
+    """
 
     name: str
-    constants: Mapping[str, tuple[float, tuple[float, float] | None]]
+    constants: Mapping[str, tuple[float, Interval | None]]
     status: str
+
+    KEYS: ClassVar[str] = "name status constants!=charted"
+
+    @property
+    def charted(self) -> dict[str, ChartedConstant]:
+        """Constant -> its estimate."""
+        return {name: {"value": value, "interval": interval} for name, (value, interval) in self.constants.items()}
 
 
 @dataclass(frozen=True)
@@ -155,8 +197,8 @@ class ChangePoint:
     ----------
     constant, unit
         Which one.
-    record
-        The first record after the jump, and ``number`` its place, counted from 1 (the fit is 0).
+    record, number
+        The first record after the jump, and its place, counted from 1 (the fit is 0).
     before, after
         Its mean before and after, up to the neighbouring change points.
     p
@@ -173,7 +215,7 @@ class ChangePoint:
 
 
 @dataclass(frozen=True, eq=False)
-class ChangeDetection(Printable):
+class ChangeDetection(Printable, StoredResult):
     """What has changed since a fit.
 
     Parameters
@@ -217,6 +259,22 @@ class ChangeDetection(Printable):
     p_value: float | None = None
     seconds: float = 0.0
 
+    FILE: ClassVar[FileKind] = FileKind("a change detection", "changed.json that greybox changed has written")
+    KEYS: ClassVar[str] = """
+        verdict model=reference.model.name constants! effects! machines! population records change_points p=p_value story
+        notes=str(findings) findings=all_findings checks seconds
+        """
+
+    @property
+    def story(self) -> str:
+        """The answer in sentences."""
+        return " ".join(map(str, self.conclusion))
+
+    @property
+    def all_findings(self) -> tuple[Finding, ...]:
+        """The answer in findings, and what a reader should know."""
+        return (*self.conclusion, *self.findings)
+
     @property
     def moved(self) -> tuple[str, ...]:
         """Constants that have changed."""
@@ -227,56 +285,11 @@ class ChangeDetection(Printable):
         """Effects that have appeared, as in ``discovery.json``; none where all that was found stands in for something else."""
         return list_appeared_effects(self.discovery)
 
-    def save(self, path: str | Path) -> Path:
-        """Write ``changed.json``.
-
-        Parameters
-        ----------
-        path
-            Where to; folders are made.
-
-        Returns
-        -------
-        Path
-            The file that was written.
-        """
-        return write_file(path, format_json(to_json_data(change_data(self))) + "\n")
-
 
 def list_appeared_effects(discovery: Discovery | None) -> list[dict[str, Any]]:
     """Effects that a search has found, without those that stand in for something else."""
     effects = [] if discovery is None else discovery.effects
     return [effect for effect in effects if effect["grade"] != Grade.STAND_IN]
-
-
-def change_data(change: ChangeDetection) -> dict[str, Any]:
-    """A change detection under the keys of ``changed.json``."""
-    return {
-        "format": FORMAT,
-        "verdict": change.verdict,
-        "model": change.reference.model.name,
-        "constants": change.constants,
-        "effects": change.effects,
-        "machines": change.machines,
-        "population": change.population,
-        "records": [
-            {
-                "name": r.name,
-                "status": r.status,
-                "constants": {
-                    name: {"value": value, "interval": interval} for name, (value, interval) in r.constants.items()
-                },
-            }
-            for r in change.records
-        ],
-        "change_points": change.change_points,
-        "p": change.p_value,
-        "story": " ".join(map(str, change.conclusion)),
-        "notes": list(map(str, change.findings)),
-        "findings": (*change.conclusion, *change.findings),
-        "checks": change.checks,
-        "seconds": change.seconds,
-    }
 
 
 def load_changes(path: str | Path) -> dict[str, Any]:
@@ -301,4 +314,4 @@ def load_changes(path: str | Path) -> dict[str, Any]:
     --------
     >>> gb.change_detection.load_changes("results/changed.json")["verdict"]  # doctest: +SKIP
     """
-    return read_json(path, ResultKind.CHANGE)
+    return read_json(path, ChangeDetection)

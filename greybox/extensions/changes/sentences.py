@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from greybox.base.findings import Finding, Severity
 from greybox.extensions.changes.constants import Yardstick
@@ -23,7 +23,13 @@ from greybox.show.sentences.wording import (
 
 if TYPE_CHECKING:
     from greybox.base.findings import Check
-    from greybox.extensions.changes.result import ChangeDetection, ConstantChange, MachineReport, PopulationConstant
+    from greybox.extensions.changes.result import (
+        ChangeDetection,
+        ConstantChange,
+        MachineConstant,
+        MachineReport,
+        PopulationConstant,
+    )
 
 
 def _with_unit(value: float, unit: str, digits: int = 4) -> str:
@@ -339,8 +345,8 @@ def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
     ]
 
 
-def _machine_cell(constant: Mapping[str, Any] | None) -> str:
-    if constant is None or constant["std"] is None:
+def _machine_cell(constant: MachineConstant | None) -> str:
+    if constant is None or constant["std"] is None or constant["value"] is None:
         return "open"
     return format_with_std(constant["value"], constant["std"])
 

@@ -14,7 +14,6 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.special import ndtr, stdtr, stdtrit
@@ -38,6 +37,7 @@ from greybox.extensions.changes.result import (
     ChangePoint,
     ChangeVerdict,
     ChartedRecord,
+    MachineConstant,
     MachineReport,
     PopulationConstant,
 )
@@ -240,7 +240,7 @@ def find_outliers(values: np.ndarray, variances: np.ndarray, level: float, large
 def _report(
     machine: str, surveys: Mapping[str, _ConstantSurvey], estimates: Mapping[str, FittedConstants]
 ) -> MachineReport:
-    constants: dict[str, dict[str, Any]] = {}
+    constants: dict[str, MachineConstant] = {}
     fitted = estimates.get(machine)
     for name, survey in surveys.items():
         if fitted is None or machine not in survey.p:
@@ -263,7 +263,7 @@ def _conclude(
     for report in outside:
         for name in report.outlying:
             common, constant = population[name], report.constants[name]
-            values = {
+            values: dict[str, object] = {
                 "constant": name,
                 "value": constant["value"],
                 "unit": common.unit,

@@ -11,15 +11,15 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from greybox.base.errors import DataError
-from greybox.base.files import hold_file, write_file
+from greybox.base.files import hold_file
 from greybox.base.findings import Finding, Severity
-from greybox.base.json_file import ResultKind, read_json
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import read_json, write_json
+from greybox.base.json_shape import FileKind, Unbounded, from_json_data, to_json_data
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
@@ -43,9 +43,6 @@ from greybox.extensions.design.rig import find_broken_limits, read_record, run_r
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.model import Model
 from greybox.simulation.simulate import read_inputs
-
-FORMAT = 1
-"""Version of ``campaign.json``."""
 
 StepCallback = Callable[[Path, Any], None]
 """``(path of a page, value)``: called with each design, fit and discovery when it is there."""
@@ -149,7 +146,7 @@ class CampaignStep:
     verdict: str = ""
     effects: tuple[str, ...] = ()
     alternatives: tuple[tuple[str, ...], ...] = ()
-    widths: Mapping[str, float] = field(default_factory=dict)
+    widths: Mapping[str, Unbounded] = field(default_factory=dict)
     misfit: float = np.nan
     broken: Mapping[str, float] = field(default_factory=dict)
 
@@ -177,6 +174,22 @@ class Campaign(Printable):
     folder: Path
     steps: tuple[CampaignStep, ...]
     findings: tuple[Finding, ...]
+
+    FILE: ClassVar[FileKind] = FileKind("a campaign", "campaign.json that greybox campaign has written")
+    KEYS: ClassVar[str] = """
+        status model!=plan.model.title experiments=plan.policy.experiments width=plan.width question=plan.question effects
+        alternatives steps findings notes=str(findings)
+        """
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects of the best explanation."""
+        return self.steps[-1].effects if self.steps else ()
+
+    @property
+    def alternatives(self) -> tuple[tuple[str, ...], ...]:
+        """Other explanations that are left, each a list of effects."""
+        return self.steps[-1].alternatives if self.steps else ()
 
 
 # Standard deviations in half a 95 % interval.
@@ -343,29 +356,11 @@ def _carry_on(
     return _save(plan, place, CampaignStatus.BUDGET_SPENT, steps, _ending(CampaignCode.BUDGET_SPENT, knowledge))
 
 
-def campaign_data(campaign: Campaign) -> dict[str, Any]:
-    """A campaign under the keys of ``campaign.json``."""
-    last = campaign.steps[-1] if campaign.steps else CampaignStep(1, "", "")
-    return {
-        "format": FORMAT,
-        "status": campaign.status,
-        "model": campaign.plan.model.title,
-        "experiments": campaign.plan.policy.experiments,
-        "width": campaign.plan.width,
-        "question": campaign.plan.question,
-        "effects": last.effects,
-        "alternatives": last.alternatives,
-        "steps": campaign.steps,
-        "findings": campaign.findings,
-        "notes": list(map(str, campaign.findings)),
-    }
-
-
 def _save(
     plan: CampaignPlan, place: Path, status: CampaignStatus, steps: Sequence[CampaignStep], finding: Finding | None
 ) -> Campaign:
     campaign = Campaign(status, plan, place, tuple(steps), () if finding is None else (finding,))
-    write_file(place / "campaign.json", format_json(to_json_data(campaign_data(campaign))) + "\n")
+    write_json(place / "campaign.json", campaign)
     return campaign
 
 
@@ -374,7 +369,7 @@ def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
     path = place / "campaign.json"
     if not path.exists():
         return {}
-    data = read_json(path, ResultKind.CAMPAIGN)
+    data = read_json(path, Campaign)
     before = data.get("question") or {}
     # A folder holds one question; another one would mix its records.
     changed = [name for name, value in plan.question.items() if name in before and before[name] != value]
@@ -382,21 +377,7 @@ def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
         raise DataError(
             f"{path}: this campaign was begun with another {changed[0].replace('_', ' ')}; repeat its command, or give another folder"
         )
-    return {step["number"]: _restore_step(step) for step in data["steps"] if step.get("widths")}
-
-
-def _restore_step(data: Mapping[str, Any]) -> CampaignStep:
-    return CampaignStep(
-        data["number"],
-        data["goal"],
-        data.get("kind", ""),
-        data.get("verdict", ""),
-        tuple(data.get("effects", ())),
-        tuple(map(tuple, data.get("alternatives", ()))),
-        {name: np.inf if width is None else float(width) for name, width in data["widths"].items()},
-        float("nan") if data.get("misfit") is None else float(data["misfit"]),
-        dict(data.get("broken", {})),
-    )
+    return {step["number"]: from_json_data(CampaignStep, step) for step in data["steps"] if step.get("widths")}
 
 
 def _prepare(
@@ -411,7 +392,7 @@ def _prepare(
     """Goal and kind of the designed input of one experiment, which is designed where that was not done yet."""
     path = place / "design.json"
     if path.exists() and (place / "input.csv").exists():
-        data = read_json(path, ResultKind.DESIGN)
+        data = read_json(path, Design)
         return data["goal"], data.get("kind", "")
     say(f"experiment {number}: design")
     result = design_next(plan, knowledge, records)

@@ -157,7 +157,6 @@ def design(
     from greybox.base.json_shape import format_json, to_json_data
     from greybox.estimation.result import Fit
     from greybox.extensions.design.next_record import design as design_record
-    from greybox.extensions.design.result import design_data
 
     if effect and goal is not GoalChoice.detection:
         raise GreyboxError("--effect has no effect with this goal: it names what may hide; add --goal detection")
@@ -190,7 +189,7 @@ def design(
     written = result.save(folder)
     report = None if no_report else write_report(result, folder / "report.html")
     if json:
-        typer.echo(format_json(to_json_data(design_data(result))))
+        typer.echo(format_json(to_json_data(result)))
         return
     from greybox.show.sentences.shell import report_line
     from greybox.show.sentences.shell import written as written_line
@@ -397,7 +396,7 @@ def campaign(
     from greybox.base.json_shape import format_json, to_json_data
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.options import FitOptions
-    from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, campaign_data, run_campaign
+    from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, run_campaign
     from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem
     from greybox.extensions.design.rig import check_command
     from greybox.model.effects.catalogue import effect
@@ -442,7 +441,7 @@ def campaign(
         raise GreyboxError(str(error)) from error
     report = None if no_report else write_report(result, folder / "report.html")
     if json:
-        typer.echo(format_json(to_json_data(campaign_data(result))))
+        typer.echo(format_json(to_json_data(result)))
     else:
         typer.echo("\n".join([str(result), *([report_line(report)] if report else [])]))
     if result.status in (CampaignStatus.BUDGET_SPENT, CampaignStatus.LIMIT_BROKEN):
@@ -468,3 +467,9 @@ CAMPAIGN = Command(
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
 )
+
+PRINTS = {
+    "design": ("greybox.extensions.design.result:Design",),
+    "campaign": ("greybox.extensions.design.campaign:Campaign",),
+}
+"""Command -> types of what it prints with ``--json``."""

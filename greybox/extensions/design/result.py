@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
-from greybox.base.files import write_file
 from greybox.base.findings import Finding
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import write_json
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
 from greybox.extensions.design.limits import LimitPrediction
@@ -18,8 +18,8 @@ from greybox.extensions.design.problem import CriterionName, DesignPolicy, GoalN
 from greybox.model.model import Model
 from greybox.simulation.simulate import write_csv
 
-FORMAT = 1
-"""Version of ``design.json``."""
+INPUT_FILE = "input.csv"
+"""The record to drive the rig with."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,22 @@ class Design(Printable):
     policy: DesignPolicy = field(default_factory=DesignPolicy)
     seconds: float = 0.0
 
+    FILE: ClassVar[FileKind] = FileKind("a design", "design.json that greybox design has written")
+    KEYS: ClassVar[str] = """
+        goal criterion models=titles input!=input_file kind rows=experiment.rows sampling_time=experiment.sampling_time
+        hold=experiment.hold predicted separation detection limits alternatives findings notes=str(findings) policy seconds
+        """
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """The explanations in the running, the best one first."""
+        return tuple(model.title for model in self.models)
+
+    @property
+    def input_file(self) -> str:
+        """The file with the input, beside this one."""
+        return INPUT_FILE
+
     @property
     def model(self) -> Model:
         """The best explanation."""
@@ -156,29 +172,5 @@ class Design(Printable):
 def save_design(design: Design, folder: str | Path) -> Path:
     """Write ``design.json`` and ``input.csv``; the former names the latter."""
     place = Path(folder)
-    write_csv(design.experiment, design.model, place / "input.csv")
-    return write_file(place / "design.json", format_json(to_json_data(design_data(design))) + "\n")
-
-
-def design_data(design: Design) -> dict[str, Any]:
-    """A design under the keys of ``design.json``."""
-    return {
-        "format": FORMAT,
-        "goal": design.goal,
-        "criterion": design.criterion,
-        "models": [m.title for m in design.models],
-        "input": "input.csv",
-        "kind": design.kind,
-        "rows": design.experiment.rows,
-        "sampling_time": design.experiment.sampling_time,
-        "hold": design.experiment.hold,
-        "predicted": design.predicted,
-        "separation": design.separation,
-        "detection": design.detection,
-        "limits": design.limits,
-        "alternatives": design.alternatives,
-        "findings": design.findings,
-        "notes": list(map(str, design.findings)),
-        "policy": design.policy,
-        "seconds": design.seconds,
-    }
+    write_csv(design.experiment, design.model, place / design.input_file)
+    return write_json(place / "design.json", design)

@@ -154,13 +154,17 @@ def export(
 
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
-    from greybox.base.json_shape import format_json
+    from greybox.base.json_shape import format_json, to_json_data
     from greybox.estimation.linear.plant import to_plant
-    from greybox.extensions.export.linear_files import linear_model_data
+    from greybox.extensions.export.linear_files import LinearFile, PrintedExport
 
-    linear = linear_model_data(made.linear, to_plant(made.fit), made.family) if made.linear else None
-    files = [str(file) for file in made.files]
-    return format_json({"target": to, "files": files, "report": str(report) if report else None, "linear": linear})
+    printed: PrintedExport = {
+        "target": to,
+        "files": [str(file) for file in made.files],
+        "report": str(report) if report else None,
+        "linear": LinearFile(made.linear, to_plant(made.fit), made.family) if made.linear else None,
+    }
+    return format_json(to_json_data(printed))
 
 
 def _linear(
@@ -284,3 +288,6 @@ EXPORT = Command(
         "greybox export fit.json --to c --output firmware/plant.c",
     ),
 )
+
+PRINTS = {"export": ("greybox.extensions.export.linear_files:PrintedExport",)}
+"""Command -> types of what it prints with ``--json``."""

@@ -7,30 +7,28 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypedDict, Unpack
+from typing import Annotated, Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 
 from greybox.base.errors import ModelError, nearest
 from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.files import write_file
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import write_json as write_json_file
+from greybox.base.json_shape import Axes, FileKind, Matrix
 from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.model_family import ModelFamily, sample_family
 from greybox.estimation.linear.plant import Plant, to_plant
-from greybox.estimation.linear.transfer_channel import describe_behaviour, extract_channel
+from greybox.estimation.linear.transfer_channel import TransferChannel, describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 from greybox.model.python_text import docstring, literal
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
-
-# Version of the keys in the files of linear models.
-FORMAT_VERSION = 1
-
 
 SIGNALS = ("state", "input", "output")
 
@@ -50,6 +48,128 @@ class LinearExportOptions(TypedDict, total=False):
     """Number of models drawn from the covariance of the parameters that are added."""
     seed: int
     """Seed of these draws."""
+
+
+# What every file holds of a linear model, under these keys.
+CONTENTS = (
+    *("name", "A", "B", "C", "D", "dt", "method"),
+    *(f"{kind}_names" for kind in SIGNALS),
+    *(f"{kind}_units" for kind in SIGNALS),
+    *("x0", "u0", "y0", "rates", "delay"),
+)
+
+
+class FamilyData(TypedDict):
+    """Models drawn from the covariance of the parameters.
+
+    Attributes
+    ----------
+    A, B, C, D
+        Matrices of all members, members first.
+    constants, names
+        Parameters of each member, and their names.
+    seed
+        Of the draws.
+    """
+
+    A: Annotated[np.ndarray, Axes(3)]
+    B: Annotated[np.ndarray, Axes(3)]
+    C: Annotated[np.ndarray, Axes(3)]
+    D: Annotated[np.ndarray, Axes(3)]
+    constants: Matrix
+    names: tuple[str, ...]
+    seed: int
+
+
+class PrintedExport(TypedDict):
+    """What ``greybox export --json`` prints.
+
+    Attributes
+    ----------
+    target
+        The format, as --to names it.
+    files
+        What was written.
+    report
+        The page; null where none was asked for.
+    linear
+        The linear model; null for code.
+    """
+
+    target: str
+    files: list[str]
+    report: str | None
+    linear: LinearFile | None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFile:
+    """A linear model with where it comes from, as JSON holds it.
+
+    Attributes
+    ----------
+    model
+        The linear model.
+    plant
+        What it was made of, where that is known.
+    members
+        Models that were drawn about it.
+    """
+
+    model: Linearisation
+    plant: Plant | None = None
+    members: ModelFamily | None = None
+
+    FILE: ClassVar[FileKind] = FileKind("a linear model", "file that greybox export --to json has written")
+    KEYS: ClassVar[str] = " ".join(
+        [
+            *(f"{key}=model.{key}" for key in CONTENTS),
+            "parameters=model.parameters notes=str(model.findings) findings=model.findings poles=model.poles channels",
+            "origin? provenance? covariance? family?",
+        ]
+    )
+
+    @property
+    def channels(self) -> dict[str, TransferChannel]:
+        """``input -> output`` -> its zeros, poles and gain."""
+        pairs = [(name, output) for output in self.model.output_names for name in self.model.input_names]
+        return {f"{name} -> {output}": extract_channel(self.model, output, name) for name, output in pairs}
+
+    @property
+    def origin(self) -> tuple[str, ...]:
+        """What it was computed from."""
+        return self.plant.origin() if self.plant else ()
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Parameter -> where its value is from."""
+        return {n: self.plant.provenance(n) for n in self.plant.model.values} if self.plant else {}
+
+    @property
+    def covariance(self) -> dict[str, dict[str, float]]:
+        """Of the fitted parameters, by name on both sides: nobody need know the order."""
+        if self.plant is None or self.plant.fit is None:
+            return {}
+        free, covariance = self.plant.fit.uncertainty.free, np.asarray(self.plant.fit.uncertainty.covariance, float)
+        return {name: dict(zip(free, map(float, row), strict=True)) for name, row in zip(free, covariance, strict=True)}
+
+    @property
+    def family(self) -> FamilyData | None:
+        """The members that were drawn about it."""
+        if self.members is None:
+            return None
+        # Members first: A[k] is the matrix of one draw.
+        a, b, c, d = (np.array([getattr(each, key) for each in self.members.members]) for key in ("A", "B", "C", "D"))
+        parameters = self.members.parameters
+        return {
+            "A": a,
+            "B": b,
+            "C": c,
+            "D": d,
+            "constants": parameters,
+            "names": self.members.parameter_names,
+            "seed": self.members.seed,
+        }
 
 
 def write_linear(
@@ -232,44 +352,19 @@ def write_json(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
-    return write_file(Path(path).with_suffix(".json"), format_json(linear_model_data(model, plant, family)) + "\n")
-
-
-def linear_model_data(
-    model: Linearisation, plant: Plant | None = None, family: ModelFamily | None = None
-) -> dict[str, Any]:
-    """What `write_json` writes."""
-    channels = {}
-    for output in model.output_names:
-        for name in model.input_names:
-            channel = extract_channel(model, output, name)
-            numbers = ("factor", "gain", "integrators", "bandwidth", "unit")
-            channels[f"{name} -> {output}"] = {
-                "zeros": _complex(channel.zeros),
-                "poles": _complex(channel.poles),
-                **{key: getattr(channel, key) for key in numbers},
-            }
-    data = {
-        "format": FORMAT_VERSION,
-        **_contents(model),
-        "findings": model.findings,
-        "poles": _complex(model.poles),
-        "channels": channels,
-        **_origin(plant),
-        **_members(family),
-    }
-    return dict(to_json_data(data))
+    return write_json_file(Path(path).with_suffix(".json"), LinearFile(model, plant, family))
 
 
 def write_npz(
     model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
-    contents = _contents(model) | _origin(plant)
+    file = LinearFile(model, plant, family)
+    texts = {"notes": [str(finding) for finding in model.findings], **({"origin": file.origin} if plant else {})}
+    arrays = {key: np.asarray(value) for key, value in ({key: getattr(model, key) for key in CONTENTS} | texts).items()}
     # Tables have no arrays: they become names and values beside each other.
-    arrays = {key: np.asarray(value) for key, value in contents.items() if not isinstance(value, Mapping)}
-    arrays |= _tables(contents)
-    arrays |= {f"family_{key}": np.asarray(value) for key, value in _members(family).get("family", {}).items()}
+    arrays |= _tables(file)
+    arrays |= {f"family_{key}": np.asarray(value) for key, value in (file.family or {}).items()}
     return write_file(Path(path).with_suffix(".npz"), lambda file: np.savez(file, allow_pickle=False, **arrays))
 
 
@@ -300,15 +395,15 @@ def write_mat(
         "Notes": _cell([str(finding) for finding in model.findings]),
     }
     # As arrays with names: a name of a parameter need not be one that MATLAB allows.
-    tables = _tables(_contents(model) | _origin(plant))
+    file = LinearFile(model, plant, family)
+    tables = _tables(file)
     for key in ("parameters", "covariance"):
         if f"{key}_names" in tables:
             values[f"{key}_names"] = _cell(tables[f"{key}_names"])
             values[f"{key}_values"] = tables[f"{key}_values"]
     if plant is not None:
         values["Origin"] = _cell(plant.origin())
-    if family is not None:
-        members = _members(family)["family"]
+    if (members := file.family) is not None:
         # MATLAB counts pages last: family.A(:, :, k).
         pages = {key: np.moveaxis(np.asarray(members[key]), 0, -1) for key in ("A", "B", "C", "D")}
         values["family"] = pages | {
@@ -362,57 +457,14 @@ JSON = ExportTarget("JSON", ".json", write_json, linear=True, options=frozenset(
 NUMPY = ExportTarget("NumPy arrays", ".npz", write_npz, linear=True, options=frozenset(["samples"]))
 
 
-# What every file holds of a linear model, under these keys.
-CONTENTS = (
-    *("name", "A", "B", "C", "D", "dt", "method"),
-    *(f"{kind}_names" for kind in SIGNALS),
-    *(f"{kind}_units" for kind in SIGNALS),
-    *("x0", "u0", "y0", "rates", "delay"),
-)
-
-
-def _contents(model: Linearisation) -> dict[str, Any]:
-    notes = [str(finding) for finding in model.findings]
-    return {key: getattr(model, key) for key in CONTENTS} | {"parameters": dict(model.parameters), "notes": notes}
-
-
-def _origin(plant: Plant | None) -> dict[str, Any]:
-    if plant is None:
-        return {}
-    origin: dict[str, Any] = {
-        "origin": plant.origin(),
-        "provenance": {n: plant.provenance(n) for n in plant.model.values},
-    }
-    if plant.fit is not None:
-        # By name on both sides: nobody need know the order.
-        free, covariance = plant.fit.uncertainty.free, np.asarray(plant.fit.uncertainty.covariance, float)
-        origin["covariance"] = {
-            name: dict(zip(free, map(float, row), strict=True)) for name, row in zip(free, covariance, strict=True)
-        }
-    return origin
-
-
-def _members(family: ModelFamily | None) -> dict[str, Any]:
-    if family is None:
-        return {}
-    # Members first: family_A[k] is the matrix of one draw.
-    stacked = {key: np.array([getattr(member, key) for member in family.members]) for key in ("A", "B", "C", "D")}
-    return {"family": stacked | {"constants": family.parameters, "names": family.parameter_names, "seed": family.seed}}
-
-
-def _tables(contents: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _tables(file: LinearFile) -> dict[str, np.ndarray]:
     """The parameters and their covariance as arrays, with names beside them."""
-    parameters = contents["parameters"]
+    parameters = file.model.parameters
     tables = {"parameters_names": np.array(list(parameters)), "parameters_values": np.array(list(parameters.values()))}
-    if covariance := contents.get("covariance"):
+    if covariance := file.covariance:
         values = np.array([list(row.values()) for row in covariance.values()])
         tables |= {"covariance_names": np.array(list(covariance)), "covariance_values": values}
     return tables
-
-
-def _complex(values: np.ndarray) -> list[list[float]]:
-    """Real and imaginary parts."""
-    return [[float(v.real), float(v.imag)] for v in values]
 
 
 def _cell(texts: Any) -> np.ndarray:

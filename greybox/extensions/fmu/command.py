@@ -168,3 +168,6 @@ def _fit_effects(prepared: PreparedFmu, names: Sequence[str], study: Study) -> A
 
 FMU = PlantKind((".fmu",), run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
 """An FMU in the place of a model."""
+
+PRINTS = {"fit": ("greybox.extensions.fmu.fit_fmu:FmuFit", "greybox.extensions.fmu.effects:FmuEffectFit")}
+"""Command -> types of what it prints with ``--json``."""

@@ -66,6 +66,11 @@ class FmuPlant(Printable):
     outputs: tuple[FmuVariable, ...]
     parameters: tuple[FmuVariable, ...]
 
+    @property
+    def file_name(self) -> str:
+        """Name of the file, without its folder."""
+        return self.path.name
+
     def choose(self, names: Sequence[str]) -> tuple[FmuVariable, ...]:
         """The parameters of these names or labels; all constants for none. Raises ModelError for unknown names, and for too many."""
         if not names:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base.files import write_file
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import StoredResult
+from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import NamedModel, compare_named
@@ -28,7 +26,7 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate, Misfit
 from greybox.extensions.fmu.description import FmuPlant
-from greybox.extensions.fmu.fit_fmu import FORMAT, FmuFit, FmuObjective, choose_sizes, compute_misfits
+from greybox.extensions.fmu.fit_fmu import FMU_FIT_FILE, FmuFit, FmuObjective, choose_sizes, compute_misfits
 from greybox.extensions.fmu.local_model import (
     LocalModel,
     build_local_model,
@@ -75,7 +73,7 @@ class PreparedFmu:
 
 
 @dataclass(frozen=True, eq=False)
-class FmuEffectFit(Printable):
+class FmuEffectFit(Printable, StoredResult):
     """Effects and parameters fitted with the FMU itself.
 
     Parameters
@@ -105,6 +103,16 @@ class FmuEffectFit(Printable):
     agrees: bool
     prepared: PreparedFmu
 
+    FILE: ClassVar[FileKind] = FMU_FIT_FILE
+    KEYS: ClassVar[str] = """
+        fmu!=plant.file_name effects status! parameters! misfit=misfits validation runs! failures=prepared.failures rounds
+        """
+
+    @property
+    def status(self) -> TerminationStatus:
+        """How the search ended: an FMU that errs more than its local model was not reached."""
+        return TerminationStatus.CONVERGED if self.agrees else TerminationStatus.ITERATION_LIMIT
+
     @property
     def runs(self) -> int:
         """Runs of one record."""
@@ -116,42 +124,6 @@ class FmuEffectFit(Printable):
         local = self.prepared.local.model
         added = {q.name for q in local.parameters} - {q.name for q in local.free_parameters}
         return {name: e for name, e in self.fit.parameters.items() if name not in added}
-
-    def as_dict(self) -> dict[str, Any]:
-        """The results as numbers, texts and dictionaries, ready for JSON; what is not finite is None."""
-        data: dict[str, Any] = to_json_data(effect_fit_data(self))
-        return data
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the results as JSON.
-
-        Parameters
-        ----------
-        path
-            The file, ``fmu_fit.json`` by custom.
-
-        Returns
-        -------
-        Path
-            The file.
-        """
-        return write_file(path, format_json(self.as_dict()) + "\n")
-
-
-def effect_fit_data(result: FmuEffectFit) -> dict[str, Any]:
-    """A fit of effects around an FMU under the keys of ``fmu_fit.json``."""
-    return {
-        "format": FORMAT,
-        "fmu": result.plant.path.name,
-        "effects": list(result.effects),
-        "status": str(TerminationStatus.CONVERGED if result.agrees else TerminationStatus.ITERATION_LIMIT),
-        "parameters": result.parameters,
-        "misfit": result.misfits,
-        "validation": result.validation,
-        "runs": result.runs,
-        "failures": result.prepared.failures,
-        "rounds": result.rounds,
-    }
 
 
 @dataclass(frozen=True, eq=False)

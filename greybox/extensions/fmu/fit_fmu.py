@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from scipy.special import ndtri
 
 from greybox.base.errors import DataError
-from greybox.base.files import write_file
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import StoredResult
+from greybox.base.json_shape import FileKind
 from greybox.base.linear_algebra import pseudo_inverse
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
@@ -326,12 +324,11 @@ def _descend(objective: FmuObjective, z: np.ndarray) -> tuple[np.ndarray, Termin
     return z, status
 
 
-# Version of the keys in fmu_fit.json.
-FORMAT = 1
+FMU_FIT_FILE = FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written")
 
 
 @dataclass(frozen=True, eq=False)
-class FmuFit(Printable):
+class FmuFit(Printable, StoredResult):
     """Parameters of an FMU fitted to records.
 
     Attributes
@@ -373,45 +370,15 @@ class FmuFit(Printable):
     given: Mapping[str, float] = field(default_factory=dict)
     std: Mapping[str, float] = field(default_factory=dict)
 
+    FILE: ClassVar[FileKind] = FMU_FIT_FILE
+    KEYS: ClassVar[str] = """
+        fmu!=plant.file_name status parameters misfit=misfits validation runs failures simulation_equivalents=equivalents
+        """
+
     @property
     def success(self) -> bool:
         """Whether the search converged."""
         return self.status.success
-
-    def as_dict(self) -> dict[str, Any]:
-        """The results as numbers, texts and dictionaries, ready for JSON; what is not finite is None."""
-        data: dict[str, Any] = to_json_data(fmu_fit_data(self))
-        return data
-
-    def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write the results as JSON.
-
-        Parameters
-        ----------
-        path
-            The file, ``fmu_fit.json`` by custom.
-
-        Returns
-        -------
-        Path
-            The file.
-        """
-        return write_file(path, format_json(self.as_dict()) + "\n")
-
-
-def fmu_fit_data(result: FmuFit) -> dict[str, Any]:
-    """A fit of an FMU under the keys of ``fmu_fit.json``."""
-    return {
-        "format": FORMAT,
-        "fmu": result.plant.path.name,
-        "status": str(result.status),
-        "parameters": result.parameters,
-        "misfit": result.misfits,
-        "validation": result.validation,
-        "runs": result.runs,
-        "failures": result.failures,
-        "simulation_equivalents": result.equivalents,
-    }
 
 
 def fit_fmu(

@@ -13,8 +13,15 @@ import pytest
 
 from greybox.base.json_file import read_json
 from greybox.base.json_shape import iterate_json
+from greybox.comparison.result import Comparison
+from greybox.estimation.check import ModelCheck
 from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.uncertainty import Bootstrap, Profile, load_bootstrap, load_profile
+from greybox.extensions.changes.result import ChangeDetection
+from greybox.extensions.design.campaign import Campaign
+from greybox.extensions.design.result import Design
+from greybox.extensions.export.linear_files import LinearFile
+from greybox.extensions.fmu.fit_fmu import FmuFit
 from greybox.shell.answers import FitAnswer
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
@@ -30,6 +37,13 @@ KINDS: dict[str, Any] = {
     "fit_validated": Fit,
     "profile": Profile,
     "bootstrap": Bootstrap,
+    "campaign": Campaign,
+    "changed": ChangeDetection,
+    "check": ModelCheck,
+    "compare": Comparison,
+    "design": Design,
+    "fmu_fit": FmuFit,
+    "linear_model": LinearFile,
 }
 MODELS = {
     "fit_multistart": silverbox,

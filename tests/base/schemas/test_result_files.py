@@ -12,16 +12,27 @@ from jsonschema import Draft202012Validator
 import greybox as gb
 from greybox.base.errors import DataError
 from greybox.base.json_file import ResultKind, parse_json, read_json
+from greybox.comparison.result import Comparison
 from greybox.data.noise.noise_model import NoiseSource
-from greybox.estimation.check import check
+from greybox.estimation.check import ModelCheck, check
 from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.uncertainty import Bootstrap, Profile
+from greybox.extensions.changes.result import ChangeDetection
+from greybox.extensions.design.campaign import Campaign
+from greybox.extensions.design.result import Design
+from greybox.extensions.export.linear_files import LinearFile
+from greybox.extensions.fmu.effects import FmuEffectFit
+from greybox.extensions.fmu.fit_fmu import FmuFit
 from greybox.shell.answers import FitAnswer
+from greybox.shell.printed import ComparisonAnswer
 from models.silverbox import silverbox
 from tests.oracles.independent import linear_record, multisine
 from tests.support.result_schema import find_schema, strict_offences
 
-KINDS = (*ResultKind, Fit, FitAnswer, Profile, Bootstrap)
+KINDS = (
+    *(*ResultKind, Fit, FitAnswer, Profile, Bootstrap, Comparison, ComparisonAnswer, Design, Campaign, ChangeDetection),
+    *(ModelCheck, LinearFile, FmuFit, FmuEffectFit),
+)
 
 RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 600, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)
 
@@ -78,8 +89,8 @@ def test_a_fit_holds_what_the_schema_describes_and_nothing_else(saved):
 
 def test_a_linear_model_and_a_check_hold_what_the_schema_describes(fit, tmp_path):
     linear = gb.export.to_json(fit, tmp_path / "linear.json", samples=3)
-    assert strict_offences(read_json(linear, ResultKind.LINEAR_MODEL), ResultKind.LINEAR_MODEL) == []
-    assert strict_offences(json.loads(json.dumps(check(silverbox, RECORD).as_dict())), ResultKind.MODEL_CHECK) == []
+    assert strict_offences(read_json(linear, LinearFile), LinearFile) == []
+    assert strict_offences(json.loads(json.dumps(check(silverbox, RECORD).as_dict())), ModelCheck) == []
 
 
 # --- older and newer files

@@ -12,16 +12,16 @@ from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
-from greybox.estimation.residuals import ResidualTestKind as Kind
 from greybox.estimation.residuals import (
+    LaggedInput,
     input_independence_test,
-    lagged_matrix,
     ljung_box_test,
     normality_test,
     residual_tests,
     run_residual_tests,
     score,
 )
+from greybox.estimation.residuals import ResidualTestKind as Kind
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.first_order import rooney_biegler
@@ -56,7 +56,11 @@ def test_normality_is_that_of_scipy_and_skips_gaps():
 
 def test_input_independence_is_the_textbook_statistic_for_white_noise():
     rng = np.random.default_rng(3)
-    r, u = rng.normal(size=300), lagged_matrix(rng.normal(size=300), 4)
+    r, signal = rng.normal(size=300), rng.normal(size=300)
+    signal -= signal.mean()
+    u = np.column_stack([np.concatenate([np.zeros(k), signal[: 300 - k]]) for k in range(5)])
+    lagged = LaggedInput.of(signal + 7.0, 4)
+    assert np.concatenate([lagged[:130], lagged[130:300]]) == pytest.approx(u, abs=1e-14)
     figure, p = input_independence_test([r], [u], AutoRegression())
     c = u.T @ r
     expected = c @ np.linalg.inv(u.T @ u * np.mean(r**2)) @ c
@@ -68,7 +72,7 @@ def test_input_independence_is_the_textbook_statistic_for_white_noise():
 def test_input_independence_has_its_size_under_coloured_noise(rho):
     """Its p-values are uniform; without the colour nearly every AR(1) 0.9 residual with a slow input would raise an alarm."""
     rng = np.random.default_rng(4)
-    u = lagged_matrix(lfilter([1.0], [1.0, -0.95], rng.normal(size=800)), 10)
+    u = LaggedInput.of(lfilter([1.0], [1.0, -0.95], rng.normal(size=800)), 10)
     p, blind = [], []
     for _ in range(300):
         r = lfilter([1.0], [1.0, -rho], rng.normal(size=1000))[200:]

@@ -9,9 +9,8 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import DataError
-from greybox.base.json_file import ResultKind
 from greybox.base.json_shape import to_json_data
-from greybox.extensions.changes.result import ChangeCode, ChangeVerdict, change_data
+from greybox.extensions.changes.result import ChangeCode, ChangeDetection, ChangeVerdict
 from greybox.extensions.changes.survey import chart_changes, survey_population
 from greybox.model.effects.catalogue import effect
 from models.silverbox import silverbox
@@ -83,13 +82,13 @@ def test_an_effect_that_has_appeared_is_found(reference) -> None:
     assert change.verdict is ChangeVerdict.CHANGED
     assert [e["name"] for e in change.effects] == ["cubic_stiffness"]
     assert codes(change)[0] == ChangeCode.EFFECT_APPEARED and change.moved == ()
-    assert strict_offences(to_json_data(change_data(change)), ResultKind.CHANGE) == []
+    assert strict_offences(to_json_data(change), ChangeDetection) == []
 
 
 def test_what_is_written_is_as_the_schema_says(reference, tmp_path) -> None:
     change = gb.detect_changes(reference, measure(2, d=46.0))
     saved = change.save(tmp_path / "changed.json")
-    assert strict_offences(json.loads(saved.read_text()), ResultKind.CHANGE) == []
+    assert strict_offences(json.loads(saved.read_text()), ChangeDetection) == []
     assert gb.change_detection.load_changes(saved)["constants"]["d"]["moved"] is True
 
 
@@ -160,7 +159,7 @@ def test_machines_that_fall_out_are_named_and_two_do_not_hide_each_other(referen
     assert [m.name for m in survey.machines if "d" in m.outlying] == ["m3", "m7"]
     assert survey.population["d"].mean == pytest.approx(43.0, rel=0.03)
     assert 0.008 < survey.population["d"].spread < 0.04
-    assert strict_offences(to_json_data(change_data(survey)), ResultKind.CHANGE) == []
+    assert strict_offences(to_json_data(survey), ChangeDetection) == []
 
 
 def test_a_jump_is_found_at_its_record(reference) -> None:
@@ -168,7 +167,7 @@ def test_a_jump_is_found_at_its_record(reference) -> None:
     course = chart_changes(reference, records)
     assert [(c.constant, c.record, c.number) for c in course.change_points] == [("d", "day 7", 7)]
     assert course.change_points[0].after == pytest.approx(45.0, rel=0.01)
-    assert strict_offences(to_json_data(change_data(course)), ResultKind.CHANGE) == []
+    assert strict_offences(to_json_data(course), ChangeDetection) == []
     steady = chart_changes(reference, records[:6])
     assert steady.verdict is ChangeVerdict.UNCHANGED and codes(steady) == [ChangeCode.NO_CHANGE_POINT]
 

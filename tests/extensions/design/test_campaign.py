@@ -25,6 +25,7 @@ from greybox.estimation.result import load_fit
 from greybox.extensions.design.campaign import (
     MODEL_ERROR,
     UNPROVEN_SHARE,
+    Campaign,
     CampaignPlan,
     CampaignStatus,
     Knowledge,
@@ -89,7 +90,7 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
     assert finished.status is CampaignStatus.DONE and len(finished.steps) <= 3
     assert finished.steps[-1].effects == ("cubic_stiffness",) and not finished.steps[-1].alternatives
     data = json.loads((finished.folder / "campaign.json").read_text())
-    assert strict_offences(data, ResultKind.CAMPAIGN) == [] and data["status"] == "done"
+    assert strict_offences(data, Campaign) == [] and data["status"] == "done"
     for record in finished.folder.glob("*/record.csv"):
         signals = gb.read_csv(record, MASS)
         assert np.abs(signals.outputs["x"]).max() < 0.3 + 5e-3 and np.abs(signals.inputs["F"]).max() <= 3

@@ -10,7 +10,6 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
-from greybox.base.json_file import ResultKind
 from greybox.base.json_shape import to_json_data
 from greybox.data.noise.noise_model import DETECTION_RATIO
 from greybox.data.signals import SignalLimit
@@ -23,7 +22,7 @@ from greybox.extensions.design.goals import (
 )
 from greybox.extensions.design.plant import make_plant
 from greybox.extensions.design.problem import DesignPolicy, DesignProblem, GoalName
-from greybox.extensions.design.result import design_data
+from greybox.extensions.design.result import Design
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
 from tests.support.result_schema import strict_offences
@@ -199,8 +198,8 @@ def test_a_run_is_that_of_the_kernel() -> None:
 
 def test_its_files_are_as_the_schema_says_and_can_be_played(plan, tmp_path) -> None:
     written = plan.save(tmp_path / "next")
-    assert strict_offences(json.loads(written.read_text()), ResultKind.DESIGN) == []
-    data = to_json_data(design_data(plan))
+    assert strict_offences(json.loads(written.read_text()), Design) == []
+    data = to_json_data(plan)
     assert data["input"] == "input.csv" and set(data["predicted"]["k"]) == {"value", "std_before", "std_after", "unit"}
     played = read_inputs(tmp_path / "next" / "input.csv", PLANT)
     np.testing.assert_array_equal(played.inputs["u"], plan.experiment.inputs["u"])

@@ -12,11 +12,10 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import ModelError
-from greybox.base.json_file import ResultKind
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
 from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.effects import discover_fmu, fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.effects import FmuEffectFit, discover_fmu, fit_fmu_effects, prepare_fmu
 from greybox.extensions.fmu.fit_fmu import fit_fmu
 from greybox.shell.commands import app
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
@@ -91,7 +90,7 @@ def test_an_effect_is_fitted_with_the_fmu_itself(plants, kind):
         assert result.misfits[name].noise_ratio == pytest.approx(1, abs=0.1)
         assert result.validation[name].noise_ratio == pytest.approx(1, abs=0.1)
     assert fit.equivalents + about.runs + result.runs < 50
-    assert strict_offences(json.loads(json.dumps(result.as_dict())), ResultKind.FMU_FIT) == []
+    assert strict_offences(json.loads(json.dumps(result.as_dict())), FmuEffectFit) == []
 
 
 @pytest.mark.slow

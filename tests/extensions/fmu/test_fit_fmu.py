@@ -16,10 +16,10 @@ from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError, ModelError, OutputError
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
@@ -210,8 +210,8 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     done = CliRunner().invoke(app, [*words, "--output", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
     assert "converged after" in done.stdout
-    data = read_json(tmp_path / "out" / "fmu_fit.json", ResultKind.FMU_FIT)
-    assert strict_offences(data, ResultKind.FMU_FIT) == [] and set(data["parameters"]) == {"K", "B"}
+    data = read_json(tmp_path / "out" / "fmu_fit.json", FmuFit)
+    assert strict_offences(data, FmuFit) == [] and set(data["parameters"]) == {"K", "B"}
     refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
     assert refused.exit_code == 2 and "coulomb_friction" in refused.stderr
 
