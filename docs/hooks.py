@@ -229,31 +229,35 @@ def _where(value: Any, otherwise: str) -> str:
 
 def commands() -> str:
     """What each command says when asked for help."""
-    from typer.testing import CliRunner
+    from click.testing import CliRunner
 
-    from greybox.shell.commands import app
+    from greybox.shell.commands import COMMANDS, app
 
     runner = CliRunner()
 
     def help_of(*words: str) -> str:
         return runner.invoke(app, [*words, "--help"], prog_name="greybox", color=False).output.strip()
 
-    names = sorted(c.name or c.callback.__name__ for c in app.registered_commands if c.callback)
     sections = [f"```text\n{help_of()}\n```"]
-    sections += [f"## greybox {name}\n\n```text\n{help_of(name)}\n```" for name in names]
+    for name, command in sorted(COMMANDS.items()):
+        rules = "\n".join(f"- {relation}" for relation in command.relations)
+        sections.append(f"## greybox {name}\n\n```text\n{help_of(name)}\n```\n\n{rules}".rstrip())
     return "\n\n".join(sections)
 
 
 def study_fields() -> str:
     """Each place in a study file with the option that does the same, and the commands that use it."""
-    from greybox.shell.study import SPECS, STUDY_COMMANDS
+    from greybox.shell.commands import COMMANDS
+    from greybox.shell.study_file import study_commands, users_of
 
+    readers = study_commands(COMMANDS)
+    options = {option.place: option for command in readers.values() for option in command.in_study().values()}
     rows = ["| In the file | Option | Used by |", "| --- | --- | --- |"]
-    for spec in SPECS.values():
-        place = f"`{spec.place}`" if spec.key else f"`[{spec.table}]`, a line for each name"
-        users = [name for name in spec.commands if name in STUDY_COMMANDS]
-        option = f"`{spec.flag}`" if spec.flag else "MODEL" if spec.key == "model" else "DATA"
-        rows.append(f"| {place} | {option} | {'all' if len(users) == len(STUDY_COMMANDS) else ', '.join(users)} |")
+    for option in options.values():
+        place = f"`{option.label}`" if option.key else f"`[{option.table}]`, a line for each name"
+        users = users_of(option, COMMANDS)
+        typed = f"`{option.flag}`" if option.flags else option.usage
+        rows.append(f"| {place} | {typed} | {'all' if len(users) == len(readers) else ', '.join(users)} |")
     return "\n".join(rows)
 
 
@@ -267,12 +271,14 @@ def result_files() -> str:
     from greybox.extensions.design.campaign import Campaign
     from greybox.extensions.design.result import Design
     from greybox.extensions.export.linear_files import LinearFile
-    from greybox.extensions.fmu.fit_fmu import FmuFit
+    from greybox.extensions.fleet.result import FleetResult
+    from greybox.extensions.fmu.effects import FmuWithEffects
     from greybox.shell.answers import FitAnswer
     from greybox.shell.printed import ComparisonAnswer
 
     kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
-    kinds += (ModelCheck, LinearFile, FmuFit)
+    kinds += (ModelCheck, LinearFile, FmuWithEffects, FleetResult)
+    titles = {definition_name(kind): vars(kind)["FILE"].title.capitalize() for kind in kinds}
     definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
     sections = []
     for kind in (*map(definition_name, kinds), *ResultKind):
@@ -283,7 +289,15 @@ def result_files() -> str:
             needed = "" if key in schema.get("required", ()) else " (later files)" if kind == "fit_answer" else ""
             rows.append(f"| `{key}` | {value.get('description') or inner['description']}{needed} |")
         sections.append(
-            "\n".join([f"## {schema['description'].partition(':')[0]}", "", schema["description"], "", *rows])
+            "\n".join(
+                [
+                    f"## {titles.get(kind) or schema['description'].partition(':')[0]}",
+                    "",
+                    schema["description"],
+                    "",
+                    *rows,
+                ]
+            )
         )
     return "\n\n".join(sections)
 

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 
 from fits.control_study import BLACK, COMPENSATED, GENTLER, KNOWING, LEVEL, PLAIN, Study
+from greybox.show.printers.text import table_lines
 from greybox.show.sentences.discovery import conclusion_text
-from greybox.show.sentences.wording import format_table
 
 MEASURES = (
     "settling time of each move [s]",
@@ -70,8 +70,8 @@ def distance(value: float) -> str:
 
 def print_tables(results: Study) -> None:
     """The tables on the terminal."""
-    lines = [conclusion_text(results.discovery), "", *format_table(["", *ORDER], rows_of(results)), ""]
-    lines += format_table(gentler_head(), gentler_rows(results))
+    lines = [conclusion_text(results.discovery), "", *table_lines(["", *ORDER], rows_of(results)), ""]
+    lines += table_lines(gentler_head(), gentler_rows(results))
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -6,8 +6,9 @@ Every other case is on one of two rigs (`fits.hidden_cases`), the others on six 
 without greybox. Each case is answered twice: with every effect of the catalogue among the candidates, and with the true effects and
 their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goes on where it was stopped.
 
-``--page`` writes docs/discovery_study.md and docs/certainty.md with their figures from what FOLDER holds, bad results included, and prints
-the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for.
+``--page`` writes docs/discovery_study.md, docs/certainty.md and docs/claims.md with their figures from what FOLDER holds, bad results
+included, and prints the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for. ``--calibrate`` fits the map from the
+weight of a claim to its probability to what FOLDER holds: the page on claims must then come from another draw.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
 from fits.hidden_certainty import format_weights, write_certainty
+from fits.hidden_claims import calibrate, describe_claims, write_claims
 from fits.hidden_page import VISIBLE, write
 from fits.plant_cases import make as make_plant
 from greybox.base.files import write_file
 from greybox.base.parallel.jobs import JobResult, open_workers, run_jobs
+from greybox.discovery import claims
 from greybox.discovery.candidates import estimate_scales, family_of
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.result import Discovery
@@ -102,7 +105,8 @@ def answer_case(case: Case) -> dict[str, Any]:
             time_limit=TIME_LIMIT,
         )
         answers.append(
-            _describe(case, discovery, right) | {"left_out": bool(without), "seconds": time.process_time() - began}
+            _describe(case, model, discovery, right)
+            | {"left_out": bool(without), "seconds": time.process_time() - began}
         )
     placements = find_placements(model, CATALOGUE)
     baselines = {}
@@ -131,7 +135,7 @@ def _describe_truth(case: Case) -> dict[str, Any]:
     }
 
 
-def _describe(case: Case, discovery: Discovery, right: set[str]) -> dict[str, Any]:
+def _describe(case: Case, model: gb.Model, discovery: Discovery, right: set[str]) -> dict[str, Any]:
     """One answer: the verdict, its effects with their evidence, what else is said, and the constants beside the true ones."""
     worst = max(discovery.holdout.values(), key=lambda g: g.before / g.floor)
     dependences = [d for d in discovery.localisation.dependences if d.is_relevant]
@@ -153,6 +157,7 @@ def _describe(case: Case, discovery: Discovery, right: set[str]) -> dict[str, An
             }
             for e in discovery.evidence
         ],
+        "claims": describe_claims(case, model, discovery.claims),
         "said": list(sites),
         "alternatives": discovery.alternatives,
         "sites": list(discovery.sites),
@@ -222,17 +227,22 @@ def main() -> None:
     arguments.add_argument("--cases", type=int, default=CASES)
     arguments.add_argument("--first", type=int, default=FIRST)
     arguments.add_argument("--rows", type=int, default=ROWS)
+    arguments.add_argument("--calibrate", action="store_true", help="fit the map of claims to what the folder holds")
     arguments.add_argument("--page", action="store_true", help="write the pages from what the folder holds")
     arguments.add_argument("--workers", type=int, default=1, help="processes; 0: one for each core")
     arguments.add_argument("--cluster", default="", help="address of a Dask scheduler, or local")
     chosen = arguments.parse_args()
     chosen.folder.mkdir(parents=True, exist_ok=True)
+    if chosen.calibrate:
+        calibrate(read(chosen.folder), Path(claims.__file__).parent / "certainty.json")
+        return
     if not chosen.page:
         study(chosen.folder, chosen.cases, chosen.first, chosen.rows, chosen.workers, chosen.cluster)
         return
     rows, docs = read(chosen.folder), Path(__file__).resolve().parents[1] / "docs"
     write(rows, docs, chosen.rows)
     write_certainty(rows, docs)
+    write_claims(rows, docs)
     sys.stdout.write(format_weights(rows) + "\n")
 
 

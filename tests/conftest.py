@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner, Result
 from hypothesis import settings
-from typer.testing import CliRunner, Result
 
 from tests.support.browser import browser
 

@@ -1,23 +1,39 @@
-"""What every result value shares: contents that nobody changes by accident, and a text that `greybox.rendering` writes."""
+"""What every result value shares: contents that nobody changes by accident, and what is said of it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from greybox.base.document import Document
 
 
 class Printable:
-    """A value without sentences of its own: ``str(value)`` takes its text from `greybox.rendering` by the name of its class.
+    """A result: ``describe()`` gives what is said of it as a `Document`, ``str(value)`` prints that as plain text.
 
-    This is the one import of the library that points upward. It runs when somebody prints, never when a module is loaded.
+    Sentences and figures stand in `greybox.show`, which looks the class up by its name. This is the one import of the library that points
+    upward. It runs when somebody prints, never when a module is loaded.
     """
 
     def __str__(self) -> str:
-        from greybox.show.sentences.registry import text
+        from greybox.show.describe import text
 
         return text(self)
+
+    def describe(self, **options: Any) -> Document:
+        """What is said of it: facts, sentences, tables, equations and figures.
+
+        Parameters
+        ----------
+        **options
+            What its page shows beside it, such as ``command``, the command that made it.
+        """
+        from greybox.show.describe import describe
+
+        return describe(self, **options)
 
 
 class ReadOnly:

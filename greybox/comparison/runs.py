@@ -21,6 +21,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.estimation.validate import validate
 from greybox.model.model import Model
+from greybox.simulation.plant import PlantModel
 from greybox.simulation.simulate import declared_initial_state
 
 # ---- Black boxes ----
@@ -141,6 +142,8 @@ def choose_predictor(model: Model | Fit, rows: int) -> Predictor | None:
     is no successful fit, has parameters of single records, or where its own and the other ``rows`` are too many."""
     if not (isinstance(model, Fit) and model.success and not model.constraints.per_experiment):
         return None
+    if isinstance(model.model, PlantModel):
+        return None
     # Corrections are learnt on the estimation records: the one judged has no part in it.
     return predictor(model) if rows + sum(len(t.time) for t in model.traces) <= FILTERED_ROWS else None
 
@@ -194,8 +197,8 @@ def compute_feedthrough(model: Model) -> dict[str, float]:
 
 
 def is_stable(model: Model, runs: Sequence[ComparisonRun]) -> bool:
-    """Whether a linear model has no eigenvalue in the right half plane; of a nonlinear one, whether all its runs stay finite."""
-    if not model.system.linear:
+    """Whether a linear model has no eigenvalue in the right half plane; of any other plant, whether all its runs stay finite."""
+    if isinstance(model, PlantModel) or not model.system.linear:
         return all(np.isfinite(run.simulated).all() for run in runs)
     p = np.array(list(model.values.values()))
     a = model.system.jacobian(declared_initial_state(model), np.zeros(len(model.inputs)), p).full()

@@ -2,6 +2,7 @@
 
 from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import Claim, Depth
 from greybox.discovery.curve_shape import CurveShape, Dependence, Parity, ShapeKind
 from greybox.discovery.decision import Verdict
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
@@ -35,8 +36,10 @@ from greybox.discovery.surrogate import Surrogate, SurrogateTone
 __all__ = [
     "CandidateFit",
     "CertaintyPolicy",
+    "Claim",
     "CurveShape",
     "Dependence",
+    "Depth",
     "Discovery",
     "DiscoveryPolicy",
     "DiscoveryProblem",

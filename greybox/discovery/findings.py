@@ -44,6 +44,7 @@ class DiscoveryCode(StrEnum):
     ERROR_REDUCED = "error_reduced"
     ERROR_LEFT = "error_left"
     EFFECTS_PROBABLE = "effects_probable"
+    CLAIM_ESTABLISHED = "claim_established"
     UNKNOWN_EFFECT = "unknown_effect"
     NO_LOOK_ALIKE = "no_look_alike"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"

@@ -22,6 +22,7 @@ from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import Claim, claim_values, deepest_established, name_by_evidence, weigh_claims
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import (
     Conclusion,
@@ -39,11 +40,19 @@ from greybox.discovery.effect_signal import (
     estimate_effect_signals,
     measure_remaining_error,
 )
-from greybox.discovery.evidence import EffectEvidence, EvidenceInputs, gather_evidence, lower_grade, measure_structure
+from greybox.discovery.evidence import (
+    MOST_CORRELATION,
+    EffectEvidence,
+    EvidenceInputs,
+    gather_evidence,
+    lower_grade,
+    measure_structure,
+)
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
+    VISIBLE_RMS,
     HoldoutError,
     HoldoutScores,
     ValidationSet,
@@ -86,6 +95,7 @@ from greybox.discovery.residual_noise import (
 from greybox.discovery.result import Discovery, RankedCandidate
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
+from greybox.discovery.table import FitTable
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
@@ -580,6 +590,12 @@ def _conclude(
             verdict = decided.verdict
         decided = replace(decided, checks=(*decided.checks, *better.checks))
     location = _locate(judged.baseline, selection)
+    claims: tuple[Claim, ...] = ()
+    if candidates and verdict is not Verdict.COMPLETE and not rejected:
+        weigh = partial(_weigh, judged, final, location, evidence)
+        claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
+    # Where no name is certain the answer still goes as deep as the records carry.
+    is_deeper = verdict is Verdict.UNKNOWN and not problem.executor.skipped and deepest_established(claims) is not None
     surrogate: Surrogate | None = None
     next_steps: tuple[Finding, ...] = ()
     if verdict in (Verdict.UNKNOWN, Verdict.PARTLY):
@@ -624,8 +640,12 @@ def _conclude(
     alternatives = [rival.effects for rival in judged.rivals]
     if verdict is Verdict.AMBIGUOUS and not alternatives:
         alternatives = list_tied_sets(evidence)
+    if is_deeper:
+        verdict, decided = Verdict.PARTLY, replace(decided, verdict=Verdict.PARTLY)
     constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
-    summary = _summarise(judged, decided, evidence, alternatives, left, location, surrogate, rejected, constants)
+    summary = _summarise(
+        judged, decided, evidence, claims, alternatives, left, location, surrogate, rejected, constants
+    )
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
         findings = (*findings, *_law_ranges(search)) if has_law else findings
@@ -646,11 +666,28 @@ def _conclude(
         surrogate=surrogate,
         refinement=refinement,
         evidence=evidence,
+        claims=claims,
         left=left,
         policy=policy,
         options=problem.options,
         laws=search.laws if search is not None and has_law else (),
     )
+
+
+def _weigh(
+    judged: JudgedSelection, final: FinalModel, location: ResidualLocalisation, evidence: Sequence[EffectEvidence]
+) -> tuple[Claim, ...]:
+    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer."""
+    selection = judged.selection
+    table = FitTable(judged.scores)
+    table.add(selection.baseline, final.candidate, *selection.problem.fitted)
+    draws = table.draw(table.leading((selection.baseline, final.candidate)))
+    if not draws.sets:
+        return ()
+    leading = draws.sets[draws.leading].candidate
+    left = measure_structure(table.scores, leading, VISIBLE_RMS, MOST_CORRELATION)
+    claims = weigh_claims(draws, location.sets, leading.given, left)
+    return name_by_evidence(claims, {e.effect for e in evidence if e.grade is Grade.ESTABLISHED})
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
@@ -861,6 +898,7 @@ def _summarise(
     judged: JudgedSelection,
     decided: Conclusion,
     evidence: Sequence[EffectEvidence],
+    claims: Sequence[Claim],
     alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
     location: ResidualLocalisation,
@@ -896,14 +934,18 @@ def _summarise(
         counts = [sum((constants or {}).get(e, 0) for e in names) for names in (effects, *alternatives)]
         values = {**explained, "rivals": rivals, "is_simplest": counts[0] < min(counts[1:], default=0)}
         return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values=values), *reduced)
-    if decided.verdict is Verdict.PARTLY:
+    if decided.verdict is Verdict.PARTLY and established:
         others = {e: grades[e] for e in effects if e in grades and e not in established}
         values = {"established": established, "others": others}
         return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
+    deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
+    headline: list[Finding] = []
+    if deepest is not None:
+        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=claim_values(deepest)))
     probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
-        return (Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
+        return (*headline, Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
     look_alike: list[Finding] = []
     if rejected:
         look_alike.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=rejected))
@@ -919,11 +961,12 @@ def _summarise(
         )
     elif location.likeliest:
         missing.append(_missing_signal(judged, location, surrogate))
+    headline = headline or [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if surrogate is None:
-        return (Finding(DiscoveryCode.UNKNOWN_EFFECT), *look_alike, *missing)
+        return (*headline, *look_alike, *missing)
     missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
     says_more = surrogate.share > error.share  # what explains more comes first
-    return (Finding(DiscoveryCode.UNKNOWN_EFFECT), *(missing + look_alike if says_more else look_alike + missing))
+    return (*headline, *(missing + look_alike if says_more else look_alike + missing))
 
 
 def _error_reduced(effects: Sequence[str], holdout: Mapping[str, HoldoutError], least_share: float) -> list[Finding]:

@@ -160,6 +160,8 @@ class DiscoveryProblem:
         Names of the effects that are the user's own: they count as a part of the plain model.
     user_fit
         How the answer is fitted in the end; None leaves it as the search fitted it.
+    fitted
+        Every candidate that was fitted so far, whatever came of it.
     """
 
     model: Model
@@ -172,6 +174,7 @@ class DiscoveryProblem:
     failures: FailureLog = field(default_factory=FailureLog)
     given: tuple[str, ...] = ()
     user_fit: UserFit | None = None
+    fitted: list[CandidateFit] = field(default_factory=list)
 
     @classmethod
     def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
@@ -304,7 +307,9 @@ class DiscoveryProblem:
 
     def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
         """Independent refits, in order, wherever they run."""
-        return self.executor.run(self, jobs)
+        fits: list[CandidateFit | None] = self.executor.run(self, jobs)
+        self.fitted.extend(fit for fit in fits if fit is not None)
+        return fits
 
     def refit(self, job: RefitJob) -> CandidateFit | None:
         """One refit in this process.

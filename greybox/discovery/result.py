@@ -13,6 +13,7 @@ from greybox.base.json_file import ResultKind, read_json
 from greybox.base.json_shape import format_json, to_json_data
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import Claim, claim_values
 from greybox.discovery.decision import Verdict
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.evidence import EffectEvidence
@@ -78,6 +79,9 @@ class Discovery(Printable):
         The further effects that were looked for where more than noise was left; the best model has them.
     evidence
         For each effect of the best model what speaks for it, its probability and grade.
+    claims
+        What is said of the plain model, as a tree: where something is missing, of which variables, of which family, which effect; each
+        with its probability, its grade and its best rival.
     left
         By output, what the best model leaves on the validation records.
     not_tried
@@ -115,6 +119,7 @@ class Discovery(Printable):
     not_tried: Mapping[str, Finding] = field(default_factory=dict)
     failures: tuple[SearchFailure, ...] = ()
     evidence: tuple[EffectEvidence, ...] = ()
+    claims: tuple[Claim, ...] = ()
     left: Mapping[str, RemainingError] = field(default_factory=dict)
     laws: tuple[Law, ...] = ()
 
@@ -127,7 +132,7 @@ class Discovery(Printable):
     def extended(self) -> Fit:
         """The fit to go on with: the best model; with a surrogate instead where no effect is certain and that does better."""
         surrogate = self.surrogate
-        if self.verdict is not Verdict.UNKNOWN or surrogate is None or self.laws:
+        if surrogate is None or self.laws:  # a surrogate is fitted only where no effect has a name
             return self.best
         output = worst_output(self.holdout)
         is_better = surrogate.holdout[output].after < self.holdout[output].after
@@ -242,6 +247,7 @@ def _to_mapping(d: Discovery) -> dict[str, Any]:
         "plain_parameters": d.base.parameters,
         "gap": {output: _gap(error) for output, error in d.holdout.items()},
         "evidence": d.evidence,
+        "claims": [claim_values(claim) for claim in d.claims],
         "effect_signals": [s.to_values() for s in d.effect_signals],
         "left": {output: _left(error) for output, error in d.left.items()},
         "ranking": d.ranking,

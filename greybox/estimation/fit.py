@@ -63,6 +63,7 @@ from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantKernel, as_model
 from greybox.simulation.records import to_experiments
 
 # Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at
@@ -74,7 +75,7 @@ STARTS_FACTOR = 30.0
 
 
 def fit(
-    model: Model,
+    model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],
     *,
     noise: Mapping[str, float | GrowingNoise] | NoiseModel | None = None,
@@ -89,7 +90,7 @@ def fit(
     report: FitProgressCallback | None = None,
     raise_on_failure: bool = False,
 ) -> Fit:
-    """Fit the free parameters of a model to one or more experiments.
+    """Fit the free parameters of a model, or of a plant that is run from outside, to one or more experiments.
 
     Minimises the sum of squared free-run errors, each over its noise standard deviation (that of the output, or of the row where
     `Experiment.noise` tells it), ``sum ((y - yhat) / noise)^2``, over
@@ -102,7 +103,8 @@ def fit(
     Parameters
     ----------
     model
-        The model; it is not changed.
+        The model; it is not changed. Or a plant without equations, such as an FMU (`greybox.simulation.plant.Plant`): then no more is run
+        than is needed, and the result says how much that was (`SolverReport.statistics`).
     experiments
         Estimation records.
     noise
@@ -155,6 +157,7 @@ def fit(
     >>> result.parameters["K"].interval  # doctest: +SKIP
     (5895.26, 5895.67)
     """
+    model = as_model(model)
     options = resolve_options(options)
     names = (per_experiment,) if isinstance(per_experiment, str) else per_experiment
     options = replace(options, per_experiment=(*options.per_experiment, *names))
@@ -399,6 +402,15 @@ def _compute_ratio(end: SimulationOptimum, std: Mapping[str, float]) -> float:
     return float(np.sqrt(np.mean([(m.rmse / std[name]) ** 2 for name, m in end.misfit.items()])))
 
 
+def _count_runs(problem: EstimationProblem) -> dict[str, float]:
+    """What a search has cost where a run has a price: runs of one record, those that failed, and all of them in whole records."""
+    kernel = problem.kernel
+    if not isinstance(kernel, PlantKernel):
+        return {}
+    rows = sum(len(record.u) for record in problem.records)
+    return {"runs": kernel.runs, "failed_runs": kernel.failures, "simulation_equivalents": kernel.rows / rows}
+
+
 def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     """The result of an estimation, by simulation error or by prediction error."""
     model, problem, variables, covariance = optimum.model, optimum.problem, optimum.variables, optimum.covariance
@@ -442,6 +454,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 "method": problem.method,
                 "kernel": (prediction.maximum.objective.kalman.kernel if prediction else problem.kernel).name,
                 "substeps": problem.step.substeps,
+                **_count_runs(problem),
             },
             make_strategy("prediction", exact=prediction.is_exact) if prediction else solution.strategy,
             find_status_details(optimum),

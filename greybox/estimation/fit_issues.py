@@ -24,6 +24,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model.expressions.text import expression_text
 from greybox.model.model import Model
+from greybox.simulation.plant import PlantKernel
 
 
 class EstimationCode(StrEnum):
@@ -36,6 +37,7 @@ class EstimationCode(StrEnum):
     TERM_NOT_FINITE = "term_not_finite"
     STATES_DIVERGE = "states_diverge"
     SENSITIVITY_NOT_FINITE = "sensitivity_not_finite"
+    PLANT_RUN_FAILED = "plant_run_failed"
     # What the constants and the residual say.
     MODEL_DOES_NOT_FOLLOW = "model_does_not_follow"
     DIRECTION_UNDETERMINED = "direction_undetermined"
@@ -96,6 +98,10 @@ def locate_simulation_failure(
     model, record = problem.model, problem.records[experiment]
     z = variables.here
     p = variables.parameters(z, experiment)
+    if isinstance(problem.kernel, PlantKernel):
+        start, _ = variables.compute_initial_state(z, p, experiment)
+        values = {"experiment": experiment + 1, "reason": problem.kernel.find_failure(record, p, start)}
+        return Finding(EstimationCode.PLANT_RUN_FAILED, Severity.ERROR, model.title, values)
     _, states = problem.shooting(variables).simulate(z)[experiment]
     if sample >= len(states):
         return Finding(EstimationCode.SENSITIVITY_NOT_FINITE, Severity.ERROR, "", {"experiment": experiment + 1})

@@ -32,6 +32,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantModel, as_model
 
 
 @dataclass
@@ -66,13 +67,15 @@ class StartJournal:
 
 
 def list_model_identity(model: Model) -> list[Any]:
-    """Everything about a model that decides where a search ends: equations, constants, ties, bounds."""
+    """Everything about a model that decides where a search ends: equations or the plant, constants, ties, bounds."""
     return [
         str(ca.vertcat(*map(ca.vec, model.system.free_run_expressions))),
         [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
         [(tie.name, tie.formula) for tie in model.ties],
         [(s.name, s.bounds) for s in model.all_states],
         [e.hold for e in model.effects],
+        # Of a plant without equations these say nothing.
+        *([model.identity] if isinstance(model, PlantModel) else []),
     ]
 
 
@@ -159,7 +162,7 @@ class MultiStartResult(Printable):
 
 
 def multistart(
-    model: Model,
+    model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],
     *,
     starts: int = 20,
@@ -183,7 +186,7 @@ def multistart(
     Parameters
     ----------
     model
-        The model; its values are the first start.
+        The model, or a plant as in `greybox.fit`; its values are the first start.
     experiments
         Estimation records.
     starts
@@ -220,6 +223,7 @@ def multistart(
         If a cluster is lost. The starts that are finished are in the journal.
     """
     began, options = time.perf_counter(), resolve_options(options)
+    model = as_model(model)
     if not time_limit > 0:
         raise ModelError(f"a time limit of {time_limit:g} s: give a number of seconds above 0")
     if starts < 1:

@@ -23,9 +23,11 @@ from greybox.estimation.result_parts import Misfit, RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
+from greybox.estimation.transcription.plant_search import solve_plant
 from greybox.estimation.transcription.problem import Completion, EstimationProblem, FitProgressCallback, Runs, Solution
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
+from greybox.simulation.plant import PlantModel
 
 __all__ = ["Solution", "solve"]
 
@@ -35,6 +37,8 @@ def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCa
 
     Raises ModelError for a transcription that the model does not allow.
     """
+    if isinstance(problem.model, PlantModel):
+        return solve_plant(problem, options, report)
     choice = select_transcription(problem, options)
     if choice.transcription is Transcription.SINGLE:
         solution = solve_single_shooting(choice.problem, options, report)
@@ -230,6 +234,9 @@ def polish_by_gauss_newton(solution: Solution, options: FitOptions) -> Solution:
     """
     problem = solution.problem
     if solution.joined or not solution.status.success:
+        return solution
+    # Slopes by differences of runs have no more digits than the search has used.
+    if isinstance(problem.model, PlantModel) and not problem.model.is_cheap:
         return solution
     objective = SimulationErrorObjective(solution.at_optimum)
     low, high = solution.variables.bounds()

@@ -41,6 +41,8 @@ def fix_parameters(
     given: Model | Fit, noise: Mapping[str, float] | NoiseModel | None, options: FitOptions | None
 ) -> FixedParameterModel:
     """The model of a fit with the noise and the options of that fit, unless others are given; a model as it is."""
+    if isinstance(given, (Fit, Model)):
+        (given.model if isinstance(given, Fit) else given).require_equations("a prediction or a smoother")
     if isinstance(given, Fit):
         return FixedParameterModel(
             given.model,

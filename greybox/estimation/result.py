@@ -35,6 +35,7 @@ from greybox.estimation.result_parts import (
 )
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_name
+from greybox.simulation.plant import Plant, as_model
 
 
 class ResultCode(StrEnum):
@@ -149,7 +150,7 @@ def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, fl
     return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
-def load_fit(path: str | Path, model: Model) -> Fit:
+def load_fit(path: str | Path, model: Model | Plant) -> Fit:
     """Read a fit that `Fit.save` wrote, without loss.
 
     Parameters
@@ -157,7 +158,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     path
         The ``fit.json``.
     model
-        States the equations, effects included; it gets the fitted values.
+        States the equations, effects included, or the plant; it gets the fitted values.
 
     Returns
     -------
@@ -174,7 +175,7 @@ def load_fit(path: str | Path, model: Model) -> Fit:
     >>> load_fit("results/fit.json", micro_actuator).parameters["K"].value  # doctest: +SKIP
     5895.47
     """
-    return restore_fit(read_json(path, Fit), model, str(path))
+    return restore_fit(read_json(path, Fit), as_model(model), str(path))
 
 
 def restore_fit(data: Mapping[str, Any], model: Model, source: str) -> Fit:
@@ -201,6 +202,8 @@ def _find_contradiction(data: Mapping[str, Any]) -> str:
     free = len(data["free"])
     if [len(row) for row in data["covariance"]] != [free] * free:
         return f"covariance is no matrix of {free} rows and columns, one for each name in free"
+    if not set(data["free"]) <= set(data["parameters"]):
+        return "free names a parameter that parameters does not"
     if set(data.get("tied", {})) != set(data.get("ties", {})):
         return "tied and ties do not name the same parameters"
     for key in ("noise_sources", "noise_colour", "noise_log_std", "noise_units", "noise_bounds", "noise_growth"):

@@ -22,6 +22,7 @@ from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
 from greybox.model.model import Model
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import Plant, PlantModel, as_model
 
 # Fewest rows from which an initial state is estimated.
 FIRST_ROWS = 50
@@ -87,7 +88,7 @@ def _cut_to_first_rows(problem: EstimationProblem, rows: Sequence[int]) -> Estim
 
 
 def validate(
-    model: Model,
+    model: Model | Plant,
     experiments: Experiment | Sequence[Experiment],
     *,
     noise: Mapping[str, float | GrowingNoise] | None = None,
@@ -141,6 +142,7 @@ def validate(
         hessian=Hessian.GAUSS_NEWTON,
     )
     # Only the initial states are left to estimate.
+    model = as_model(model)
     frozen = model.fix(*model.values)
     problem = prepare_problem(frozen, experiments, noise, options)
     shortest = min(len(r.u) for r in problem.records)
@@ -150,9 +152,11 @@ def validate(
         raise DataError(
             f"initial_rows: {initial_rows} rows, but the shortest validation record has {shortest}; take fewer rows"
         )
-    choice = select_transcription(problem, replace(options, progressive=False))
-    problem = choice.problem
-    if choice.transcription == Transcription.MULTIPLE:
+    transcription = Transcription.SINGLE
+    if not isinstance(frozen, PlantModel):
+        choice = select_transcription(problem, replace(options, progressive=False))
+        problem, transcription = choice.problem, choice.transcription
+    if transcription == Transcription.MULTIPLE:
         conditions = [e.conditions for e in problem.experiments]
         initial = guess_initial_states(frozen, problem.records, False, conditions)
         problem = replace(problem, variables=replace(problem.variables, initial=initial))

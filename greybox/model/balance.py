@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from greybox.base.errors import ModelError, nearest
-from greybox.model.signals import Expression
+from greybox.model.signals import Expression, NamedValues, State
 
 
 @dataclass(frozen=True, init=False)
@@ -75,3 +75,19 @@ class Balance:
     def with_storage(self, factor: Expression) -> Balance:
         """The same balance with what it stores multiplied by ``factor``."""
         return Balance(self.name, self.unit, self.storage * factor, self.state, **self.terms)
+
+
+@dataclass(frozen=True)
+class ClosedBalances:
+    """The balances of what is run from outside: no equation is known, its ``states`` only say how a record begins."""
+
+    states: tuple[State, ...] = ()
+
+    def __call__(self, x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
+        """Each state stays where it began."""
+        return [Balance(s.name, f"({s.unit or '1'})/s", 1.0, s.name, rest=0.0) for s in self.states]
+
+
+def closed_output(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    """In the place of an output's equation that nobody knows."""
+    return 0.0

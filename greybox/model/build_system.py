@@ -336,7 +336,7 @@ def _start(
 
 
 def _start_values(states: Sequence[State], p: NamedValues) -> ca.SX:
-    return ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states])
+    return ca.SX(ca.vertcat(*[ca.SX(s.start(p) if callable(s.start) else s.start) for s in states]))
 
 
 def _name_of(name: str, items: Sequence[ParameterSymbol] | Sequence[State]) -> str:

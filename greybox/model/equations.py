@@ -9,7 +9,7 @@ import casadi as ca
 
 from greybox.base.units import format_unit
 from greybox.model.algebraic import stores_nothing
-from greybox.model.balance import Balance
+from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.expressions.text import expression_text, signed_text
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
@@ -39,6 +39,9 @@ def equations_text(model: Model, width: int = 110) -> str:
     str
         Lines with name, unit and equation.
     """
+    if isinstance(model.balances, ClosedBalances):
+        ties = [f"  tied  {tie}" for tie in model.ties]
+        return "\n".join(["  no equations: it is run from outside", *ties])
     texts = _TEXTS.setdefault(model.system, {})
     if width not in texts:
         texts[width] = _write_equations(model, width)

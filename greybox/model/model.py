@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.base.errors import ModelError, nearest
 from greybox.base.values import Printable
-from greybox.model.balance import Balance
+from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.build_system import plant_sites
 from greybox.model.effect import Effect
 from greybox.model.process_noise import (
@@ -229,9 +229,15 @@ class Model(Printable):
         """
         check_measured(subject, self.rules, measured, self._present_values)
 
+    def require_equations(self, purpose: str) -> None:
+        """Refuse ``purpose``, which begins the reason, where there are no equations. Raises ModelError."""
+        if isinstance(self.balances, ClosedBalances):
+            raise ModelError(f"{self.title}: {purpose} needs equations, and this plant is run from outside")
+
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
+        self.require_equations(f"the effect {effect.name}")
         return replace(self, effects=(*self.effects, effect))
 
     def without(self, effect: str) -> Model:
@@ -364,6 +370,7 @@ class Model(Printable):
         --------
         ``model.with_process_noise("v")`` estimates how strongly ``v`` is pushed, ``model.with_process_noise(v=0.1)`` knows it.
         """
+        self.require_equations("process noise")
         states = {s.name: s for s in self.all_states}
         unknown = [n for n in (*estimated, *known) if n not in states]
         if unknown:

@@ -20,7 +20,7 @@ def build_diffusion(states: Sequence[State], effects: Sequence[PlacedEffect], p:
     """
     plant = [_intensity(s, p) for s in states]
     of_effects = [_intensity(s, effect.sees_parameters(p)) for effect in effects for s in effect.states]
-    return ca.vertcat(*map(ca.SX, (*plant, *of_effects)))
+    return ca.SX(ca.vertcat(*map(ca.SX, (*plant, *of_effects))))
 
 
 def _intensity(state: State, p: NamedValues) -> Expression:

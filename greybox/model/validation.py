@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.units import format_unit
-from greybox.model.balance import Balance
+from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.expressions.graph import walk
 from greybox.model.signals import NamedValues
 from greybox.model.system import Item, Statement, named_symbols
@@ -124,7 +124,8 @@ RESERVED_NAMES = frozenset(name for name in dir(NamedValues) if not name.startsw
 def check_names(statement: Statement) -> None:
     """Refuse names under which a signal could not be reached, a column not be read, or a file not be written."""
     title, states, outputs = f"model {statement.name!r}", statement.states, statement.outputs
-    if not states or not outputs:
+    # What is run from outside may keep its states to itself.
+    if not outputs or not (states or isinstance(statement.balances, ClosedBalances)):
         raise ModelError(f"{title} needs at least one state and one output")
     inner: tuple[Item, ...] = (*states, *statement.inputs, *statement.parameters)
     outer: tuple[Item, ...] = (*statement.inputs, *outputs)

@@ -15,7 +15,7 @@ from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.residuals import PredictionScores, ResidualTests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit
-from greybox.estimation.uncertainty import Bootstrap, Profile
+from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
 from greybox.simulation.simulate import Simulation
 
 
@@ -48,8 +48,8 @@ class FitAnswer(Printable):
         The fit.
     remedies
         What would determine the parameters that the records left open.
-    profiles, bootstrap
-        The intervals that were asked for.
+    profiles, regions, bootstrap
+        The intervals that were asked for, of one parameter or of two together.
     zero_noise
         Parameters of process noise that are zero: each has a limit only, and no profile.
     refusal
@@ -65,6 +65,7 @@ class FitAnswer(Printable):
     fit: Fit
     remedies: tuple[Finding, ...] = ()
     profiles: tuple[Profile, ...] = ()
+    regions: tuple[ProfilePair, ...] = ()
     zero_noise: tuple[str, ...] = ()
     bootstrap: Bootstrap | None = None
     refusal: str = ""
@@ -76,7 +77,7 @@ class FitAnswer(Printable):
 
     FILE: ClassVar[FileKind] = Fit.FILE
     KEYS: ClassVar[str] = """
-        fit.* profiles? zero_noise? bootstrap? refusal? remedies? tests?=tests.tests scores?=scores.outputs
+        fit.* profiles? regions? zero_noise? bootstrap? refusal? remedies? tests?=tests.tests scores?=scores.outputs
         validation_scores?=validation_scores.outputs record_misfits?=misfits validation_record_misfits?=validation_misfits
         """
 

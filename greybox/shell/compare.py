@@ -5,41 +5,40 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from greybox.base.errors import ExitCode, GreyboxError
 from greybox.shell.inputs import (
+    STARTS_FILE,
     add_effects,
     build_model,
     check_prediction_steps,
     check_skip,
     check_substeps,
-    check_workers,
     constrain,
     fit_options,
     print_record_notes,
     read_quiet_records,
     read_records,
-    seed_of,
+    result_folder,
     with_delays_of_records,
-)
-from greybox.shell.options import (
-    STARTS_FILE,
-    Cluster,
-    Figures,
-    Json,
-    NoReport,
-    Silent,
-    Workers,
-    check_writable,
-    takes_study,
 )
 from greybox.shell.plants import plant_kind
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
-from greybox.shell.study import COMPARE, Study
-from greybox.shell.terminal import exit_with_error, write_report
+from greybox.shell.study import (
+    FITTING,
+    LAYOUT,
+    QUIET,
+    SHARING,
+    SHOWING,
+    STARTING,
+    SUBSTEPS,
+    VALIDATING,
+    Answer,
+    Command,
+    Study,
+    sharing,
+)
+from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding
@@ -51,22 +50,7 @@ if TYPE_CHECKING:
     from greybox.model.model import Model
 
 
-@takes_study(COMPARE)
-def compare(
-    study: Study,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", metavar="DIR", help="Folder for compare.json and the report. [default: results/MODEL-compare]"
-        ),
-    ] = None,
-    workers: Workers = 0,
-    cluster: Cluster = "",
-    silent: Silent = False,
-    json: Json = False,
-    figures: Figures = False,
-    no_report: NoReport = False,
-) -> None:
+def compare(study: Study) -> Answer:
     """Fit MODEL and black-box models to the same records, and compare their errors on validation records.
 
     The black boxes are ARX, ARMAX, output error, Box-Jenkins and Hammerstein models, each chosen by a scan over orders, delays
@@ -83,47 +67,32 @@ def compare(
     from greybox.comparison.black_box_candidates import check_sampling_times
     from greybox.comparison.compare import NamedModel, compare_named
 
-    if silent and json:
-        raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
-    if kind := plant_kind(study.model):
-        check_workers(workers, cluster, {"--starts N": study.starts > 1})
-        result, records, validation, folder = kind.compare(study, output)
-        _write(
-            result,
-            folder,
-            records,
-            validation,
-            {},
-            quiet=silent,
-            json=json,
-            page=not no_report,
-            pictures=figures,
-        )
-        return
+    if kind := plant_kind(study):
+        result, records, validation, folder = kind.compare(study)
+        return _answer(result, folder, records, validation, {})
     plain = build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
     models = [constrain(add_effects(plain, names), study) for names in ((), *extensions)]
     check_substeps(study, models[0])
-    folder = check_writable(output or Path("results") / f"{plain.name}-compare")
+    folder = result_folder(study, plain.name)
     records, validation = read_records(study, plain)
     models = [with_delays_of_records(model, records) for model in models]
     quiet = read_quiet_records(study, plain, hold=study.hold)
     check_skip(study, validation)
-    check_workers(workers, cluster, {"--starts N": study.starts > 1})
     check_prediction_steps(study, records, validation)
     check_sampling_times(records, validation, [q.name for q in plain.outputs])
-    if not silent:
+    if not study.silent:
         print_record_notes(records, validation)
-    options, seed = fit_options(study), seed_of(study)
+    options = fit_options(study)
     given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
     journal = folder / STARTS_FILE
-    with open_workers(workers, cluster) as executor, show_progress(silent) as show:
+    with open_workers(study.workers, study.cluster) as executor, show_progress(study.silent) as show:
         if study.starts > 1:
             given |= {
                 "starts": study.starts,
-                "seed": seed,
+                "seed": study.seed or 0,
                 "executor": executor,
-                "workers": workers,
+                "workers": study.workers,
                 "journal": journal,
             }
         fits = [_fit(models[0], records, show, given)]
@@ -145,7 +114,7 @@ def compare(
         )
     journal.unlink(missing_ok=True)
     by_title = {fit.model.title: fit for fit, _ in fits}
-    _write(result, folder, records, validation, by_title, quiet=silent, json=json, page=not no_report, pictures=figures)
+    return _answer(result, folder, records, validation, by_title)
 
 
 def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -> tuple[Fit, float] | None:
@@ -232,48 +201,54 @@ def _black_boxes(
     )
 
 
-def _write(
+def _answer(
     result: Comparison,
     folder: Path,
     records: Sequence[Experiment],
     validation: Sequence[Experiment],
     fits: Mapping[str, Fit],
-    *,
-    quiet: bool,
-    json: bool,
-    page: bool,
-    pictures: bool,
-) -> None:
+) -> Answer:
     from greybox.base.extensions import read_versions
     from greybox.base.json_file import write_json
     from greybox.data.experiment import collect_record_findings
     from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences.registry import sentences
-    from greybox.show.sentences.shell import report_line, written
 
     known = sentences(collect_record_findings([*records, *validation]))
     fingerprints = {e.name: e.fingerprint for e in (*records, *validation)}
     constants = {title: fit.parameters for title, fit in fits.items()}
     answer = ComparisonAnswer(result, fingerprints, known, constants, read_versions())
     saved = write_json(folder / "compare.json", answer)
-    if json:
-        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
-    elif not quiet:
-        typer.echo(str(result))
-    try:
-        figures = _draw_pictures(result, folder) if pictures else []
-        report = (
-            write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known) if page else None
-        )
-    except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the comparison is in {saved}", ExitCode.INTERRUPTED)
-    if not (quiet or json):
-        typer.echo(f"\n{written([saved, *figures])}")
-        if report:
-            typer.echo(report_line(report))
+    return Answer(
+        result,
+        lambda _: saved.read_text(encoding="utf-8"),
+        [saved],
+        page=lambda: write_report(result, folder / "report.html", fits=fits, data=fingerprints, known=known),
+        pictures=lambda: _draw_pictures(result, folder),
+        kept=f"the comparison is in {saved}",
+    )
 
 
 def _draw_pictures(result: Comparison, folder: Path) -> list[Path]:
     from greybox.show.figures.pictures import draw_comparison
 
     return draw_comparison(result, folder)
+
+
+COMPARE = Command(
+    compare,
+    "Compare a physical model with black-box models.",
+    (
+        *(*FITTING, Study.estimation.but(usage="TRAIN", required=True)),
+        Study.candidates.but(
+            help="Also fit MODEL with each of these effects of the catalogue; A+B adds both effects to one model."
+        ),
+        Study.output.but(help="Folder for compare.json and the report. [default: results/MODEL-compare]"),
+        *(*SHARING, *SHOWING, Study.silent, Study.figures),
+    ),
+    (
+        "greybox compare micro_actuator step.csv --validate chirp.csv --fix M=0.01 --at-rest",
+        "greybox compare silverbox train.csv --validate test.csv --skip 50 --effects cubic_stiffness,cubic_stiffness+input_offset",
+    ),
+    (QUIET, LAYOUT, SUBSTEPS, *VALIDATING, *STARTING, *sharing(Study.starts)),
+)

@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
+import click
 
 from greybox.base.errors import GreyboxError
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 Offer = tuple[str, str]  # what to type, and what it is
 
 
-def models(incomplete: str) -> list[Offer]:
+def models(ctx: click.Context, incomplete: str) -> list[Offer]:
     """Names of models, and model files that begin so."""
     from greybox.shell.outline import list_outlines
 
@@ -32,14 +32,14 @@ def models(incomplete: str) -> list[Offer]:
     return _beginning([*offers, *(offer for offer in near if offer[0].endswith(("/", ".py")))], incomplete)
 
 
-def commands(incomplete: str) -> list[Offer]:
+def commands(ctx: click.Context, incomplete: str) -> list[Offer]:
     """Commands that print JSON."""
     from greybox.shell.printed import list_printed
 
     return _beginning(((name, "") for name in list_printed()), incomplete)
 
 
-def effects(incomplete: str) -> list[Offer]:
+def effects(ctx: click.Context, incomplete: str) -> list[Offer]:
     """Effects of the catalogue; after a comma or plus the next one."""
     from greybox.model.effects.catalogue import all_effects
 
@@ -47,27 +47,27 @@ def effects(incomplete: str) -> list[Offer]:
     return _beginning(((before + e.name, e.equation) for e in all_effects()), incomplete)
 
 
-def constants(ctx: typer.Context, incomplete: str) -> list[Offer]:
+def constants(ctx: click.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the parameters of the model that was named, with those of its effects."""
     return _offered(ctx, incomplete, _constants)
 
 
-def constant_names(ctx: typer.Context, incomplete: str) -> list[Offer]:
+def constant_names(ctx: click.Context, incomplete: str) -> list[Offer]:
     """`constants` without ``=``."""
     return [(name.rstrip("="), what) for name, what in constants(ctx, incomplete)]
 
 
-def outputs(ctx: typer.Context, incomplete: str) -> list[Offer]:
+def outputs(ctx: click.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the model's outputs."""
     return _offered(ctx, incomplete, lambda m: _signals(m, "outputs"))
 
 
-def states(ctx: typer.Context, incomplete: str) -> list[Offer]:
+def states(ctx: click.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of the model's states."""
     return _offered(ctx, incomplete, lambda m: _signals(m, "states"))
 
 
-def signals(ctx: typer.Context, incomplete: str) -> list[Offer]:
+def signals(ctx: click.Context, incomplete: str) -> list[Offer]:
     """``NAME=`` of what a record holds: time, inputs and outputs."""
     return _offered(ctx, incomplete, lambda m: [("time=", "[s]"), *_signals(m, "inputs"), *_signals(m, "outputs")])
 
@@ -82,7 +82,7 @@ def _signals(model: ModelOutline, group: str) -> Iterator[Offer]:
         yield f"{s.name}=", f"[{s.unit}] {s.description}"
 
 
-def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[ModelOutline], Iterable[Offer]]) -> list[Offer]:
+def _offered(ctx: click.Context, incomplete: str, offers: Callable[[ModelOutline], Iterable[Offer]]) -> list[Offer]:
     from greybox.shell.outline import SignalOutline, find_outline
 
     # A line that ends in an option without its value is not taken apart: the words are left in args.
@@ -90,7 +90,7 @@ def _offered(ctx: typer.Context, incomplete: str, offers: Callable[[ModelOutline
     model = find_outline(name) if name is not None else None
     if model is None:
         return []
-    words = (os.environ.get("COMP_WORDS") or os.environ.get("_TYPER_COMPLETE_ARGS") or "").split()
+    words = os.environ.get("COMP_WORDS", "").split()
     added = [value for option, value in pairwise(words) if option == "--effect"]
     if added:
         from greybox.model.effects.catalogue import effect

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from greybox.base.errors import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
@@ -17,12 +14,11 @@ from greybox.shell.inputs import (
     print_record_notes,
     read_quiet_records,
     read_records,
-    read_time_limit,
+    result_folder,
 )
-from greybox.shell.options import Cluster, Figures, Json, NoReport, Workers, check_writable, takes_study
 from greybox.shell.plants import PlantKind, plant_kind
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import DISCOVER, Study
+from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Study
 from greybox.shell.terminal import exit_with_error, write_report
 
 if TYPE_CHECKING:
@@ -32,19 +28,7 @@ NO_EFFECTS = "none"
 """What ``--effects`` takes for no effect at all."""
 
 
-@takes_study(DISCOVER)
-def discover(
-    study: Study,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for the results. [default: results/MODEL-discover]"),
-    ] = None,
-    workers: Workers = 0,
-    cluster: Cluster = "",
-    json: Json = False,
-    figures: Figures = False,
-    no_report: NoReport = False,
-) -> None:
+def discover(study: Study) -> Answer:
     """Find the effect that MODEL lacks, add it, and print the errors on the validation records before and after.
 
     Refits the model with each effect of the catalogue, selects the effects that the ESTIMATION records require, and tests them
@@ -68,24 +52,22 @@ def discover(
     from greybox.estimation.options import FitOptions
     from greybox.shell.own_effects import find_effect, find_own_effects
 
-    if kind := plant_kind(study.model):
-        _discover_at_plant(kind, study, output, workers, cluster, json=json, page=not no_report, pictures=figures)
-        return
+    if kind := plant_kind(study):
+        return _discover_at_plant(kind, study)
     model = constrain(build_model(study), study)
-    folder = check_writable(output or Path("results") / f"{model.name}-discover")
+    folder = result_folder(study, model.name)
     # Asked for before the search: an answer of minutes must not fail at its last file.
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
     records, validation = read_records(study, model)
     quiet = read_quiet_records(study, model, hold=study.hold)
     print_record_notes(records, validation, quiet)
     check_skip(study, validation)
-    time_limit = read_time_limit(study)
     only_laws = study.candidates == (NO_EFFECTS,)
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
     project_effects = () if only_laws or candidates else find_own_effects()
     journal = folder / "journal.jsonl"
     try:
-        with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
+        with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
             result = discover_effects(
                 model,
                 records,
@@ -102,59 +84,37 @@ def discover(
                 journal=journal,
                 on_refit=report,
                 executor=executor,
-                workers=workers,
-                time_limit=time_limit,
+                workers=study.workers,
+                time_limit=study.seconds,
                 beside=project_effects,
                 laws=study.laws or only_laws,
             )
     except KeyboardInterrupt:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
-    _write(result, folder, write_model, json=json, page=not no_report, pictures=figures)
+    saved = result.save(folder / "discovery.json")
+    return _answer(result, result, [saved, write_model(result.extended, folder / "model.py")])
 
 
-def _discover_at_plant(
-    kind: PlantKind,
-    study: Study,
-    output: Path | None,
-    workers: int,
-    cluster: str,
-    *,
-    json: bool,
-    page: bool,
-    pictures: bool,
-) -> None:
+def _discover_at_plant(kind: PlantKind, study: Study) -> Answer:
     """The same at a plant that is no model file: the answer, and the fit of the plant with the effects of the answer."""
     from greybox.base.parallel.jobs import open_workers
-    from greybox.show.sentences.shell import report_line, written
 
     try:
-        with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
+        with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
             answer = kind.discover(
                 study,
-                output,
                 _left_out(study),
                 on_message=say,
                 on_refit=report,
                 executor=executor,
-                workers=workers,
-                time_limit=read_time_limit(study),
+                workers=study.workers,
+                time_limit=study.seconds,
             )
     except KeyboardInterrupt:
         exit_with_error("interrupted", ExitCode.INTERRUPTED)
-    folder = answer.folder
-    saved = answer.discovery.save(folder / "discovery.json")
-    files = [saved, answer.save()]
-    typer.echo(saved.read_text(encoding="utf-8") if json else answer.text, nl=not json)
-    try:
-        files += _draw_pictures(answer.discovery, folder) if pictures else []
-        page_file = write_report(answer.discovery, folder / "report.html") if page else None
-    except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
-    if not json:
-        typer.echo(f"\n{written(files)}")
-        if page_file:
-            typer.echo(report_line(page_file))
+    saved = answer.discovery.save(answer.folder / "discovery.json")
+    return _answer(answer.discovery, answer.text, [saved, answer.save()])
 
 
 def _left_out(study: Study) -> tuple[str, ...]:
@@ -166,27 +126,40 @@ def _left_out(study: Study) -> tuple[str, ...]:
     return (*study.without, *relatives)
 
 
-def _write(
-    result: Discovery, folder: Path, write_model: Callable[..., Path], *, json: bool, page: bool, pictures: bool
-) -> None:
-    from greybox.show.sentences.shell import report_line, written
-
-    saved = result.save(folder / "discovery.json")
-    typer.echo(saved.read_text(encoding="utf-8") if json else str(result), nl=not json)
-    files = [saved]
-    try:
-        files.append(write_model(result.extended, folder / "model.py"))
-        files += _draw_pictures(result, folder) if pictures else []
-        report = write_report(result, folder / "report.html") if page else None
-    except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the answer is in {saved}", ExitCode.INTERRUPTED)
-    if not json:
-        typer.echo(f"\n{written(files)}")
-        if report:
-            typer.echo(report_line(report))
+def _answer(result: Discovery, text: object, files: list[Path]) -> Answer:
+    saved = files[0]
+    return Answer(
+        text,
+        lambda _: saved.read_text(encoding="utf-8"),
+        files,
+        page=lambda: write_report(result, saved.parent / "report.html"),
+        pictures=lambda: _draw_pictures(result, saved.parent),
+        kept=f"the answer is in {saved}",
+    )
 
 
 def _draw_pictures(result: Discovery, folder: Path) -> list[Path]:
     from greybox.show.figures.pictures import draw_discovery
 
     return draw_discovery(result, folder)
+
+
+DISCOVER = Command(
+    discover,
+    "Find the effect that a model lacks.",
+    (
+        *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.further, Study.laws, Study.priors),
+        *(Study.ties, Study.quiet, Study.validation, Study.skip, Study.beginning),
+        Study.estimation.but(usage="ESTIMATION", help="Records to learn from, headers 'name [unit]'.", required=True),
+        Study.time_limit.but(
+            help="End the search after so many seconds, with the best answer so far. The same command continues it."
+        ),
+        Study.output.but(help="Folder for the results. [default: results/MODEL-discover]"),
+        *(*SHARING, *SHOWING, Study.figures),
+    ),
+    (
+        "greybox discover micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
+        "greybox discover emps train.csv --validate test.csv --effects coulomb_friction,constant_load",
+    ),
+    (LAYOUT, *VALIDATING),
+)

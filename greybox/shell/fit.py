@@ -5,68 +5,52 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from greybox.base.errors import ExitCode, FitError, GreyboxError
+from greybox.base.errors import ExitCode, FitError
 from greybox.shell.inputs import (
+    STARTS_FILE,
     build_model,
     check_intervals,
     check_prediction_steps,
     check_skip,
     check_substeps,
-    check_workers,
     constrain,
     fit_options,
     print_record_notes,
     read_quiet_records,
     read_records,
-    read_time_limit,
-    seed_of,
+    result_folder,
     with_delays_of_records,
-)
-from greybox.shell.options import (
-    STARTS_FILE,
-    Cluster,
-    Figures,
-    Json,
-    NoReport,
-    Silent,
-    Workers,
-    check_writable,
-    takes_study,
 )
 from greybox.shell.plants import plant_kind
 from greybox.shell.progress import show_fit_progress, show_progress
-from greybox.shell.study import FIT, Study
-from greybox.shell.terminal import exit_with_error, hold_interrupts, write_report
+from greybox.shell.study import (
+    FITTING,
+    LAYOUT,
+    QUIET,
+    SHARING,
+    SHOWING,
+    STARTING,
+    SUBSTEPS,
+    VALIDATING,
+    Answer,
+    Command,
+    Study,
+    sharing,
+)
+from greybox.shell.terminal import hold_interrupts, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.estimation.residuals import ResidualTests
     from greybox.estimation.result import Fit
     from greybox.estimation.result_parts import Trace
-    from greybox.estimation.uncertainty import Bootstrap, Profile
+    from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
     from greybox.shell.answers import FitAnswer, RecordMisfit
 
 
-@takes_study(FIT)
-def fit(
-    study: Study,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "--output", metavar="DIR", help="Folder for fit.json and the report. [default: results/MODEL-fit]"
-        ),
-    ] = None,
-    workers: Workers = 0,
-    cluster: Cluster = "",
-    silent: Silent = False,
-    json: Json = False,
-    figures: Figures = False,
-    no_report: NoReport = False,
-) -> None:
+def fit(study: Study) -> Answer:
     """Fit the parameters of MODEL to records, and validate the fit.
 
     Prints the equations, the parameters with 95 % intervals, the misfit on the estimation and the validation records, and
@@ -80,11 +64,8 @@ def fit(
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    if silent and json:
-        raise GreyboxError("--quiet-output and --json contradict each other; leave out one of the two")
-    if kind := plant_kind(study.model):
-        kind.fit(study, output, json=json)
-        return
+    if kind := plant_kind(study):
+        return kind.fit(study)
     from greybox.base.json_file import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
@@ -92,22 +73,16 @@ def fit(
 
     model = constrain(build_model(study), study)
     check_substeps(study, model)
-    folder = check_writable(output or Path("results") / f"{model.name}-fit")
+    folder = result_folder(study, model.name)
     records, validation = read_records(study, model)
     model = with_delays_of_records(model, records)
     quiet = read_quiet_records(study, model)
     check_skip(study, validation)
     check_prediction_steps(study, records, validation)
-    shared = {"--starts N": study.starts > 1, "--profile NAME": study.profiles, "--bootstrap N": study.bootstrap}
-    check_workers(workers, cluster, shared)
+    silent, workers = study.silent, study.workers
     if not silent:  # notes on the fitted records stand in the result, but for JSON
-        print_record_notes(*((records, validation) if json else (validation,)))
-    seed, profiled = seed_of(study), check_intervals(study, model)
-    time_limit = read_time_limit(study)
-    if study.time_limit and study.starts == 1:
-        raise GreyboxError(
-            f"{study.label('time_limit')} {study.time_limit:g} has no effect: there is one start; give --starts N too"
-        )
+        print_record_notes(*((records, validation) if study.json else (validation,)))
+    profiled = check_intervals(study, model)
     given: dict[str, Any] = {
         "noise": dict(study.noise),
         "quiet": quiet,
@@ -116,7 +91,7 @@ def fit(
         "beginning": study.beginning,
         "options": fit_options(study),
     }
-    with open_workers(workers, cluster) as executor:
+    with open_workers(workers, study.cluster) as executor:
         if study.starts > 1:
             journal = folder / STARTS_FILE
             with show_progress(silent) as show:
@@ -124,12 +99,12 @@ def fit(
                     model,
                     records,
                     starts=study.starts,
-                    seed=seed,
+                    seed=study.seed or 0,
                     report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
                     executor=executor,
                     workers=workers,
                     journal=journal,
-                    time_limit=time_limit,
+                    time_limit=study.seconds,
                     **given,
                 )
             result, interrupted = many.best, many.interrupted
@@ -151,18 +126,26 @@ def fit(
         with hold_interrupts():
             # Once more, with what took its time: a number that is printed stands in the file.
             write_json(saved, answer)
-        if json:
-            typer.echo(saved.read_text(encoding="utf-8"), nl=False)
-        elif not silent:
-            typer.echo(str(answer))
+    shown: dict[str, Any] = {"text": answer, "json": lambda _: saved.read_text(encoding="utf-8")}
     if interrupted or result.status == "interrupted":
         older = ", those there are of an earlier fit" if (saved.parent / "report.html").exists() else ""
-        exit_with_error(
-            f"interrupted; the best point so far is in {saved} (no figures, no report{older})", ExitCode.INTERRUPTED
-        )
-    _draw(result, tests, saved, study.uncounted, quiet=silent or json, page=not no_report, pictures=figures)
-    if not result.success:
-        exit_with_error(f"no success: {result.solver.status_message}", ExitCode.UNSUCCESSFUL)
+        failure = f"interrupted; the best point so far is in {saved} (no figures, no report{older})"
+        return Answer(**shown, failure=failure, code=ExitCode.INTERRUPTED)
+    return Answer(
+        **shown,
+        files=[saved],
+        page=lambda: _write_page(answer, saved.parent / "report.html", study.uncounted),
+        pictures=lambda: _draw_pictures(result, tests, saved.parent, study.uncounted),
+        kept=f"the fit is in {saved}",
+        failure="" if result.success else f"no success: {result.solver.status_message}",
+        code=ExitCode.SUCCESS if result.success else ExitCode.UNSUCCESSFUL,
+    )
+
+
+def _write_page(answer: FitAnswer, target: Path, skip: int) -> Path:
+    from greybox.show.documents.answers import further_intervals
+
+    return write_report(answer.fit, target, tests=answer.tests, skip=skip, intervals=tuple(further_intervals(answer)))
 
 
 def _answer(
@@ -240,15 +223,19 @@ def _share(executor: Executor | None, workers: int) -> ShareWork:
 BOOTSTRAP_SEED = 0
 
 
-def _compute_interval(result: Fit, asked: tuple[str, int]) -> Profile | Bootstrap:
-    """The profile of a parameter, or, without a name, a bootstrap with so many replicates."""
+def _compute_interval(result: Fit, asked: tuple[tuple[str, ...], int]) -> Profile | ProfilePair | Bootstrap:
+    """The profile of a parameter or of two together, or, without a name, a bootstrap with so many replicates."""
     import numpy as np
 
-    from greybox.estimation.uncertainty import bootstrap, profile
+    from greybox.estimation.uncertainty import bootstrap, profile, profile_pair
 
-    name, replicates = asked
-    draws = np.random.default_rng(BOOTSTRAP_SEED)
-    return profile(result, name) if name else bootstrap(result, draws, replicates=replicates)
+    match asked:
+        case (first, second), _:
+            return profile_pair(result, first, second)
+        case (name,), _:
+            return profile(result, name)
+        case _, replicates:
+            return bootstrap(result, np.random.default_rng(BOOTSTRAP_SEED), replicates=replicates)
 
 
 def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: ShareWork) -> dict[str, Any]:
@@ -256,11 +243,15 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     intervals: dict[str, Any] = {}
     try:
         labels = list(_labels(result, profiled))
-        zero = [n for n in labels if n in result.model.noise_parameters and result.model.values[n] == 0]
+        noise, values = result.model.noise_parameters, result.model.values
+        zero = dict.fromkeys(n for names in labels for n in names if n in noise and values[n] == 0)
         intervals["zero_noise"] = tuple(zero)
-        asked = [(name, 0) for name in labels if name not in zero]
-        computed = share(_compute_interval, result, asked + [("", replicates)] * bool(replicates))
-        intervals["profiles"] = tuple(computed[: len(asked)])
+        asked = [names for names in labels if not zero.keys() & {*names}]
+        jobs = [(names, 0) for names in asked] + [((), replicates)] * bool(replicates)
+        computed = share(_compute_interval, result, jobs)
+        profiles = list(zip(asked, computed, strict=False))
+        intervals["profiles"] = tuple(done for names, done in profiles if len(names) == 1)
+        intervals["regions"] = tuple(done for names, done in profiles if len(names) == 2)
         if replicates:
             intervals["bootstrap"] = computed[-1]
     except FitError as error:
@@ -268,11 +259,14 @@ def _intervals(result: Fit, profiled: Iterable[str], replicates: int, share: Sha
     return intervals
 
 
-def _labels(result: Fit, names: Iterable[str]) -> Iterator[str]:
-    """A parameter that each record has for itself is one parameter for each of them."""
+def _labels(result: Fit, profiled: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """One parameter, or two of ``A:B``; one that each record has for itself is one parameter for each of them."""
     per_record = result.constraints.per_experiment
-    for name in names:
-        yield from [f"{name} ({title})" for title in per_record[name]] if name in per_record else [name]
+    for name in profiled:
+        if name in per_record:
+            yield from ((f"{name} ({title})",) for title in per_record[name])
+        else:
+            yield tuple(name.split(":"))
 
 
 # Rows up to which the error one sample ahead is shown without being asked for: longer records would make the user wait.
@@ -294,25 +288,25 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
     return tables
 
 
-def _draw(
-    result: Fit, tests: ResidualTests | None, saved: Path, skip: int, *, quiet: bool, page: bool, pictures: bool
-) -> None:
-    """The figures as pictures and the report, as far as they are wanted, with the lines that say so."""
-    from greybox.show.sentences.shell import report_line, written
-
-    try:
-        figures = _draw_pictures(result, tests, saved.parent, skip) if pictures else []
-        report = write_report(result, saved.parent / "report.html", tests=tests, skip=skip) if page else None
-    except KeyboardInterrupt:
-        exit_with_error(f"interrupted while drawing; the fit is in {saved}", ExitCode.INTERRUPTED)
-    if not quiet:
-        typer.echo(f"\n{written([saved, *figures])}")
-        if report:
-            typer.echo(report_line(report))
-
-
 def _draw_pictures(result: Fit, tests: ResidualTests | None, folder: Path, skip: int) -> list[Path]:
     from greybox.show.figures.pictures import draw_fit, draw_residual_tests
 
     figures = draw_fit(result, folder, skip=skip)
     return figures + (draw_residual_tests(tests, folder, title=result.model.title) if tests else [])
+
+
+FIT = Command(
+    fit,
+    "Fit a model's parameters to records.",
+    (
+        *(*FITTING, Study.estimation.but(required=True), Study.time_limit, Study.profiles, Study.bootstrap),
+        Study.output.but(help="Folder for fit.json and the report. [default: results/MODEL-fit]"),
+        *(*SHARING, *SHOWING, Study.silent, Study.figures),
+    ),
+    (
+        "greybox fit micro_actuator record.csv --fix M=0.01 --fix Ra=8 --validate other.csv",
+        "greybox fit my/rig.py a.csv b.csv --start K=5000 --noise x=2e-7 --output results/rig",
+        "greybox fit emps record.csv --effect coulomb_friction --hold first",
+    ),
+    (QUIET, LAYOUT, SUBSTEPS, *VALIDATING, *STARTING, *sharing(Study.starts, Study.profiles, Study.bootstrap)),
+)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
-from greybox.shell.study import MethodName, Study
-from greybox.shell.study_values import Numbers, Table, parse_number
+from greybox.shell.study import Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
 
 if TYPE_CHECKING:
@@ -159,14 +159,9 @@ def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> t
 
 
 def layout_of(study: Study) -> dict[str, Any]:
-    """How the files of the records are laid out, and how large they may be, as the readers take it. Raises GreyboxError."""
+    """How the files of the records are laid out, and how large they may be, as the readers take it."""
     from greybox.data.policy import READING_POLICY
 
-    if study.headers and study.columns:
-        raise GreyboxError(
-            f"{study.label('headers')} and {study.label('columns')} exclude each other: names for all columns, or headers for some;"
-            " keep one"
-        )
     layout: dict[str, Any] = {"columns": study.headers or dict(study.columns) or None}
     if study.sampling_time:
         layout["sampling_time"] = study.sampling_time
@@ -253,28 +248,18 @@ def print_record_notes(*groups: Iterable[Experiment]) -> None:
         print_note(f"note: {finding}")
 
 
-def check_skip(study: Study, validation: Sequence[Experiment]) -> None:
-    """Refuse to leave out rows where there are none, or so many that a validation record has too few left."""
-    skip, label = study.skip, study.label("skip")
-    if study.beginning > skip:
-        skip, label = study.beginning, study.label("beginning")
-    if skip:
-        check_skipped_rows(label, skip, validation)
-
-
 # Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.
 MINIMUM_VALIDATION_ROWS = 10
 
 
-def check_skipped_rows(label: str, skip: int, validation: Sequence[Experiment]) -> None:
-    """`check_skip` for ``skip`` rows, which the option ``label`` gives. Raises GreyboxError."""
-    if not validation:
-        raise GreyboxError(
-            f"{label} {skip} has no effect: it leaves out rows of validation records; give --validate FILE too"
-        )
-    least = MINIMUM_VALIDATION_ROWS
+def check_skip(study: Study, validation: Sequence[Experiment]) -> None:
+    """Refuse to leave out so many rows that a validation record has too few left. Raises GreyboxError."""
+    skip, least = study.uncounted, MINIMUM_VALIDATION_ROWS
+    if not (skip and validation):
+        return
     shortest = min(r.rows for r in validation)
     if shortest - skip < least:
+        label = study.label("beginning" if study.beginning > study.skip else "skip")
         raise GreyboxError(
             f"{label} {skip}: the shortest validation record has {shortest} rows, and at least {least} must be left;"
             " leave out fewer"
@@ -282,13 +267,8 @@ def check_skipped_rows(label: str, skip: int, validation: Sequence[Experiment]) 
 
 
 def check_substeps(study: Study, model: Model) -> None:
-    """Refuse substeps with a method that has none; say so where the automatic choice may be such a method."""
-    label = study.label("substeps")
-    if study.substeps and study.method == MethodName.exact:
-        raise GreyboxError(
-            f"{label} {study.substeps} has no effect: --method exact has no substeps; leave out one of the two"
-        )
-    if study.substeps and study.method == MethodName.automatic and model.system.linear:
+    """Say so where the automatic choice may be a method without substeps."""
+    if study.substeps and study.method == "automatic" and model.system.linear:
         print_findings([Finding(CommandCode.SUBSTEPS_WITHOUT_EFFECT, values={"substeps": study.substeps})])
 
 
@@ -303,39 +283,28 @@ def check_prediction_steps(study: Study, *groups: Sequence[Experiment]) -> None:
             )
 
 
-def read_time_limit(study: Study) -> float:
-    """Seconds that a search may take, infinite where nobody limits it."""
-    return study.time_limit or math.inf
-
-
-def seed_of(study: Study) -> int:
-    """The seed of the random starts. Raises GreyboxError where there are none."""
-    if study.seed is not None and study.starts == 1:
-        raise GreyboxError(
-            f"{study.label('seed')} {study.seed} has no effect: there are no random starts; give --starts N too"
-        )
-    return study.seed or 0
-
-
-def check_workers(workers: int, cluster: str, shared: Mapping[str, object]) -> None:
-    """Refuse workers where there is nothing to share; ``shared``: the options whose work they share, with their values."""
-    # One worker asks for nothing to be shared, and that is what happens.
-    given = f"--cluster {cluster}" if cluster else f"--workers {workers}" if workers > 1 else ""
-    if given and not any(shared.values()):
-        raise GreyboxError(f"{given} has no effect: there is one computation; give {' or '.join(shared)} too")
-
-
 # Replicates of a bootstrap: with fewer, each end of a 95 % interval rests on two or three of them.
 MINIMUM_REPLICATES = 100
 
 
 def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
-    """The parameters to be profiled. Raises GreyboxError for a parameter that is not fitted and for too few replicates."""
+    """The parameters to be profiled, two together as ``A:B``.
+
+    Raises GreyboxError for a parameter that is not fitted, for more than two of them together and for too few replicates.
+    """
     free = [q.name for q in model.free_parameters]
     names = tuple(dict.fromkeys(study.profiles))
-    for name in names:
-        if name not in free:
-            raise GreyboxError(f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}")
+    for asked in names:
+        constants, label = asked.split(":"), f"{study.label('profiles')} {asked}"
+        for name in constants:
+            if name not in free:
+                raise GreyboxError(
+                    f"{study.label('profiles')} {name}: no parameter that is fitted; {nearest(name, free)}"
+                )
+        if len(constants) > 2 or len({*constants}) < len(constants):
+            raise GreyboxError(f"{label}: give one parameter, or two different ones as A:B")
+        if len(constants) == 2 and (separate := {*constants}.intersection(study.per_experiment)):
+            raise GreyboxError(f"{label}: each record has its own {min(separate)}; give two that all records share")
     if 0 < study.bootstrap < MINIMUM_REPLICATES:
         raise GreyboxError(
             f"{study.label('bootstrap')} {study.bootstrap}: too few replicates for a 95 % interval;"
@@ -344,8 +313,8 @@ def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
     return names
 
 
-def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
-    """The fit in ``path``. ``model`` names its model or model file (None: the name that the file holds).
+def load_fit_with_model(path: Path, model: str = "") -> Fit:
+    """The fit in ``path``. ``model`` names its model or model file ("": the name that the file holds).
 
     A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
     has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
@@ -356,7 +325,7 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     from greybox.shell.project import find_model, is_model_path
 
     data = read_json(path, Fit)
-    if model is None and is_model_path(data["model"]):
+    if not model and is_model_path(data["model"]):
         raise DataError(
             f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"
         )
@@ -370,28 +339,15 @@ def load_fit_with_model(path: Path, model: str | None = None) -> Fit:
     return restore_fit(data, plant, str(path))
 
 
-# Limits of signals on the command line: ``--limit NAME=LOW:HIGH`` and ``--rate NAME=R``.
-
-
-def parse_limits(option: str, limits: Sequence[str], rates: Sequence[str] = ()) -> dict[str, SignalLimit]:
-    """Limits by signal. Raises GreyboxError."""
+def limits_of(study: Study) -> dict[str, SignalLimit]:
+    """Limits and largest rates by signal. Raises GreyboxError."""
     from greybox.data.signals import SignalLimit
 
-    pairs = Table(shape="NAME=LOW:HIGH", example="u=-3:3").from_option(option, limits)
-    fastest = Numbers(shape="NAME=R", example="u=100").from_option("--rate", rates)
     result = {}
-    for name in dict.fromkeys([*pairs, *fastest]):
-        text = pairs.get(name, ":")
-        low, colon, high = text.partition(":")
-        if not colon:
-            raise GreyboxError(f"{option} {name}={text}: write it as LOW:HIGH, as in {option} u=-3:3")
-        given = f"{option} {name}={text}"
-        ends = [
-            parse_number(given, end, f"{option} u=-3:3") if end else sign * math.inf
-            for end, sign in ((low, -1.0), (high, 1.0))
-        ]
+    for name in dict.fromkeys([*study.limits, *study.rates]):
+        ends = study.limits.get(name, (-math.inf, math.inf))
         try:
-            result[name] = SignalLimit(ends[0], ends[1], fastest.get(name, math.inf))
+            result[name] = SignalLimit(ends[0], ends[1], study.rates.get(name, math.inf))
         except DataError as error:
             raise GreyboxError(f"{name}: {error}") from None
     return result
@@ -414,3 +370,33 @@ def refuse_broken_limits(run: Simulation, limits: Mapping[str, SignalLimit]) -> 
                 " written",
                 ExitCode.UNSUCCESSFUL,
             )
+
+
+# Where results go.
+
+STARTS_FILE = "starts.jsonl"
+"""Finished starts of a command that was interrupted, in its output folder."""
+
+
+def result_folder(study: Study, model: str) -> Path:
+    """The folder of the results: the one that was given, or one called like the model and the command. Raises GreyboxError."""
+    return check_writable(study.output or Path("results") / f"{model}-{study.command}")
+
+
+def check_writable(path: Path, given: str = "--output") -> Path:
+    """``path``, if results can be written there; checked before the computation, and not changed. Raises GreyboxError.
+
+    ``given``: the option or argument that names it.
+    """
+    try:
+        present = next(folder for folder in (path, *path.absolute().parents) if folder.exists())
+        if not present.is_dir():
+            what = "it is a file" if present == path else f"{present} is a file"
+            raise GreyboxError(f"{given} {path}: {what}; give a folder")
+        # Another process may be about to make the folder, or to write into it: nothing is made that must be removed.
+        with tempfile.TemporaryFile(dir=present):
+            pass
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise GreyboxError(f"{given} {path}: cannot be written to ({reason}); give another folder") from error
+    return path

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, load_extensions
+from greybox.shell.study import Answer, Idle, Option, Study
 
 
 @dataclass(frozen=True)
@@ -28,28 +30,43 @@ class PlantKind:
     ----------
     suffixes
         Endings of its files, in small letters.
+    closed
+        What a message calls it where an option changes nothing: "on an FMU, whose equations are closed".
+    used
+        Command -> the options of a study that it uses with such a plant.
     fit
-        ``fit(study, output, json=...)`` fits, prints and writes; it ends with an exit code of its own.
+        ``fit(study) -> Answer`` fits and writes.
     check
-        ``check(study, output) -> (result, folder)``.
+        ``check(study) -> (result, folder)``.
     compare
-        ``compare(study, output) -> (comparison, records, validation records, folder)``.
+        ``compare(study) -> (comparison, records, validation records, folder)``.
     discover
-        ``discover(study, output, without, **options) -> PlantDiscovery``; the options are those of `greybox.discover`.
+        ``discover(study, without, **options) -> PlantDiscovery``; the options are those of `greybox.discover`.
     """
 
     suffixes: tuple[str, ...]
-    fit: Callable[..., None]
+    closed: str
+    used: Mapping[str, tuple[Option[Any], ...]]
+    fit: Callable[[Study], Answer]
     check: Callable[..., Any]
     compare: Callable[..., Any]
     discover: Callable[..., Any]
 
 
-def plant_kind(model: str) -> PlantKind | None:
-    """The kind of plant that a file ``model`` holds; None for a model of this library."""
-    suffix = Path(model).suffix.lower()
+def plant_kind(study: Study) -> PlantKind | None:
+    """The kind of plant that the model of a study is; None for a model of this library.
+
+    Raises GreyboxError for options that change nothing at such a plant.
+    """
+    suffix = Path(study.model).suffix.lower()
     # Names of models have no ending: nothing is looked up for them.
     if not suffix or suffix in (".py", ".toml"):
         return None
     kinds = load_extensions(ExtensionKind.PLANTS).values()
-    return next((kind for kind in kinds if suffix in kind.suffixes), None)
+    kind = next((kind for kind in kinds if suffix in kind.suffixes), None)
+    if kind is not None:
+        used = {option.name for option in kind.used[study.command]}
+        rest = tuple(o for name, o in study.options.items() if o.place and o.flags and name not in used)
+        if objection := Idle(rest, kind.closed).objection(study):
+            raise GreyboxError(objection)
+    return kind

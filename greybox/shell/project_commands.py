@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import json as json_format
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
+import click
 
 from greybox.base.errors import ExitCode, GreyboxError
 from greybox.base.findings import Finding
-from greybox.shell import completion
-from greybox.shell.inputs import add_effects
-from greybox.shell.options import Figures, Json, NoReport, Texts, check_writable
+from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import FIT, SPECS
-from greybox.shell.study_values import parse_names
+from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
@@ -24,47 +21,36 @@ if TYPE_CHECKING:
     from greybox.shell.project import ModelListing
 
 
-def init(
-    directory: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder for the project; created if it does not exist.")
-    ],
-    plant: Annotated[
-        str,
-        typer.Option(
-            "--plant",
-            metavar="NAME",
-            help="Start from one plant with a simulated twin and a study file: circuit, cylinder, rotary-drive, stage, tanks, "
-            "thermal or two-mass.",
-        ),
-    ] = "",
-    force: Annotated[bool, typer.Option("--force", help="Overwrite existing files.")] = False,
-    json: Json = False,
-) -> None:
+def _as_json(data: object) -> str:
+    return json_format.dumps(data, indent=2)
+
+
+def init(study: Study) -> Answer:
     """Create a project in DIR with example files: models/, fits/ and a notebook, or one plant to start from."""
     from greybox.shell.template import write_project
 
-    check_writable(directory, "DIR")
-    files = write_project(directory, plant=plant, force=force)
-    command = "python twin.py && greybox fit study.toml" if plant else "greybox models"
-    if json:
-        data = {"folder": str(directory), "files": list(map(str, files)), "next": f"cd {directory} && {command}"}
-        typer.echo(json_format.dumps(data, indent=2))
-        return
-    typer.echo(f"{len(files)} files written to {directory}; next: cd {directory} && {command}")
+    folder = check_writable(study.directory or Path(), "DIR")
+    files = write_project(folder, plant=study.plant, force=study.force)
+    command = "python twin.py && greybox fit study.toml" if study.plant else "greybox models"
+    data = {"folder": str(folder), "files": list(map(str, files)), "next": f"cd {folder} && {command}"}
+    text = f"{len(files)} files written to {folder}; next: cd {folder} && {command}"
+    return Answer(text, lambda _: _as_json(data))
 
+
+INIT = Command(
+    init,
+    "Create a project with example files.",
+    (Study.directory, Study.plant, Study.force, Study.json),
+    (
+        "greybox init my_rig",
+        "cd my_rig && greybox models",
+    ),
+)
 
 # `greybox demo`.
 
 
-def demo(
-    output: Annotated[Path, typer.Option("--output", metavar="DIR", help="Folder for records and results.")] = Path(
-        "results/demo"
-    ),
-    open_: Annotated[bool, typer.Option("--open", help="Open the report in the browser at the end.")] = False,
-    json: Json = False,
-    figures: Figures = False,
-    no_report: NoReport = False,
-) -> None:
+def demo(study: Study) -> Answer:
     """Run every step on a simulated actuator with an effect that its model lacks.
 
     Fits the model (its residual is about a hundred times the noise), identifies the missing effect, prints the error on a
@@ -72,64 +58,59 @@ def demo(
     design. An integrator that the fits do not use simulates the actuator. Takes half a minute; see DIR/report.html.
     """
     from greybox.shell.demonstration import run_demo
-    from greybox.show.sentences.shell import demo_answer, report_line
+    from greybox.show.sentences.shell import demo_answer
 
-    if open_ and no_report:
-        raise GreyboxError("--open and --no-report contradict each other; leave out one of the two")
-    folder = check_writable(output)
+    folder = check_writable(study.output or Path("results/demo"))
     with show_search_progress() as (say, report):
-        result = run_demo(folder, say=say, report=report, pictures=figures)
+        result = run_demo(folder, say=say, report=report, pictures=study.figures)
     if result.plain.status == "interrupted":
         exit_with_error(f"interrupted; the results so far are in {folder}", ExitCode.INTERRUPTED)
-    page = None if no_report else write_report(result, folder / "report.html")
-    if json:
-        typer.echo((folder / "discovery.json").read_text(encoding="utf-8"), nl=False)
-    else:
-        typer.echo("\n\n".join([demo_answer(result, folder), *([report_line(page)] if page else [])]))
-    if open_ and page:
-        typer.launch(page.resolve().as_uri())
-    if not result.fit.success:
-        raise typer.Exit(ExitCode.UNSUCCESSFUL)
 
+    def write_page() -> Path:
+        page = write_report(result, folder / "report.html")
+        if study.opened:
+            click.launch(page.resolve().as_uri())
+        return page
+
+    return Answer(
+        f"{demo_answer(result, folder)}\n",
+        lambda _: (folder / "discovery.json").read_text(encoding="utf-8"),
+        page=write_page,
+        kept=f"the results are in {folder}",
+        code=ExitCode.SUCCESS if result.fit.success else ExitCode.UNSUCCESSFUL,
+    )
+
+
+DEMO = Command(
+    demo,
+    "Run every step on a simulated actuator.",
+    (
+        Study.output.but(help="Folder for records and results. [default: results/demo]"),
+        *(Study.opened, *SHOWING, Study.figures),
+    ),
+    (
+        "greybox demo",
+        "greybox demo --output somewhere",
+    ),
+    (Excludes(Study.opened, Study.no_report, "there is a report to open, or none"),),
+)
 
 # `greybox models`.
 
 
-def models(
-    model: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="MODEL",
-            autocompletion=completion.models,
-            help="The model to print: its name or its file. Without MODEL, all are listed.",
-        ),
-    ] = None,
-    *,
-    effect: Annotated[
-        Texts,
-        typer.Option(
-            "--effect",
-            metavar="NAME",
-            default_factory=list,
-            autocompletion=completion.effects,
-            help=SPECS["effects"].help_for(FIT),
-        ),
-    ],
-    json: Json = False,
-) -> None:
+def models(study: Study) -> Answer:
     """List the models, or print the equations and parameters of one."""
     from greybox.model.system import unused_parameters
     from greybox.shell.project import find_model, list_models
 
-    if model is not None:
-        one = add_effects(find_model(model), effect)
-        typer.echo(json_format.dumps(_outline(one), indent=2) if json else str(one))
+    if study.some_model:
+        one = add_effects(find_model(study.some_model), study.added)
         print_findings(Finding(CommandCode.UNUSED_PARAMETER, subject=name) for name in unused_parameters(one.system))
-        return
+        return Answer(one, lambda _: _as_json(_outline(one)))
     listing = list_models()
-    typer.echo(json_format.dumps(_list(listing), indent=2) if json else str(listing))
     for problem in listing.problems:
         print_note(f"warning: {problem}")
+    return Answer(listing, lambda _: _as_json(_list(listing)))
 
 
 def _list(listing: ModelListing) -> dict[str, Any]:
@@ -172,41 +153,26 @@ def _outline(model: Model) -> dict[str, Any]:
     )
 
 
+MODELS = Command(
+    models,
+    "List the models, or print one model.",
+    (
+        Study.some_model.but(help="The model to print: its name or its file. Without MODEL, all are listed."),
+        *(Study.added, Study.json),
+    ),
+    (
+        "greybox models",
+        "greybox models micro_actuator",
+        "greybox models my/rig.py",
+    ),
+)
+
 # `greybox effects`.
 
 KEEP = "keep"
 
 
-def effects(
-    model: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="MODEL",
-            autocompletion=completion.models,
-            help="The model in which they look for a place: its name or its file. Without MODEL, the catalogue is listed. The word"
-            " keep: the law of a discovery becomes an effect of the project.",
-        ),
-    ] = None,
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="With keep: what the effect is called.")] = None,
-    *,
-    effect: Annotated[
-        Texts,
-        typer.Option(
-            "--effect",
-            metavar="NAME",
-            default_factory=list,
-            autocompletion=completion.effects,
-            help=SPECS["effects"].help_for(FIT),
-        ),
-    ],
-    result: Annotated[
-        Path | None,
-        typer.Option(
-            "--result", metavar="FILE", help="With keep: the discovery.json. [default: the newest in results/]"
-        ),
-    ] = None,
-    json: Json = False,
-) -> None:
+def effects(study: Study) -> Answer:
     """List the effects of the catalogue, or where they find a place in a model.
 
     greybox effects keep NAME writes the law of a discovery to effects/NAME.py of the project: from then on it is a candidate
@@ -219,32 +185,53 @@ def effects(
     from greybox.shell.own_effects import find_own_effects, keep_effect
     from greybox.shell.project import find_model
 
-    if model == KEEP:
-        if name is None:
+    model = study.some_model
+    if _keeps(study):
+        from greybox.show.sentences.shell import written
+
+        if not study.own_name:
             raise GreyboxError(
                 "effects keep: NAME is missing; write greybox effects keep NAME, as in greybox effects keep soft_stop"
             )
-        idle = ["--effect"] * bool(effect) + ["--json"] * json
-        if idle:
-            raise GreyboxError(f"{', '.join(idle)}: no effect with keep, which writes one file; leave it out")
-        from greybox.show.sentences.shell import written
-
-        typer.echo(written([keep_effect(name, result)]))
-        return
-    if name is not None or result is not None:
-        given = f"--result {result}" if name is None else name
-        raise GreyboxError(f"{given}: no effect without keep; leave it out, or write greybox effects keep NAME")
-    if effect and model is None:
-        raise GreyboxError(
-            f"--effect {effect[0]} has no effect without a model; write greybox effects MODEL --effect {effect[0]}"
-        )
+        return Answer(written([keep_effect(study.own_name, study.kept_result)]), str)
     entries = (*all_effects(), *find_own_effects())
-    if model is None:
-        listing = EffectListing("", entries)
-    else:
-        plant = add_effects(find_model(model), parse_names(effect))
+    listing = EffectListing("", entries)
+    if model:
+        plant = add_effects(find_model(model), study.added)
         listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
-    typer.echo(json_format.dumps(_to_data(listing), indent=2) if json else str(listing))
+    return Answer(listing, lambda _: _as_json(_to_data(listing)))
+
+
+def _keeps(study: Study) -> bool:
+    return study.some_model == KEEP
+
+
+EFFECTS = Command(
+    effects,
+    "List the effects, or where they act in a model.",
+    (
+        Study.some_model.but(
+            help="The model in which they look for a place: its name or its file. Without MODEL, the catalogue is listed. The word"
+            " keep: the law of a discovery becomes an effect of the project."
+        ),
+        *(Study.own_name, Study.added, Study.kept_result, Study.json),
+    ),
+    (
+        "greybox effects",
+        "greybox effects micro_actuator",
+        "greybox effects my/rig.py --json",
+    ),
+    (
+        Idle((Study.added, Study.json), "with keep, which writes one file", _keeps),
+        Idle(
+            (Study.kept_result, Study.own_name),
+            "without keep",
+            lambda study: not _keeps(study),
+            ", or write greybox effects keep NAME",
+        ),
+        Needs(Study.added, (Study.some_model,), "there is no model to add it to"),
+    ),
+)
 
 
 def _to_data(listing: EffectListing) -> list[dict[str, object]]:
@@ -273,15 +260,7 @@ def _to_data(listing: EffectListing) -> list[dict[str, object]]:
 # `greybox schema`.
 
 
-def schema(
-    command: Annotated[
-        str,
-        typer.Argument(
-            metavar="COMMAND", autocompletion=completion.commands, help="The command: fit, discover, changed, check ..."
-        ),
-    ],
-    json: Json = False,
-) -> None:
+def schema(study: Study) -> Answer:
     """Print the JSON Schema of what COMMAND prints with --json.
 
     For scripts and agents: what a key means, its unit, and what may be null. What a command writes to its folder (fit.json, discovery.json,
@@ -289,13 +268,25 @@ def schema(
     """
     from greybox.shell.printed import schema_of_command
 
-    typer.echo(json_format.dumps(schema_of_command(command), indent=1, ensure_ascii=False))
+    text = json_format.dumps(schema_of_command(study.json_command), indent=1, ensure_ascii=False)
+    return Answer(text, lambda _: text)
+
+
+SCHEMA = Command(
+    schema,
+    "Print the JSON Schema of what a command prints with --json.",
+    (Study.json_command, Study.json),
+    (
+        "greybox schema fit",
+        "greybox schema changed > changed.schema.json",
+    ),
+)
 
 
 # `greybox extensions`.
 
 
-def extensions(json: Json = False) -> None:
+def extensions(study: Study) -> Answer:
     """List what this package and others add to the core, and from which distribution each comes.
 
     An extension that cannot be loaded is listed with its reason; everything else works without it.
@@ -304,9 +295,14 @@ def extensions(json: Json = False) -> None:
     from greybox.show.sentences.shell import extensions_text
 
     entries = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
-    if json:
-        shown = ("kind", "name", "place", "distribution", "version", "failure")
-        rows = [{name: getattr(entry, name) for name in shown} for entry in entries]
-        typer.echo(json_format.dumps({"extensions": rows}, indent=2))
-        return
-    typer.echo(extensions_text(entries))
+    shown = ("kind", "name", "place", "distribution", "version", "failure")
+    rows = [{name: getattr(entry, name) for name in shown} for entry in entries]
+    return Answer(extensions_text(entries), lambda _: _as_json({"extensions": rows}))
+
+
+EXTENSIONS = Command(
+    extensions,
+    "List what extensions add to the program.",
+    (Study.json,),
+    ("greybox extensions", "greybox extensions --json"),
+)

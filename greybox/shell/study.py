@@ -1,19 +1,21 @@
-"""A study: everything that decides what `fit`, `discover`, `compare` and `check` compute. Every field is defined here.
+"""A study: everything that a command is told. The one table of options, the commands as values, and what options do to one another.
 
-Each field of `Study` says how it is spelled as an option of the command line, under which key it stands in a study file, which
-commands use it, and its help. `greybox.shell.options` makes the options of the commands from it, `greybox.shell.study_file` reads
-and writes the file.
+An `Option` is a field of `Study`: how it is written on the command line and in a study file, and its help. A `Command` names the options
+that it uses, and a function from a study to an `Answer`. The command line, study files, `--write-study`, Tab and the reference are
+made from these values (`greybox.shell.command_line`, `greybox.shell.study_file`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
-from enum import StrEnum
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Generic, Self, TypeVar, overload
 
+from greybox.base.errors import ExitCode, GreyboxError
 from greybox.shell import completion
 from greybox.shell.study_values import (
     Choice,
@@ -21,481 +23,308 @@ from greybox.shell.study_values import (
     Conditions,
     Count,
     Counts,
+    File,
     Files,
+    FrequencyBand,
     Headers,
     Kind,
+    Limits,
+    MaybeNumber,
+    ModelName,
     Names,
+    Number,
     Numbers,
     Priors,
     Quantity,
     Schedules,
+    Seed,
     Switch,
     Table,
     Word,
 )
 
-FIT, COMPARE, DISCOVER, CHECK, SIMULATE = "fit", "compare", "discover", "check", "simulate"
-STUDY_COMMANDS = (FIT, COMPARE, DISCOVER, CHECK)
-"""The commands that read a study file."""
+T = TypeVar("T")
+HOLDS = ("zero", "first", "band-limited")
+METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
+TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
 
 
-class HoldName(StrEnum):
-    """How the input moves between samples."""
+@dataclass(frozen=True, eq=False)
+class Option(Generic[T]):
+    """One option: a field of `Study`, whose value is read as an attribute of a study.
 
-    zero = "zero"
-    first = "first"
-    band_limited = "band-limited"
-
-
-class MethodName(StrEnum):
-    """How the equations are integrated."""
-
-    automatic = "automatic"
-    exact = "exact"
-    rk4 = "rk4"
-    mixed = "mixed"
-    midpoint = "midpoint"
-    radau = "radau"
-
-
-class TranscriptionName(StrEnum):
-    """How a record becomes a cost."""
-
-    automatic = "automatic"
-    single = "single"
-    multiple = "multiple"
-    collocation_radau = "collocation-radau"
-    collocation_legendre = "collocation-legendre"
-    arcs = "arcs"
-
-
-@dataclass(frozen=True)
-class Spec:
-    """How one field of a study is written.
-
-    ``flag`` on the command line, "" for the arguments MODEL and DATA; ``table`` and ``key`` in the file, both "" where the
-    whole table is the field; ``commands`` that use it; ``help`` for all commands, or by command.
+    Attributes
+    ----------
+    kind
+        What its values are, and how they are written.
+    usage
+        As it is typed: ``--skip N``, ``--set --start NAME=VALUE``, or ``MODEL`` for an argument.
+    place
+        Where it stands in a study file: ``records.skip``, ``profile`` at the top, ``fixed.`` for a whole table; "" for what is no part
+        of a study.
+    help
+        One sentence or two. ``[default: ...]`` in it takes the place of the default that is shown otherwise.
+    complete
+        What Tab offers.
+    required
+        Whether a command refuses to run without it.
     """
 
-    kind: Kind
-    flag: str
-    table: str
-    key: str
-    commands: tuple[str, ...]
-    help: str | Mapping[str, str]
-    metavar: str = ""
+    kind: Kind[T]
+    usage: str
+    place: str
+    help: str
     complete: Callable[..., Any] | None = None
-    show_default: bool = False
+    required: bool = False
+    name: str = ""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        object.__setattr__(self, "name", name)
+
+    @overload
+    def __get__(self, study: None, owner: type) -> Option[T]: ...
+    @overload
+    def __get__(self, study: Study, owner: type) -> T: ...
+    def __get__(self, study: Study | None, owner: type) -> Option[T] | T:
+        return self if study is None else study.values.get(self.name, self.kind.empty)
+
+    def __set__(self, study: Study, value: T) -> None:
+        raise AttributeError(f"{self.name}: a study does not change; study.but({self.name}=...) is another one")
+
+    def but(self, **changes: Any) -> Option[T]:
+        """The same option in the words of another command."""
+        return replace(self, **changes)
 
     @property
-    def place(self) -> str:
-        """The place of the field in a study file: ``[records] skip``, ``[noise]`` or ``model``."""
+    def flags(self) -> list[str]:
+        """``["--skip"]``; empty for an argument."""
+        return [word for word in self.usage.split() if word.startswith("-")]
+
+    @property
+    def flag(self) -> str:
+        """How messages name it: its first spelling, or the argument."""
+        return self.usage.split()[0]
+
+    @property
+    def metavar(self) -> str:
+        """What stands for its value: ``N``; "" for a switch."""
+        return self.usage.split()[-1].replace(self.flags[-1], "") if self.flags else self.usage
+
+    @property
+    def table(self) -> str:
+        """Its table in a study file, "" at the top."""
+        return self.place.rpartition(".")[0]
+
+    @property
+    def key(self) -> str:
+        """Its key in that table, "" where the whole table is its value."""
+        return self.place.rpartition(".")[2]
+
+    @property
+    def label(self) -> str:
+        """The place as a message names it: ``[records] skip``, ``[noise]`` or ``model``."""
         return " ".join(part for part in (f"[{self.table}]" if self.table else "", self.key) if part)
 
-    def help_for(self, command: str) -> str:
-        """The help that ``command`` shows."""
-        return self.help if isinstance(self.help, str) else self.help[command]
+
+_RECORDS = "Records to fit: CSV, MAT, MF4, TDMS and others, headers 'name [unit]'."
+_MODEL = "Name of a model (see greybox models), or a model file: my/rig.py, my/rig.py:name."
 
 
-def _study_field(
-    kind: Kind, flag: str, place: str, commands: tuple[str, ...], text: str | Mapping[str, str], **more: Any
-) -> Any:
-    """A field of `Study`; ``place`` is ``table.key``, ``key`` at the top of the file, or ``table.`` for a whole table."""
-    table, _, key = place.rpartition(".")
-    spec = Spec(kind, flag, table, key, commands, text, **more)
-    return field(default_factory=lambda: kind.empty, metadata={"spec": spec})
-
-
-_ALL = STUDY_COMMANDS
-_FITS = (FIT, COMPARE)
-_FITS_AND_CHECK = (FIT, COMPARE, CHECK)
-
-
-@dataclass(frozen=True)
 class Study:
-    """What decides the result of a command. Values are as the library takes them: numbers in the model's units."""
+    """The values of options, as the library takes them: numbers in the model's units.
 
-    model: str = field(default="", metadata={"spec": Spec(Word(), "", "", "model", (*_ALL, SIMULATE), "")})
-    estimation: tuple[Path, ...] = field(
-        default=(), metadata={"spec": Spec(Files(), "", "records", "estimation", _ALL, "")}
-    )
-    effects: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--effect",
-        "effects",
-        (*_FITS_AND_CHECK, SIMULATE),
-        "Add an effect of the catalogue, such as coulomb_friction.",
-        metavar="NAME",
-        complete=completion.effects,
-    )
-    candidates: tuple[str, ...] = _study_field(
-        CommaNames(),
-        "--effects",
-        "candidates",
-        (COMPARE, DISCOVER),
-        {
-            COMPARE: "Also fit MODEL with each of these effects of the catalogue; A+B adds both effects to one model.",
-            DISCOVER: "Test only these effects of the catalogue; none: no effect, only equations, as with --laws. [default: all]",
-        },
-        metavar="NAME,...",
-        complete=completion.effects,
-    )
-    without: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--without",
-        "without",
-        (DISCOVER,),
-        "Do not try this effect of the catalogue; may be repeated.",
-        metavar="NAME",
-        complete=completion.effects,
-    )
-    without_family: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--without-family",
-        "without_family",
-        (DISCOVER,),
-        "Do not try this effect, nor those that contain it or that it contains (coulomb_friction: all dry friction).",
-        metavar="NAME",
-        complete=completion.effects,
-    )
-    further: bool = _study_field(
-        Switch(),
-        "--further",
-        "further",
-        (DISCOVER,),
-        "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.",
-    )
-    laws: bool = _study_field(
-        Switch(),
-        "--laws",
-        "laws",
-        (DISCOVER,),
-        "Where no effect is established or more than noise is left, look for the equation that is missing.",
-    )
-    outputs: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--outputs",
-        "outputs",
-        (CHECK,),
-        "Assume that only this output is measured; may be repeated.",
-        metavar="NAME",
-    )
-    fixed: Mapping[str, float | None] = _study_field(
-        Numbers(bare="as declared"),
-        "--fix",
-        "fixed.",
-        _ALL,
-        "Fix a known parameter at VALUE, in its unit; NAME alone fixes it at the value in the model.",
-        metavar="NAME=VALUE",
-        complete=completion.constants,
-    )
-    start: Mapping[str, float] = _study_field(
-        Numbers(),
-        "--start",
-        "start.",
-        _ALL,
-        "Start value of a parameter, in its unit.",
-        metavar="NAME=VALUE",
-        complete=completion.constants,
-    )
-    free: tuple[str, ...] = _study_field(
-        Names(),
-        "--free",
-        "parameters.free",
-        _ALL,
-        "Fit a parameter that the model declares fixed.",
-        metavar="NAME",
-        complete=completion.constant_names,
-    )
-    priors: Mapping[str, tuple[float, float]] = _study_field(
-        Priors(),
-        "--prior",
-        "priors.",
-        (*_FITS, DISCOVER),
-        "Prior of a parameter, mean and standard deviation, such as M=0.0100+-0.0001; it counts as a measurement.",
-        metavar="NAME=MEAN+-STD",
-        complete=completion.constants,
-    )
-    ties: Mapping[str, str] = _study_field(
-        Table(shape="NAME=FORMULA", example="Kv=Kf"),
-        "--tie",
-        "ties.",
-        (*_FITS_AND_CHECK, DISCOVER),
-        "Tie a parameter to others by a formula, such as Kv=Kf or K2=3*K1.",
-        metavar="NAME=FORMULA",
-        complete=completion.constants,
-    )
-    time_limit: float = _study_field(
-        Quantity(),
-        "--time",
-        "search.time",
-        (FIT, DISCOVER),
-        {
-            FIT: "With --starts: begin no further start after so many seconds, and take the best so far.",
-            DISCOVER: "End the search after so many seconds, with the best answer so far. The same command continues it.",
-        },
-        metavar="SECONDS",
-    )
-    per_experiment: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--own",
-        "parameters.per_record",
-        _FITS,
-        "Fit a separate value of this parameter in each record.",
-        metavar="NAME",
-        complete=completion.constant_names,
-    )
-    schedules: Mapping[str, tuple[str, float | None]] = _study_field(
-        Schedules(),
-        "--schedule",
-        "schedule.",
-        _FITS,
+    Parameters
+    ----------
+    **values
+        Name of an option -> value; the others have that of their kind.
+
+    Attributes
+    ----------
+    command
+        Name of the command, and in ``options`` the options as that command words them.
+    file
+        The study file it was read from, None without one; ``from_file`` names what stands there, ``unused`` the places in it that the
+        command ignores.
+    """
+
+    # A table: an option is a row or two.
+    # fmt: off
+    model = Option(ModelName(), "MODEL", "model", _MODEL, completion.models, required=True)
+    source = Option(ModelName(), "FIT", "source", "The fit.json that greybox fit has written.", required=True)
+    estimation = Option(Files(), "DATA", "records.estimation", _RECORDS)
+    input = Option(File(), "INPUT", "input", "File with time and the model's inputs; or select a test signal.")
+    effects = Option(Names(split=True), "--effect NAME", "effects",
+        "Add an effect of the catalogue, such as coulomb_friction.", completion.effects)
+    candidates = Option(CommaNames(), "--effects NAME,...", "candidates",
+        "Test only these effects of the catalogue; none: no effect, only equations, as with --laws. [default: all]", completion.effects)
+    without = Option(Names(split=True), "--without NAME", "without",
+        "Do not try this effect of the catalogue; may be repeated.", completion.effects)
+    without_family = Option(Names(split=True), "--without-family NAME", "without_family",
+        "Do not try this effect, nor those that contain it or that it contains (coulomb_friction: all dry friction).", completion.effects)
+    further = Option(Switch(), "--further", "further",
+        "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.")
+    laws = Option(Switch(), "--laws", "laws",
+        "Where no effect is established or more than noise is left, look for the equation that is missing.")
+    outputs = Option(Names(split=True), "--outputs NAME", "outputs", "Assume that only this output is measured; may be repeated.")
+    fixed = Option(Numbers(bare="as declared"), "--fix NAME=VALUE", "fixed.",
+        "Fix a known parameter at VALUE, in its unit; NAME alone fixes it at the value in the model.", completion.constants)
+    start = Option(Numbers(), "--start NAME=VALUE", "start.", "Start value of a parameter, in its unit.", completion.constants)
+    free = Option(Names(), "--free NAME", "parameters.free", "Fit a parameter that the model declares fixed.", completion.constant_names)
+    priors = Option(Priors(), "--prior NAME=MEAN+-STD", "priors.",
+        "Prior of a parameter, mean and standard deviation, such as M=0.0100+-0.0001; it counts as a measurement.", completion.constants)
+    ties = Option(Table("NAME=FORMULA", "Kv=Kf"), "--tie NAME=FORMULA", "ties.",
+        "Tie a parameter to others by a formula, such as Kv=Kf or K2=3*K1.", completion.constants)
+    time_limit = Option(Quantity(), "--time SECONDS", "search.time",
+        "With --starts: begin no further start after so many seconds, and take the best so far.")
+    per_experiment = Option(Names(split=True), "--own NAME", "parameters.per_record",
+        "Fit a separate value of this parameter in each record.", completion.constant_names)
+    schedules = Option(Schedules(), "--schedule NAME=CONDITION[@VALUE]", "schedule.",
         "Let a parameter depend on a condition or an input, such as K2=P_S@8e5; the fitted value is the one at VALUE.",
-        metavar="NAME=CONDITION[@VALUE]",
-        complete=completion.constants,
-    )
-    conditions: Mapping[str, tuple[float, ...] | None] = _study_field(
-        Conditions(),
-        "--condition",
-        "conditions.",
-        _ALL,
+        completion.constants)
+    conditions = Option(Conditions(), "--condition NAME[=V1,V2,...]", "conditions.",
         "A parameter with a known value in each record: one value for each record in order (--validate last). NAME alone"
-        " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.",
-        metavar="NAME[=V1,V2,...]",
-    )
-    process_noise: Mapping[str, float | None] = _study_field(
-        Numbers(bare="estimated"),
-        "--process-noise",
-        "process_noise.",
-        _FITS,
+        " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.")
+    process_noise = Option(Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
         "Add process noise to a state. The fit then minimises the prediction error with a Kalman filter and estimates the"
-        " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).",
-        metavar="STATE[=VALUE]",
-        complete=completion.states,
-    )
-    noise: Mapping[str, float] = _study_field(
-        Numbers(shape="OUTPUT=STD", example="x=2e-7"),
-        "--noise",
-        "noise.",
-        _ALL,
-        "Standard deviation of the sensor noise of an output, in the model's unit. [default: estimated]",
-        metavar="OUTPUT=STD",
-        complete=completion.outputs,
-    )
-    common_noise: bool = _study_field(
-        Switch(),
-        "--common-noise",
-        "estimation.common_noise",
-        (FIT, COMPARE),
-        "Outputs whose noise is not given have one unknown noise in common and are weighed alike; they must have one unit.",
-    )
-    quiet: tuple[Path, ...] = _study_field(
-        Files(),
-        "--quiet",
-        "records.quiet",
-        (FIT, COMPARE, DISCOVER),
-        "A record with the input at rest and the same columns, to estimate the noise from; may be repeated.",
-        metavar="FILE",
-    )
-    validation: tuple[Path, ...] = _study_field(
-        Files(),
-        "--validate",
-        "records.validation",
-        (FIT, COMPARE, DISCOVER),
-        "A validation record, which is not fitted; may be repeated.",
-        metavar="FILE",
-    )
-    skip: int = _study_field(
-        Count(0),
-        "--skip",
-        "records.skip",
-        (*_FITS, DISCOVER),
-        "Number of rows to ignore at the start of each validation record.",
-        metavar="N",
-        show_default=True,
-    )
-    beginning: int = _study_field(
-        Count(0),
-        "--beginning",
-        "records.beginning",
-        (*_FITS, DISCOVER),
+        " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).", completion.states)
+    noise = Option(Numbers("OUTPUT=STD", "x=2e-7"), "--noise OUTPUT=STD", "noise.",
+        "Standard deviation of the sensor noise of an output, in the model's unit. [default: estimated]", completion.outputs)
+    common_noise = Option(Switch(), "--common-noise", "estimation.common_noise",
+        "Outputs whose noise is not given have one unknown noise in common and are weighed alike; they must have one unit.")
+    quiet = Option(Files(), "--quiet FILE", "records.quiet",
+        "A record with the input at rest and the same columns, to estimate the noise from; may be repeated.")
+    validation = Option(Files(), "--validate FILE", "records.validation", "A validation record, which is not fitted; may be repeated.")
+    skip = Option(Count(), "--skip N", "records.skip", "Number of rows to ignore at the start of each validation record.")
+    beginning = Option(Count(), "--beginning N", "records.beginning",
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
-        " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.",
-        metavar="N",
-        show_default=True,
-    )
-    hold: str = _study_field(
-        Choice(HoldName),
-        "--hold",
-        "records.hold",
-        (*_ALL, SIMULATE),
-        "The input between samples: zero (held), first (straight lines) or band-limited.",
-        show_default=True,
-    )
-    interpolation: Mapping[str, str] = _study_field(
-        Table(shape="INPUT=COURSE", example="u=first"),
-        "--interpolate",
-        "interpolation.",
-        (*_ALL, SIMULATE),
-        "How an input with stamps of its own moves between its samples, if not as --hold says: zero, first or band-limited.",
-        metavar="INPUT=COURSE",
-    )
-    at_rest: bool = _study_field(
-        Switch(),
-        "--at-rest",
-        "records.at_rest",
-        _ALL,
-        "Start each record at the initial state of the model instead of estimating the initial state.",
-    )
-    free_decay: bool = _study_field(
-        Switch(),
-        "--free-decay",
-        "records.free_decay",
-        _FITS_AND_CHECK,
-        "Accept records with zero input throughout (free response of the plant).",
-    )
-    split_holes: bool = _study_field(
-        Switch(),
-        "--split-holes",
-        "records.split_holes",
-        _ALL,
-        "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).",
-    )
-    columns: Mapping[str, str] = _study_field(
-        Table(shape="NAME=HEADER", example="x=Laser"),
-        "--column",
-        "columns.",
-        (*_ALL, SIMULATE),
+        " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.")
+    hold = Option(Choice(HOLDS), "--hold", "records.hold",
+        "The input between samples: zero (held), first (straight lines) or band-limited.")
+    interpolation = Option(Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
+        "How an input with stamps of its own moves between its samples, if not as --hold says: zero, first or band-limited.")
+    at_rest = Option(Switch(), "--at-rest", "records.at_rest",
+        "Start each record at the initial state of the model instead of estimating the initial state.")
+    free_decay = Option(Switch(), "--free-decay", "records.free_decay",
+        "Accept records with zero input throughout (free response of the plant).")
+    split_holes = Option(Switch(), "--split-holes", "records.split_holes",
+        "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).")
+    columns = Option(Table("NAME=HEADER", "x=Laser"), "--column NAME=HEADER", "columns.",
         "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1.",
-        metavar="NAME=HEADER",
-        complete=completion.signals,
-    )
-    headers: tuple[str, ...] = _study_field(
-        Headers(),
-        "--columns",
-        "records.columns",
-        (*_ALL, SIMULATE),
+        completion.signals)
+    headers = Option(Headers(), "--columns NAME,...", "records.columns",
         "Names of all columns in their order, such as 'time [ms],u,-,x', for files without a header and for matrices; - leaves a"
-        " column out.",
-        metavar="NAME,...",
-    )
-    sampling_time: float = _study_field(
-        Quantity(),
-        "--sampling-time",
-        "records.sampling_time",
-        _ALL,
-        "Seconds between rows, for records without a time column; the common step of signals with stamps of their own.",
-        metavar="SECONDS",
-    )
-    read_limit: float = _study_field(
-        Quantity(),
-        "--read-limit",
-        "records.read_limit",
-        (*_ALL, SIMULATE),
-        "Raise the limits on the size of record files by this factor.",
-        metavar="FACTOR",
-    )
-    method: str = _study_field(
-        Choice(MethodName),
-        "--method",
-        "integration.method",
-        (*_FITS_AND_CHECK, SIMULATE),
-        "Integration method: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).",
-        show_default=True,
-    )
-    substeps: int = _study_field(
-        Count(0),
-        "--substeps",
-        "integration.substeps",
-        (*_FITS_AND_CHECK, SIMULATE),
-        "Integration steps in each sampling interval; 0 selects the number automatically.",
-        metavar="N",
-        show_default=True,
-    )
-    loss: str = _study_field(
-        Word("squares"),
-        "--loss",
-        "estimation.loss",
-        _FITS,
+        " column out.")
+    sampling_time = Option(Quantity(), "--sampling-time SECONDS", "records.sampling_time",
+        "Seconds between rows, for records without a time column; the common step of signals with stamps of their own.")
+    read_limit = Option(Quantity(), "--read-limit FACTOR", "records.read_limit",
+        "Raise the limits on the size of record files by this factor.")
+    method = Option(Choice(METHODS), "--method", "integration.method",
+        "Integration method: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).")
+    substeps = Option(Count(), "--substeps N", "integration.substeps",
+        "Integration steps in each sampling interval; 0 selects the number automatically.")
+    loss = Option(Word("squares"), "--loss NAME[:K]", "estimation.loss",
         "squares, or a robust loss that limits the influence of outliers: huber, student. K: the residual in noise standard"
-        " deviations beyond which huber grows linearly, or the degrees of freedom of student.",
-        metavar="NAME[:K]",
-        show_default=True,
-    )
-    transcription: str = _study_field(
-        Choice(TranscriptionName),
-        "--transcription",
-        "estimation.transcription",
-        _FITS,
+        " deviations beyond which huber grows linearly, or the degrees of freedom of student.")
+    transcription = Option(Choice(TRANSCRIPTIONS), "--transcription", "estimation.transcription",
         "single: one free run of each record. multiple: segments joined by continuity (unstable plants). collocation: the"
         " equations solved at collocation points, states within their bounds. arcs: pieces of --arc-length without continuity."
-        " automatic selects by the model.",
-        show_default=True,
-    )
-    arc_length: float = _study_field(
-        Quantity(),
-        "--arc-length",
-        "estimation.arc_length",
-        _FITS,
-        "Fit arcs of this length, each with its own initial state: short arcs show structure, long arcs show drift.",
-        metavar="SECONDS",
-    )
-    starts: int = _study_field(
-        Count(1, 1),
-        "--starts",
-        "estimation.starts",
-        _FITS,
-        "Fit from N start points, the model's own and N-1 random ones, on all cores; prints the result of each.",
-        metavar="N",
-        show_default=True,
-    )
-    seed: int | None = _study_field(
-        Count(0, None),
-        "--seed",
-        "estimation.seed",
-        _FITS,
-        "Seed of the random --starts. [default: 0]",
-        metavar="N",
-    )
-    predict: tuple[int, ...] = _study_field(
-        Counts(),
-        "--predict",
-        "estimation.predict",
-        _FITS,
-        "Also print the prediction error K samples ahead, with the simulation error; may be repeated, 0 for none."
-        "  [default: 1]",
-        metavar="K",
-    )
-    profiles: tuple[str, ...] = _study_field(
-        Names(split=True),
-        "--profile",
-        "profile",
-        (FIT,),
-        "Also compute the interval of this parameter by profile likelihood (10 to 20 refits); may be repeated.",
-        metavar="NAME",
-    )
-    bootstrap: int = _study_field(
-        Count(0),
-        "--bootstrap",
-        "bootstrap",
-        (FIT,),
-        "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 suffice).",
-        metavar="N",
-    )
-    file: Path | None = None
-    from_file: frozenset[str] = frozenset()
-    unused: tuple[str, ...] = ()
-    """Places in the study file that the command ignores."""
+        " automatic selects by the model.")
+    arc_length = Option(Quantity(), "--arc-length SECONDS", "estimation.arc_length",
+        "Fit arcs of this length, each with its own initial state: short arcs show structure, long arcs show drift.")
+    starts = Option(Count(1, 1), "--starts N", "estimation.starts",
+        "Fit from N start points, the model's own and N-1 random ones, on all cores; prints the result of each.")
+    seed = Option(Seed(), "--seed N", "estimation.seed", "Seed of the random --starts. [default: 0]")
+    predict = Option(Counts(), "--predict K", "estimation.predict",
+        "Also print the prediction error K samples ahead, with the simulation error; may be repeated, 0 for none.  [default: 1]")
+    profiles = Option(Names(split=True), "--profile NAME", "profile",
+        "Also compute the interval of this parameter by profile likelihood (15 to 25 refits), or the region of two, A:B; may be repeated.")
+    bootstrap = Option(Count(), "--bootstrap N", "bootstrap",
+        "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 suffice).")
+    # A run of a model, and what a rig allows.
+    step = Option(MaybeNumber(), "--step HEIGHT", "step", "Test signal: a step at the first row.")
+    multisine = Option(MaybeNumber(), "--multisine RMS", "multisine", "Test signal: sines of equal amplitude and random phase in --band.")
+    chirp = Option(MaybeNumber(), "--chirp AMPLITUDE", "chirp", "Test signal: a sine swept through --band.")
+    band = Option(FrequencyBand(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
+    offset = Option(Number(), "--offset VALUE", "offset", "Offset added to the test signal.")
+    duration = Option(Quantity(), "--duration SECONDS", "duration", "Duration of the record.")
+    initial = Option(Numbers("STATE=VALUE", "x=0.001"), "--initial STATE=VALUE", "initial.",
+        "Initial value of a state, in its unit.", completion.states)
+    limits = Option(Limits(), "--limit NAME=LOW:HIGH", "limits.",
+        "Range of an input, output or state, in its unit; an end may be left out, as in --limit x=:1e-4.", completion.signals)
+    rates = Option(Numbers("NAME=R", "u=100"), "--rate NAME=R", "rates.", "Largest change of an input in a second, in its unit.")
+    draws = Option(Count(), "--seed N", "seed", "Seed of the noise and of the phases of --multisine.")
+    # What is no part of a study: where results go, how they are shown, who computes.
+    output = Option(File(), "--output DIR", "", "Folder for the results.")
+    workers = Option(Count(idle=1), "--workers N", "",
+        "Processes that share the work, on this machine or in --cluster local. [default: one for each core]")
+    cluster = Option(Word(), "--cluster ADDRESS", "",
+        "Scheduler of a Dask cluster that does the work, such as tcp://10.0.0.5:8786; local starts one here, to try.")
+    silent = Option(Switch(), "--quiet-output -q", "", "Print nothing but errors.")
+    json = Option(Switch(), "--json", "", "Print the result as JSON instead of text.")
+    figures = Option(Switch(), "--figures", "", "Also write the figures of the report as PNG and SVG.")
+    no_report = Option(Switch(), "--no-report", "", "Do not write report.html.")
+    # Commands around the project.
+    some_model = Option(ModelName(), "MODEL", "", "The model: its name or its file. Without MODEL, all are listed.", completion.models)
+    added = Option(Names(split=True), "--effect NAME", "", effects.help, completion.effects)
+    own_name = Option(Word(), "NAME", "", "With keep: what the effect is called.")
+    kept_result = Option(File(), "--result FILE", "", "With keep: the discovery.json. [default: the newest in results/]")
+    directory = Option(File(), "DIR", "", "Folder for the project; created if it does not exist.", required=True)
+    plant = Option(Word(), "--plant NAME", "",
+        "Start from one plant with a simulated twin and a study file: circuit, cylinder, rotary-drive, stage, tanks, "
+        "thermal or two-mass.")
+    force = Option(Switch(), "--force", "", "Overwrite existing files.")
+    json_command = Option(Word(), "COMMAND", "", "The command: fit, discover, changed, check ...", completion.commands, required=True)
+    opened = Option(Switch(), "--open", "", "Open the report in the browser at the end.")
+    # fmt: on
 
-    def __post_init__(self) -> None:
-        for name, spec in SPECS.items():
-            if isinstance(spec.kind, Table):
-                object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+    def __init__(
+        self,
+        *,
+        command: str = "",
+        options: Mapping[str, Option[Any]] = MappingProxyType({}),
+        file: Path | None = None,
+        from_file: Iterable[str] = (),
+        unused: Iterable[str] = (),
+        **values: Any,
+    ) -> None:
+        known = self.table()
+        unknown = values.keys() - known.keys()
+        if unknown:
+            raise TypeError(f"a study has no {', '.join(sorted(unknown))}")
+        tables = {name: MappingProxyType(dict(v)) for name, v in values.items() if isinstance(known[name].kind, Table)}
+        self.values: Mapping[str, Any] = MappingProxyType({**values, **tables})
+        self.command, self.options = command, options
+        self.file, self.from_file, self.unused = file, frozenset(from_file), tuple(unused)
 
-    def label(self, name: str) -> str:
-        """How a message names a field: by its option, or by its place in the study file it came from."""
-        spec = SPECS[name]
-        return f"{self.file}, {spec.place}" if self.file is not None and name in self.from_file else spec.flag
+    @classmethod
+    def table(cls) -> dict[str, Option[Any]]:
+        """Every option by its name, in the order of their definition."""
+        return {n: o for base in reversed(cls.__mro__) for n, o in vars(base).items() if isinstance(o, Option)}
+
+    def but(self, **changes: Any) -> Self:
+        """The same study with other values."""
+        origin = {name: value for name, value in vars(self).items() if name != "values"}
+        return type(self)(**{**origin, **self.values, **changes})
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Study) and all(
+            getattr(self, name) == getattr(other, name) for name in (*self.table(), "file", "from_file", "unused")
+        )
+
+    def sets(self, option: Option[Any]) -> bool:
+        """Whether an option asks for something."""
+        return option.name in self.values and option.kind.is_set(self.values[option.name])
+
+    def label(self, option: str | Option[Any]) -> str:
+        """How a message names an option: as it is typed, or by its place in the study file it came from."""
+        name = option if isinstance(option, str) else option.name
+        worded = self.options.get(name) or self.table()[name]
+        return f"{self.file}, {worded.label}" if self.file is not None and name in self.from_file else worded.flag
+
+    def spell(self, option: Option[Any]) -> str:
+        """`label` with the value: ``--skip 3``; of an argument the value."""
+        label = self.label(option) if option.flags else ""
+        return f"{label} {option.kind.spell(self.values[option.name])}".strip()
 
     @property
     def uncounted(self) -> int:
@@ -507,13 +336,203 @@ class Study:
         """The folder of the study file, None without a file."""
         return None if self.file is None else self.file.parent
 
+    @property
+    def seconds(self) -> float:
+        """How long a search may take, infinite where nobody limits it."""
+        return self.time_limit or float("inf")
 
-def fields_of(command: str) -> dict[str, Spec]:
-    """The fields that ``command`` uses, by name, in their order."""
-    return {name: spec for name, spec in SPECS.items() if command in spec.commands}
+
+# What options do to one another: values in the table of a command, each with one form of message.
 
 
-SPECS: Mapping[str, Spec] = MappingProxyType(
-    {f.name: f.metadata["spec"] for f in fields(Study) if f.metadata}  # every field that a person writes
+@dataclass(frozen=True)
+class Needs:
+    """``option`` changes nothing unless one of ``others`` is given too; ``why`` not."""
+
+    option: Option[Any]
+    others: tuple[Option[Any], ...]
+    why: str
+
+    def objection(self, study: Study) -> str:
+        """What is wrong with a study by this rule; "" where nothing is."""
+        if not study.sets(self.option) or any(map(study.sets, self.others)):
+            return ""
+        others = " or ".join(study.options.get(o.name, o).usage for o in self.others)
+        return f"{study.spell(self.option)} has no effect: {self.why}; give {others} too"
+
+    def __str__(self) -> str:
+        return f"{self.option.flag} needs {' or '.join(o.usage for o in self.others)}: else {self.why}."
+
+
+@dataclass(frozen=True)
+class Excludes:
+    """Only one of the two can be given; ``why``."""
+
+    one: Option[Any]
+    other: Option[Any]
+    why: str
+
+    def objection(self, study: Study) -> str:
+        """What is wrong with a study by this rule; "" where nothing is."""
+        both = study.sets(self.one) and study.sets(self.other)
+        return f"{study.label(self.one)} and {study.label(self.other)} exclude each other: {self.why}; keep one" * both
+
+    def __str__(self) -> str:
+        return f"{self.one.flag} and {self.other.flag} exclude each other: {self.why}."
+
+
+@dataclass(frozen=True)
+class Idle:
+    """``options`` change nothing ``beside`` something, ``where`` that is so; ``remedy`` if it is more than to leave them out.
+
+    ``{s.to}`` in ``beside`` stands for the value of an option.
+    """
+
+    options: tuple[Option[Any], ...]
+    beside: str
+    where: Callable[[Any], bool] = lambda _: True
+    remedy: str = ""
+
+    def objection(self, study: Study) -> str:
+        """What is wrong with a study by this rule; "" where nothing is."""
+        if not self.where(study):
+            return ""
+        idle = [study.label(o) if o.flags else study.spell(o) for o in self.options if study.sets(o)]
+        it = "it" if len(idle) == 1 else "them"
+        beside = self.beside.format(s=study)
+        return f"{', '.join(idle)}: no effect {beside}; leave {it} out{self.remedy.format(it=it)}" if idle else ""
+
+    def __str__(self) -> str:
+        beside = re.sub(r"\{s\.\w+\}", "NAME", self.beside)
+        return f"{', '.join(option.flag for option in self.options)}: no effect {beside}."
+
+
+Relation = Needs | Excludes | Idle
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found, and what is to be done with it: `greybox.shell.command_line` shows it.
+
+    Attributes
+    ----------
+    text
+        What ``print`` shows of it.
+    json
+        The same for programs, given the report that was written, if any.
+    files
+        What was written.
+    page, pictures
+        Write the report and the figures, where they are wanted.
+    kept
+        What there is if that is interrupted.
+    failure
+        Why the command ends with ``code``.
+    """
+
+    text: object
+    json: Callable[[Path | None], str]
+    files: Sequence[Path] = ()
+    page: Callable[[], Path] | None = None
+    pictures: Callable[[], list[Path]] | None = None
+    kept: str = ""
+    failure: str = ""
+    code: ExitCode = ExitCode.SUCCESS
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command: a function from a study to what is shown, and the options that it uses.
+
+    Attributes
+    ----------
+    run
+        What it does; its docstring is the help. What it has shown itself needs no answer.
+    short_help
+        Its line in the list of commands.
+    options
+        What it uses, in its own words where they differ (`Option.but`); the help shows them in the order of the table.
+    examples
+        Lines to copy.
+    relations
+        What these options do to one another; checked before it runs.
+    study
+        `Study`, or a class that adds options to it.
+    like
+        Another command whose tables in a study file count for this one.
+    lenient
+        Whether it passes over what it does not use at the top of a study file, and says so, instead of refusing it.
+    """
+
+    run: Callable[[Any], Answer | None]
+    short_help: str
+    options: tuple[Option[Any], ...] = ()
+    examples: tuple[str, ...] = ()
+    relations: tuple[Relation, ...] = ()
+    study: type[Study] = Study
+    like: str = ""
+    lenient: bool = False
+
+    @cached_property
+    def table(self) -> Mapping[str, Option[Any]]:
+        """Its options by name, in the order of the table."""
+        used = {option.name: option for option in self.options}
+        return {name: used[name] for name in self.study.table() if name in used}
+
+    @property
+    def arguments(self) -> list[Option[Any]]:
+        """What is typed without a flag."""
+        return [option for option in self.table.values() if not option.flags]
+
+    @property
+    def reads_studies(self) -> bool:
+        """Whether a study file may stand in the place of its first argument."""
+        return any(o.required and bool(o.place) for o in self.arguments[:1])
+
+    def in_study(self) -> dict[str, Option[Any]]:
+        """The options that are part of a study, by name."""
+        return {name: option for name, option in self.table.items() if option.place}
+
+    def check(self, study: Study) -> None:
+        """Refuse what contradicts itself or would change nothing. Raises GreyboxError."""
+        for relation in self.relations:
+            if objection := relation.objection(study):
+                raise GreyboxError(objection)
+
+
+# Options that go together.
+
+READING = (
+    *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
+    *(Study.hold, Study.interpolation, Study.split_holes, Study.free_decay),
 )
-"""How each field is written, by name."""
+"""How records are read."""
+ESTIMATING = (
+    *(Study.model, Study.estimation, Study.fixed, Study.start, Study.free, Study.conditions, Study.noise),
+    *(Study.at_rest, *(option for option in READING if option is not Study.free_decay)),
+)
+"""What every command takes that looks at a model with records."""
+INTEGRATING = (Study.effects, Study.ties, Study.free_decay, Study.method, Study.substeps)
+FITTING = (
+    *(*ESTIMATING, *INTEGRATING, Study.priors, Study.per_experiment, Study.schedules, Study.process_noise),
+    *(Study.common_noise, Study.quiet, Study.validation, Study.skip, Study.beginning, Study.loss),
+    *(Study.transcription, Study.arc_length, Study.starts, Study.seed, Study.predict),
+)
+"""What a fit takes."""
+SHOWING = (Study.json, Study.no_report)
+SHARING = (Study.workers, Study.cluster)
+
+LAYOUT = Excludes(Study.headers, Study.columns, "names for all columns, or headers for some")
+ROWS = "it leaves out rows of validation records"
+VALIDATING = tuple(Needs(option, (Study.validation,), ROWS) for option in (Study.beginning, Study.skip))
+SUBSTEPS = Idle((Study.substeps,), "with --method exact, which has no substeps", lambda s: s.method == "exact")
+STARTING = (
+    Needs(Study.seed, (Study.starts,), "there are no random starts"),
+    Needs(Study.time_limit, (Study.starts,), "there is one start"),
+)
+QUIET = Excludes(Study.silent, Study.json, "nothing is printed, or the result as JSON")
+
+
+def sharing(*options: Option[Any], why: str = "there is one computation") -> tuple[Needs, ...]:
+    """Workers share the work of ``options`` alone."""
+    return tuple(Needs(option, options, why) for option in (Study.cluster, Study.workers))

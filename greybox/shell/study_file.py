@@ -1,7 +1,7 @@
 """Study files: a study as TOML, for reading, changing and repeating it.
 
 Reading a study file runs nothing: it is checked field by field against `greybox.shell.study`. A model file that it names is a
-program: it runs only where the user names it too (`greybox.shell.options.confirm_model`).
+program: it runs only where the user names it too (`greybox.shell.command_line.confirm_model`).
 """
 
 from __future__ import annotations
@@ -11,24 +11,16 @@ import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
 from greybox.base.files import write_file
-from greybox.shell.study import CHECK, SPECS, STUDY_COMMANDS, Spec, Study, fields_of
-from greybox.shell.study_values import Files, Table
+from greybox.shell.study import Command, Option, Study
+from greybox.shell.study_values import Table
 
 SUFFIX = ".toml"
 BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
-
-
-def is_model_path(model: str) -> bool:
-    """Whether a model is given as a file and not by its name."""
-    from greybox.shell.project import is_model_path as is_path
-
-    return is_path(model)
 
 
 def is_study_file(name: str) -> bool:
@@ -36,8 +28,22 @@ def is_study_file(name: str) -> bool:
     return name.lower().endswith(SUFFIX)
 
 
-def read_study(path: Path, command: str) -> Study:
-    """The study in ``path``, for ``command``.
+def study_commands(commands: Mapping[str, Command]) -> dict[str, Command]:
+    """The commands with tables of their own in a study file."""
+    return {name: command for name, command in commands.items() if command.reads_studies and not command.like}
+
+
+def users_of(option: Option[Any], commands: Mapping[str, Command]) -> list[str]:
+    """The commands that use what stands in the place of ``option``."""
+    return [
+        name
+        for name, command in study_commands(commands).items()
+        if any(other.place == option.place for other in command.table.values())
+    ]
+
+
+def read_study(path: Path, name: str, commands: Mapping[str, Command]) -> Study:
+    """The study in ``path``, for the command called ``name``.
 
     Keys at the top and in the tables of the file count for every command; tables called like a command (``[fit]``,
     ``[fit.estimation]``) for that command only. Paths are relative to the folder of the file.
@@ -49,32 +55,40 @@ def read_study(path: Path, command: str) -> Study:
         and the key.
     """
     document = _read_toml(path)
-    scopes = {name: document.pop(name) for name in STUDY_COMMANDS if name in document}
+    readers = study_commands(commands)
+    scopes = {scope: document.pop(scope) for scope in readers if scope in document}
     values: dict[str, Any] = {}
     unused: list[str] = []
     for scope, tables in (("", document), *scopes.items()):
         if not isinstance(tables, dict):
             raise GreyboxError(f"{path}: {scope}: must be a table, as in [{scope}]")
-        for name, place, data in _entries(path, scope, tables):
-            spec = SPECS[name]
-            if command == CHECK and command not in spec.commands and not scope:
-                unused.append(place)  # a check comes before a fit: what only the fit needs does no harm
+        reader = scope or name
+        used = {option.place: option for option in readers[reader].table.values() if option.place}
+        for option, place, data in _entries(path, scope, tables, used, readers):
+            if option.place not in used:
+                if not readers[reader].lenient or scope:
+                    raise _unused(path, place, option, reader, readers)
+                unused.append(place)
                 continue
-            if command not in spec.commands and (not scope or scope == command):
-                raise _unused(path, place, spec, command)
-            if scope and scope not in spec.commands:
-                raise _unused(path, place, spec, scope)
-            value = spec.kind.from_toml(f"{path}, {place}", data)
-            if scope in ("", command):
-                if name in values and not isinstance(spec.kind, Table):
+            value = option.kind.from_toml(f"{path}, {place}", data)
+            if reader == name:
+                if option.name in values and not isinstance(option.kind, Table):
                     raise GreyboxError(f"{path}, {place}: given twice, for all commands and for {scope}; keep one")
-                values[name] = spec.kind.merge(values[name], value) if name in values else value
-    values = {name: _from_folder(path.parent, SPECS[name], value) for name, value in values.items()}
-    return Study(**values, file=path, from_file=frozenset(values), unused=tuple(unused))
+                values[option.name] = option.kind.merge(values.get(option.name, option.kind.empty), value)
+    command = readers[name]
+    values = {n: command.table[n].kind.moved(value, lambda file: path.parent / file) for n, value in values.items()}
+    origin: dict[str, Any] = {
+        "command": name,
+        "options": command.table,
+        "file": path,
+        "from_file": values,
+        "unused": unused,
+    }
+    return command.study(**origin, **values)
 
 
-def write_study(study: Study, path: Path, command: str) -> Path:
-    """Write ``study`` as a file from which ``command`` computes the same. Paths become relative to the folder of the file.
+def write_study(study: Study, path: Path, name: str, commands: Mapping[str, Command]) -> Path:
+    """Write ``study`` as a file from which the command ``name`` computes the same. Paths become relative to the folder of the file.
 
     Raises
     ------
@@ -87,26 +101,26 @@ def write_study(study: Study, path: Path, command: str) -> Path:
         raise GreyboxError(
             f"--write-study {path}: a study file ends in {SUFFIX}; write --write-study {path.stem}{SUFFIX}"
         )
-    return write_file(path, study_text(study, path, command))
+    return write_file(path, study_text(study, path, name, commands))
 
 
-def study_text(study: Study, path: Path, command: str) -> str:
-    """The text of the study file: fields that differ from their defaults, in the order of `Study`."""
+def study_text(study: Study, path: Path, name: str, commands: Mapping[str, Command]) -> str:
+    """The text of the study file: options that differ from their defaults, in the order of the table."""
     top: list[str] = []
     tables: dict[str, list[str]] = {}
-    for name, spec in fields_of(command).items():
-        value = getattr(study, name)
-        if value == spec.kind.empty:
+    for option in commands[name].in_study().values():
+        value = getattr(study, option.name)
+        if value == option.kind.empty:
             continue
-        value = _to_folder(study, path, spec, value)
-        data = spec.kind.to_toml(value)
-        if not spec.key:
-            tables[spec.table] = [f"{_key(k)} = {_toml(v)}" for k, v in data.items()]
+        data = option.kind.to_toml(option.kind.moved(value, lambda file: _relative(file, path.parent)))
+        if not option.key:
+            tables[option.table] = [f"{_key(k)} = {_toml(v)}" for k, v in data.items()]
             continue
-        table = spec.table or (command if spec.commands == (command,) else "")
-        (tables.setdefault(table, []) if table else top).append(f"{spec.key} = {_toml(data)}")
+        # A key at the top would be refused by the commands that do not know it.
+        table = option.table or (name if users_of(option, commands) == [name] else "")
+        (tables.setdefault(table, []) if table else top).append(f"{option.key} = {_toml(data)}")
     head = [
-        f"# Run with: greybox {command} {path.name}",
+        f"# Run with: greybox {name} {path.name}",
         "# Paths are relative to this file; numbers are in the units of the model.",
     ]
     parts = [[*head], top, *([f"[{table}]", *lines] for table, lines in tables.items())]
@@ -136,75 +150,54 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise GreyboxError(f"{path}: not TOML: {error}; correct that line") from None
 
 
-def _entries(path: Path, scope: str, tables: Mapping[str, Any]) -> list[tuple[str, str, Any]]:
-    """Each field of ``tables``: its name, its place and its value. Raises GreyboxError for an unknown key."""
-    whole = {spec.table: name for name, spec in SPECS.items() if not spec.key}
-    keyed = {(spec.table, spec.key): name for name, spec in SPECS.items() if spec.key}
-    sections = {table for table, _ in keyed if table}
-    entries: list[tuple[str, str, Any]] = []
+def _entries(
+    path: Path, scope: str, tables: Mapping[str, Any], used: Mapping[str, Option[Any]], readers: Mapping[str, Command]
+) -> list[tuple[Option[Any], str, Any]]:
+    """What stands in ``tables``: option, place and value; ``used`` options go before those of others.
+
+    Raises GreyboxError for an unknown key.
+    """
+    others = {option.place: option for reader in readers.values() for option in reader.in_study().values()}
+    known = {**others, **used}
+    sections = {option.table for option in known.values() if option.key and option.table}
+    entries: list[tuple[Option[Any], str, Any]] = []
     for key, data in tables.items():
         prefix = f"{scope}." if scope else ""
-        if key in whole:
-            entries.append((whole[key], f"[{prefix}{key}]", data))
+        if f"{key}." in known:
+            entries.append((known[f"{key}."], f"[{prefix}{key}]", data))
         elif key in sections:
             if not isinstance(data, dict):
                 raise GreyboxError(f"{path}, {key}: must be a table, as in [{prefix}{key}]")
             for inner, value in data.items():
-                if (key, inner) not in keyed:
-                    known = [k for table, k in keyed if table == key]
-                    raise GreyboxError(f"{path}, [{prefix}{key}] {inner}: no such key; {nearest(inner, known)}")
-                entries.append((keyed[key, inner], f"[{prefix}{key}] {inner}", value))
-        elif ("", key) in keyed:
-            entries.append((keyed["", key], f"[{scope}] {key}" if scope else key, data))
+                if f"{key}.{inner}" not in known:
+                    near = nearest(inner, [option.key for option in known.values() if option.table == key])
+                    raise GreyboxError(f"{path}, [{prefix}{key}] {inner}: no such key; {near}")
+                entries.append((known[f"{key}.{inner}"], f"[{prefix}{key}] {inner}", value))
+        elif key in known:
+            entries.append((known[key], f"[{scope}] {key}" if scope else key, data))
         else:
-            known = [
-                *(k for table, k in keyed if not table),
-                *sorted({*whole, *sections}),
-                *([] if scope else STUDY_COMMANDS),
-            ]
+            top = [option.key for option in used.values() if not option.table]
+            tops = [*top, *sorted({option.table for option in used.values()} - {""}), *([] if scope else readers)]
             where = f"{path}, [{scope}]" if scope else f"{path}"
             raise GreyboxError(
-                f"{where}: {key}: no such {'table' if isinstance(data, dict) else 'key'}; {nearest(key, known)}"
+                f"{where}: {key}: no such {'table' if isinstance(data, dict) else 'key'}; {nearest(key, tops)}"
             )
     return entries
 
 
-def _unused(path: Path, place: str, spec: Spec, command: str) -> GreyboxError:
-    users = [name for name in STUDY_COMMANDS if name in spec.commands]
-    home = f"[{users[0]}{f'.{spec.table}' if spec.table else ''}]"
+def _unused(path: Path, place: str, option: Option[Any], name: str, readers: Mapping[str, Command]) -> GreyboxError:
+    users = users_of(option, readers)
+    home = f"[{users[0]}{f'.{option.table}' if option.table else ''}]"
+    agreed = f"{', '.join(users[:-1])} and {users[-1]} do" if len(users) > 1 else f"{users[0]} does"
     return GreyboxError(
-        f"{path}, {place}: greybox {command} does not use it, {' and '.join(users)} {'do' if len(users) > 1 else 'does'};"
+        f"{path}, {place}: greybox {name} does not use it, {agreed};"
         f" leave it out, or move it to the table {home}, which only greybox {users[0]} reads"
     )
 
 
-def _from_folder(folder: Path, spec: Spec, value: Any) -> Any:
-    """Paths of the file as seen from the working folder."""
-    if isinstance(spec.kind, Files):
-        return tuple(folder / path for path in value)
-    if spec is SPECS["model"] and is_model_path(value):
-        return str(folder / value)
-    return value
-
-
-def _to_folder(study: Study, path: Path, spec: Spec, value: Any) -> Any:
-    """Paths as seen from the folder of the file that is written; absolute ones stay."""
-    if isinstance(spec.kind, Files):
-        return tuple(_relative(file, path.parent) for file in value)
-    if spec is SPECS["model"] and is_model_path(value):
-        file, colon, name = value.rpartition(".py:")
-        return (
-            f"{_relative(Path(f'{file}.py'), path.parent).as_posix()}:{name}"
-            if colon
-            else (_relative(Path(value), path.parent).as_posix())
-        )
-    return value
-
-
-def _relative(file: Path, folder: Path) -> PurePosixPath:
-    if file.is_absolute():
-        return PurePosixPath(file.as_posix())
-    return PurePosixPath(Path(os.path.relpath(file, folder)).as_posix())
+def _relative(file: Path, folder: Path) -> Path:
+    """A path as seen from the folder of the file that is written; absolute ones stay."""
+    return file if file.is_absolute() else Path(os.path.relpath(file, folder))
 
 
 def _key(name: str) -> str:
@@ -229,9 +222,9 @@ def _toml(value: Any) -> str:
 
 
 def with_overrides(study: Study, given: Mapping[str, Any]) -> Study:
-    """``study`` with fields that were ``given`` on the command line as well: tables name by name, all else in its place."""
-    merged = {name: SPECS[name].kind.merge(getattr(study, name), value) for name, value in given.items()}
-    return replace(study, **merged, from_file=study.from_file - set(given))
+    """``study`` with options that were ``given`` on the command line as well: tables name by name, all else in its place."""
+    merged = {n: study.options[n].kind.merge(getattr(study, n), value) for n, value in given.items()}
+    return study.but(**merged, from_file=study.from_file - set(given))
 
 
 # A study as a Python program: the same computation with the verbs of the library, for reading, changing and repeating it.

@@ -1,4 +1,4 @@
-"""The kinds of values that a study holds, each with its two spellings: as an option of the command line and as TOML.
+"""The kinds of values that an option holds, each with its two spellings: as words of the command line and as TOML.
 
 A kind reads both spellings into the same Python value and writes the value as TOML, so that a study that was written from
 options gives the same numbers as the options, to the last bit.
@@ -8,61 +8,71 @@ from __future__ import annotations
 
 import math
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
+
+import click
 
 from greybox.base.errors import GreyboxError, nearest
 
 PLUS_MINUS = re.compile(r"\+-|\+/-|±")
+T = TypeVar("T")
 
 
-class Kind(ABC):
-    """How the values of one field are written.
+class Kind(Generic[T]):
+    """How the values of one option are written.
 
     Attributes
     ----------
-    annotation
-        The type that the reader of the command line works with.
-    default
-        What the reader of the command line gives where the option is absent.
     empty
-        The value of a field that nobody has set.
+        The value of an option that nobody has set.
+    type
+        What the reader of the command line makes of one word.
+    repeated
+        Whether the option may be given several times.
     """
 
-    annotation: Any
-    default: Any
-    empty: Any
+    empty: T
+    type: Any = click.STRING
+    repeated = False
 
-    @abstractmethod
-    def from_option(self, option: str, raw: Any) -> Any:
+    def from_option(self, option: str, raw: Any) -> T:
         """The value that was given with ``option``. Raises GreyboxError."""
+        return raw
 
-    @abstractmethod
-    def from_toml(self, place: str, data: Any) -> Any:
+    def from_toml(self, place: str, data: Any) -> T:
         """The value that stands at ``place`` in a study file. Raises GreyboxError."""
+        return text_in_file(place, data)  # type: ignore[return-value]
 
-    def to_toml(self, value: Any) -> Any:
+    def to_toml(self, value: T) -> Any:
         """The value as TOML can hold it: a string, number, truth value, list or mapping of these."""
+        return list(value) if isinstance(value, tuple) else value
+
+    def merge(self, in_file: T, given: T) -> T:
+        """The value of an option that is set in a study file and on the command line: the command line wins."""
+        return given
+
+    def moved(self, value: T, move: Callable[[Path], Path]) -> T:
+        """The value with its paths as seen from another folder."""
         return value
 
-    def merge(self, in_file: Any, given: Any) -> Any:
-        """The value of a field that is set in a study file and on the command line: the command line wins."""
-        return given
+    def is_set(self, value: T) -> bool:
+        """Whether the value asks for something."""
+        return value != self.empty
+
+    def spell(self, value: T) -> str:
+        """What a message names beside the option: the value where it is one word, the first of several names, else nothing."""
+        return "" if isinstance(value, bool) else f"{value:g}" if isinstance(value, float) else str(value)
 
 
 @dataclass(frozen=True)
-class Switch(Kind):
+class Switch(Kind[bool]):
     """On or off."""
 
-    annotation = bool
-    default = empty = False
-
-    def from_option(self, option: str, raw: bool) -> bool:
-        return raw
+    empty: bool = False
+    type = click.BOOL
 
     def from_toml(self, place: str, data: Any) -> bool:
         if not isinstance(data, bool):
@@ -71,21 +81,17 @@ class Switch(Kind):
 
 
 @dataclass(frozen=True)
-class Count(Kind):
-    """A whole number from ``least`` up; ``unset`` where the field may be left to the program."""
+class Count(Kind[int]):
+    """A whole number from ``least`` up; it asks for something where it is neither ``empty`` nor ``idle``."""
 
     least: int = 0
-    unset: int | None = 0
-    annotation = int
+    empty: int = 0
+    idle: int | None = None
+    most: int | None = None
 
     @property
-    def default(self) -> int | None:
-        return self.unset
-
-    empty = default
-
-    def from_option(self, option: str, raw: int | None) -> int | None:
-        return raw
+    def type(self) -> click.ParamType:
+        return click.IntRange(min=self.least, max=self.most)
 
     def from_toml(self, place: str, data: Any) -> int:
         if isinstance(data, bool) or not isinstance(data, int):
@@ -94,32 +100,39 @@ class Count(Kind):
             raise _wrong(place, data, f"give {self.least} or more")
         return data
 
+    def is_set(self, value: int) -> bool:
+        return value not in (self.empty, self.idle)
+
 
 @dataclass(frozen=True)
-class Counts(Kind):
+class Seed(Count):
+    """A seed; none where it is left to the program."""
+
+    empty: int | None = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class Counts(Kind[tuple[int, ...]]):
     """Several whole numbers from ``least`` up."""
 
     least: int = 0
-    annotation = list[int]
-    default = ()
-    empty = ()
+    empty: tuple[int, ...] = ()
+    repeated = True
 
-    def from_option(self, option: str, raw: Sequence[int]) -> tuple[int, ...]:
-        return tuple(raw)
+    @property
+    def type(self) -> click.ParamType:
+        return click.IntRange(min=self.least)
 
     def from_toml(self, place: str, data: Any) -> tuple[int, ...]:
         return tuple(Count(self.least).from_toml(place, item) for item in as_list(place, data))
 
-    def to_toml(self, value: tuple[int, ...]) -> list[int]:
-        return list(value)
-
 
 @dataclass(frozen=True)
-class Quantity(Kind):
-    """A number above zero; the field is zero where it is not given."""
+class Quantity(Kind[float]):
+    """A number above zero; zero where it is not given."""
 
-    annotation = float
-    default = empty = 0.0
+    empty: float = 0.0
+    type = click.FLOAT
 
     def from_option(self, option: str, raw: float) -> float:
         if raw <= 0:
@@ -134,97 +147,90 @@ class Quantity(Kind):
 
 
 @dataclass(frozen=True)
-class Word(Kind):
-    """A text that the library itself checks."""
+class Number(Kind[float]):
+    """Any finite number."""
 
-    start: str = ""
-    annotation = str
+    empty: float = 0.0
+    type = click.FLOAT
 
-    @property
-    def default(self) -> str:
-        return self.start
-
-    empty = default
-
-    def from_option(self, option: str, raw: str) -> str:
-        return raw
-
-    def from_toml(self, place: str, data: Any) -> str:
-        return text_in_file(place, data)
+    def from_toml(self, place: str, data: Any) -> float:
+        return number_in_file(place, data)
 
 
 @dataclass(frozen=True)
-class Choice(Kind):
-    """One of the values of ``choices``, of which the first is the default."""
+class MaybeNumber(Kind[float | None]):
+    """Any finite number, or none."""
 
-    choices: type[StrEnum]
+    empty: float | None = None
+    type = click.FLOAT
+
+    def from_toml(self, place: str, data: Any) -> float | None:
+        return number_in_file(place, data)
+
+
+@dataclass(frozen=True)
+class Word(Kind[str]):
+    """A text that the library itself checks."""
+
+    empty: str = ""
+
+
+@dataclass(frozen=True)
+class Choice(Kind[str]):
+    """One of ``choices``, of which the first is the default unless ``empty`` names another."""
+
+    choices: tuple[str, ...]
+    start: str | None = None
 
     @property
-    def annotation(self) -> type[StrEnum]:
-        return self.choices
+    def empty(self) -> str:  # type: ignore[override]
+        return self.choices[0] if self.start is None else self.start
 
     @property
-    def default(self) -> str:
-        return next(iter(self.choices)).value
-
-    empty = default
-
-    def from_option(self, option: str, raw: str) -> str:
-        return self.choices(raw).value
+    def type(self) -> click.ParamType:
+        return click.Choice(self.choices)
 
     def from_toml(self, place: str, data: Any) -> str:
-        known = [choice.value for choice in self.choices]
-        if data not in known:
-            raise GreyboxError(f"{place}: there is no choice {data!r}; {nearest(str(data), known)}")
+        if data not in self.choices:
+            raise GreyboxError(f"{place}: there is no choice {data!r}; {nearest(str(data), self.choices)}")
         return str(data)
 
 
 @dataclass(frozen=True)
-class Names(Kind):
+class Names(Kind[tuple[str, ...]]):
     """Names: an option given several times; with ``split`` several names after one option as well."""
 
     split: bool = False
-    annotation = list[str]
-    default = ()
-    empty = ()
+    empty: tuple[str, ...] = ()
+    repeated = True
 
     def from_option(self, option: str, raw: Sequence[str]) -> tuple[str, ...]:
-        return parse_names(raw) if self.split else tuple(raw)
+        return tuple(name for text in raw for name in text.replace(",", " ").split()) if self.split else tuple(raw)
 
     def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
         return tuple(text_in_file(place, item) for item in as_list(place, data))
 
-    def to_toml(self, value: tuple[str, ...]) -> list[str]:
-        return list(value)
+    def spell(self, value: tuple[str, ...]) -> str:
+        return value[0]
 
 
 @dataclass(frozen=True)
-class CommaNames(Kind):
+class CommaNames(Names):
     """Names after one option, separated by commas."""
 
-    annotation = str
-    default = ""
-    empty = ()
+    repeated = False
 
-    def from_option(self, option: str, raw: str) -> tuple[str, ...]:
+    def from_option(self, option: str, raw: str) -> tuple[str, ...]:  # type: ignore[override]
         return tuple(name.strip() for name in raw.split(",") if name.strip())
-
-    def from_toml(self, place: str, data: Any) -> tuple[str, ...]:
-        return Names().from_toml(place, data)
-
-    def to_toml(self, value: tuple[str, ...]) -> list[str]:
-        return list(value)
 
 
 @dataclass(frozen=True)
-class Headers(Kind):
+class Headers(Names):
     """Headers after one option, separated by commas; blanks and brackets belong to them: ``time [ms],u,-,x [um]``."""
 
-    annotation = str
-    default = ""
-    empty = ()
+    repeated = False
 
-    def from_option(self, option: str, raw: str) -> tuple[str, ...]:
+    def from_option(self, option: str, raw: str) -> tuple[str, ...]:  # type: ignore[override]
         headers = tuple(name.strip() for name in raw.split(","))
         if not all(headers):
             raise GreyboxError(f"{option} {raw}: a name is empty; write '-' for a column that is not wanted")
@@ -237,22 +243,19 @@ class Headers(Kind):
                 data,
                 'must be a list of all columns in their order, as in ["time", "u", "x"]; headers of single signals stand under [columns]',
             )
-        return Names().from_toml(place, data)
+        return super().from_toml(place, data)
 
-    def to_toml(self, value: tuple[str, ...]) -> list[str]:
-        return list(value)
+
+PATH = click.Path(path_type=Path)  # whether a file is there says whoever reads it
 
 
 @dataclass(frozen=True)
-class Files(Kind):
+class Files(Kind[tuple[Path, ...]]):
     """Paths of files. Those in a study file are relative to its folder."""
 
-    annotation = list[Path]
-    default = ()
-    empty = ()
-
-    def from_option(self, option: str, raw: Sequence[Path] | None) -> tuple[Path, ...]:
-        return tuple(raw or ())
+    empty: tuple[Path, ...] = ()
+    type = PATH
+    repeated = True
 
     def from_toml(self, place: str, data: Any) -> tuple[Path, ...]:
         return tuple(Path(text_in_file(place, item)) for item in as_list(place, data))
@@ -260,9 +263,74 @@ class Files(Kind):
     def to_toml(self, value: tuple[Path, ...]) -> list[str]:
         return [path.as_posix() for path in value]
 
+    def moved(self, value: tuple[Path, ...], move: Callable[[Path], Path]) -> tuple[Path, ...]:
+        return tuple(map(move, value))
+
+    def spell(self, value: tuple[Path, ...]) -> str:
+        return str(value[0])
+
 
 @dataclass(frozen=True)
-class Table(Kind):
+class File(Kind[Path | None]):
+    """The path of one file or folder, relative to the folder of a study file that names it."""
+
+    empty: Path | None = None
+    type = PATH
+
+    def from_toml(self, place: str, data: Any) -> Path:
+        return Path(text_in_file(place, data))
+
+    def to_toml(self, value: Path | None) -> str:
+        return "" if value is None else value.as_posix()
+
+    def moved(self, value: Path | None, move: Callable[[Path], Path]) -> Path | None:
+        return None if value is None else move(value)
+
+
+@dataclass(frozen=True)
+class ModelName(Word):
+    """A model: its name, or its file, which is a program; or a result that holds one."""
+
+    def moved(self, value: str, move: Callable[[Path], Path]) -> str:
+        from greybox.shell.project import is_model_path
+
+        if not is_model_path(value) and not value.endswith(".json"):
+            return value
+        file, colon, name = value.rpartition(".py:")
+        return f"{move(Path(f'{file}.py')).as_posix()}:{name}" if colon else move(Path(value)).as_posix()
+
+
+@dataclass(frozen=True)
+class FrequencyBand(Kind[tuple[float, float] | None]):
+    """Two ends, the lower one first: ``5:800``, or ``[5, 800]``."""
+
+    empty: tuple[float, float] | None = None
+    example: str = "5:800"
+
+    def from_option(self, option: str, raw: str) -> tuple[float, float]:
+        try:
+            low, high = (float(part) for part in raw.split(":"))
+        except ValueError:
+            raise GreyboxError(f"{option} {raw}: write it as LOW:HIGH in Hz, as in {option} {self.example}") from None
+        return self._checked(f"{option} {raw}", low, high)
+
+    def from_toml(self, place: str, data: Any) -> tuple[float, float]:
+        ends = [number_in_file(place, end) for end in as_list(place, data)]
+        if len(ends) != 2:
+            raise _wrong(place, data, "write it as [LOW, HIGH] in Hz")
+        return self._checked(place, *ends)
+
+    def _checked(self, given: str, low: float, high: float) -> tuple[float, float]:
+        if not 0 <= low < high:
+            raise GreyboxError(f"{given}: the low end must be at least 0 and below the high end")
+        return low, high
+
+    def spell(self, value: tuple[float, float] | None) -> str:
+        return ""
+
+
+@dataclass(frozen=True)
+class Table(Kind[Mapping[str, Any]]):
     """Something for each name: an option ``NAME=...`` given several times, or a table of the file.
 
     ``shape`` and ``example`` show how the option is written; ``bare`` is the word that stands in the file for a name without
@@ -272,12 +340,14 @@ class Table(Kind):
     shape: str = "NAME=VALUE"
     example: str = "M=0.01"
     bare: str | None = None
-    annotation = list[str]
-    default = ()
+    repeated = True
 
     @property
-    def empty(self) -> Mapping[str, Any]:
+    def empty(self) -> Mapping[str, Any]:  # type: ignore[override]
         return {}
+
+    def spell(self, value: Mapping[str, Any]) -> str:
+        return next(iter(value))
 
     def from_option(self, option: str, raw: Sequence[str]) -> dict[str, Any]:
         alone = [text.strip() for text in raw if "=" not in text] if self.bare is not None else []
@@ -392,6 +462,35 @@ class Conditions(Table):
         return list(value)
 
 
+@dataclass(frozen=True)
+class Limits(Table):
+    """A range for each name, of which an end may be left out: ``u=-3:3``, or ``u = {low = -3, high = 3}``."""
+
+    shape: str = "NAME=LOW:HIGH"
+    example: str = "u=-3:3"
+
+    def value_of(self, option: str, name: str, text: str) -> tuple[float, float]:
+        low, colon, high = text.partition(":")
+        given, example = f"{option} {name}={text}", f"{option} {self.example}"
+        if not colon:
+            raise GreyboxError(f"{given}: write it as LOW:HIGH, as in {example}")
+        ends = (parse_number(given, end, example) if end else None for end in (low, high))
+        return _ends(*ends)
+
+    def entry(self, place: str, name: str, data: Any) -> tuple[float, float]:
+        inside = entries(place, data, (), ("low", "high"), f"{name} = {{ low = -3.0, high = 3.0 }}")
+        return _ends(
+            *(number_in_file(f"{place}, {end}", inside[end]) if end in inside else None for end in ("low", "high"))
+        )
+
+    def entry_to_toml(self, value: tuple[float, float]) -> dict[str, float]:
+        return {end: limit for end, limit in zip(("low", "high"), value, strict=True) if math.isfinite(limit)}
+
+
+def _ends(low: float | None, high: float | None) -> tuple[float, float]:
+    return -math.inf if low is None else low, math.inf if high is None else high
+
+
 def parse_pairs(
     option: str, texts: Iterable[str], shape: str = "NAME=VALUE", example: str = "M=0.01"
 ) -> dict[str, str]:
@@ -410,11 +509,6 @@ def parse_pairs(
     return values
 
 
-def parse_numbers(option: str, texts: Iterable[str], example: str = "M=0.01") -> dict[str, float]:
-    """`parse_pairs` with finite numbers as values."""
-    return Numbers(example=example).from_option(option, list(texts))
-
-
 def parse_number(given: str, text: str, example: str) -> float:
     """``text``, which is part of what was ``given``, as a finite number. Raises GreyboxError."""
     try:
@@ -424,11 +518,6 @@ def parse_number(given: str, text: str, example: str) -> float:
     if not math.isfinite(number):
         raise GreyboxError(f"{given}: the value must be finite")
     return number
-
-
-def parse_names(texts: Iterable[str]) -> tuple[str, ...]:
-    """``["B,K", "M"]`` as names."""
-    return tuple(name for text in texts for name in text.replace(",", " ").split())
 
 
 def number_in_file(place: str, data: Any, bare: str | None = None) -> float:

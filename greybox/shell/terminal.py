@@ -19,23 +19,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-import typer
-from typer.core import TyperArgument, TyperCommand, TyperGroup, TyperOption
+import click
 
 from greybox.base.errors import ExitCode, GreyboxError, OutputError, WorkersLostError, nearest
 from greybox.base.extensions import ExtensionKind, describe_failures
 
 if TYPE_CHECKING:
     from greybox.base.findings import Finding
-
-
-@dataclass(frozen=True)
-class Command:
-    """One command: the function that ``run`` s it with its options as typer reads them, its line in the help, lines to copy."""
-
-    run: Callable[..., None]
-    short_help: str
-    examples: tuple[str, ...] = ()
 
 
 # What the command line has to say about a study beside the result itself.
@@ -139,13 +129,13 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
 
 def exit_with_error(message: str, code: ExitCode) -> NoReturn:
     """End with ``message`` on stderr."""
-    typer.echo(f"error: {message}", err=True)
-    raise typer.Exit(code)
+    click.echo(f"error: {message}", err=True)
+    raise click.exceptions.Exit(code)
 
 
 def print_note(message: str) -> None:
     """A line on stderr, so that stdout stays what was asked for."""
-    typer.echo(message, err=True)
+    click.echo(message, err=True)
 
 
 def print_findings(findings: Iterable[Finding]) -> None:
@@ -165,7 +155,7 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 def write_report(value: Any, target: Path, **more: Any) -> Path:
     """Write the report of a result as ``target``; ``more`` goes to the builder of the page."""
-    from greybox.show.pages.report import report
+    from greybox.show.report import report
 
     return report(value, target, command=typed_command(), **more)
 
@@ -179,7 +169,6 @@ def typed_command() -> str:
 
 # What was typed wrongly, told as the program's other errors are: subject, value, rule, remedy, the nearest name.
 
-UsageError: type[Exception] = typer.BadParameter.__mro__[1]  # the common base; typer has no public name for it
 CHOICE = re.compile(r"'(.*)' is not one of (.*?)\.?$")
 # What the reader of options says of a number, and what to do.
 NUMBERS = (
@@ -189,23 +178,33 @@ NUMBERS = (
 )
 
 
-class PlainCommand(TyperCommand):
-    """A command whose help names no types of Python, and whose errors are one line that says what to do."""
+class PlainArgument(click.Argument):
+    """An argument with a line in the help."""
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        for parameter in self.params:
-            if isinstance(parameter, TyperArgument):
-                vars(parameter)["display_type_rich"] = lambda ctx: None
-            elif isinstance(parameter, TyperOption) and callable(parameter.default):  # an empty list
-                parameter.show_default = False
+    def __init__(self, *args: Any, place: str, text: str, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.place, self.text = place, text
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+
+class PlainCommand(click.Command):
+    """A command whose help lists its arguments too, and whose errors are one line that says what to do."""
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write arguments, then options."""
+        arguments = [(p.place, p.text) for p in self.params if isinstance(p, PlainArgument)]
+        if arguments:
+            with formatter.section("Arguments"):
+                formatter.write_dl(arguments)
+        options = [p.get_help_record(ctx) for p in self.get_params(ctx) if isinstance(p, click.Option)]
+        with formatter.section("Options"):
+            formatter.write_dl([record for record in options if record])
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """The arguments by parameter; ends with exit code 2 where they cannot be understood."""
         typed = list(args)
         try:
             rest = super().parse_args(ctx, args)
-        except UsageError as error:
+        except click.UsageError as error:
             exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
         if not ctx.resilient_parsing:  # while Tab completes, words are unfinished
             self._refuse_empty_words(ctx, typed)
@@ -232,17 +231,21 @@ class PlainCommand(TyperCommand):
                 )
 
 
-class CommandGroup(TyperGroup):
+class CommandGroup(click.Group):
     """The main command; for an unknown sub-command it names the nearest one."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names in the order of the help."""
+        return list(self.commands)
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """The options before the sub-command; ends with exit code 2 where they cannot be understood."""
         if not args:  # then the help is shown
             return super().parse_args(ctx, args)
         typed = list(args)
         try:
             return super().parse_args(ctx, args)
-        except UsageError as error:
+        except click.UsageError as error:
             exit_with_error(describe_usage_error(error, ctx, typed), ExitCode.BAD_INPUT)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -261,10 +264,8 @@ def describe_usage_error(error: Any, ctx: Any, typed: Sequence[str]) -> str:
     """One line on what cannot be understood of the words ``typed`` after the command of ``ctx``."""
     command, message = ctx.command_path, error.message
     parameter, option = getattr(error, "param", None), getattr(error, "option_name", "")
-    if isinstance(parameter, TyperArgument) and not message:
-        return _missing(parameter, ctx, typed)
     if parameter is not None:
-        name = max(parameter.opts, key=len) if isinstance(parameter, TyperOption) else _place(parameter)
+        name = max(parameter.opts, key=len) if isinstance(parameter, click.Option) else parameter.place
         return f"{_value(name, message, typed) if message else f'{name} is missing'}; see {command} --help"
     if "o such option" in message:
         return f"{option}: {command} has no such option; {_nearest_option(option, ctx)}see {command} --help"
@@ -274,14 +275,9 @@ def describe_usage_error(error: Any, ctx: Any, typed: Sequence[str]) -> str:
 
 
 def _nearest_option(option: str, ctx: Any) -> str:
-    known = [name for p in ctx.command.params if isinstance(p, TyperOption) for name in p.opts]
+    known = [name for p in ctx.command.params if isinstance(p, click.Option) for name in p.opts]
     close = difflib.get_close_matches(option, known, n=3, cutoff=0.5)
     return f"did you mean {' or '.join(close)}? Or " if close else ""
-
-
-def _missing(parameter: TyperArgument, ctx: Any, typed: Sequence[str]) -> str:
-    order = [_place(p) for p in ctx.command.params if isinstance(p, TyperArgument)]
-    return describe_missing_argument(ctx.command_path, order, _place(parameter), typed)
 
 
 def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
@@ -293,10 +289,6 @@ def describe_missing_argument(command: str, order: Sequence[str], missing: str, 
     if order[0] == "MODEL" and Path(first).suffix.lower() in record_suffixes():
         return f"{first}: a record, not a model; MODEL comes first: {usage}"
     return f"{command}: {missing} is missing; {usage}"
-
-
-def _place(argument: TyperArgument) -> str:
-    return str(argument.metavar or argument.name)
 
 
 def _value(name: str, message: str, typed: Sequence[str]) -> str:

@@ -12,6 +12,7 @@ from greybox.base.numerics import TIME_ROUNDING
 from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
 from greybox.model.model import Model
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import PlantModel, to_plant_record
 
 
 def to_experiments(experiments: Experiment | Iterable[Experiment]) -> tuple[Experiment, ...]:
@@ -47,6 +48,8 @@ def to_record(model: Model, experiment: Experiment) -> Record:
         Where an input of the model is missing, where outputs were measured but none of the model's, and for a band-limited input
         that was not sampled uniformly.
     """
+    if isinstance(model, PlantModel):
+        return to_plant_record(model, experiment)
     # An input that is missing cannot be guessed; an output that is missing is a gap.
     missing = [i.name for i in model.inputs if i.name not in experiment.inputs]
     if missing:

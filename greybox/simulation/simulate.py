@@ -27,6 +27,7 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import Plant, PlantKernel, PlantModel, as_model, make_plant_step
 from greybox.simulation.records import to_record
 
 # The inputs of a file alone, for simulating where nothing was measured.
@@ -154,7 +155,7 @@ MAX_CHANGE = 1e-06
 
 
 def simulate(
-    model: Model,
+    model: Model | Plant,
     inputs: Experiment | Mapping[str, ArrayLike],
     *,
     initial: Mapping[str, float] | None = None,
@@ -167,7 +168,7 @@ def simulate(
     Parameters
     ----------
     model
-        The model.
+        The model, or a plant (`greybox.simulation.plant.Plant`).
     inputs
         An `Experiment`, of which outputs are ignored, or ``{"time": ..., "u": ...}`` with arrays (N,), held between samples.
     initial
@@ -195,9 +196,13 @@ def simulate(
     >>> run = simulate(micro_actuator, {"time": time, "u": np.ones(2000)})  # doctest: +SKIP
     >>> run.outputs["x"][-1]  # doctest: +SKIP
     """
+    model = as_model(model)
     experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
     record, rules = to_record(model, experiment), policy.discretisation
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
+    if isinstance(model, PlantModel):
+        y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
+        return _to_simulation(model, experiment, y, x, make_plant_step(model))
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
     kernel = make_kernel(step, ())
     y, x = _run(kernel, step, record, p, x0)
@@ -217,6 +222,11 @@ def simulate(
         y, x = _run(kernel, step, record, p, x0)
         if _has_settled(before, y, MAX_CHANGE):
             break
+    return _to_simulation(model, experiment, y, x, step)
+
+
+def _to_simulation(model: Model, experiment: Experiment, y: np.ndarray, x: np.ndarray, step: Step) -> Simulation:
+    """Outputs (N, ny) and states (N, nx) by name."""
     return Simulation(
         experiment.time,
         {i.name: experiment.inputs[i.name] for i in model.inputs},

@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.linalg import expm
 from scipy.signal import lfilter
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import with_code
@@ -325,10 +325,7 @@ def test_bad_input_is_one_message_and_nothing_is_written(run, tmp_path, model, r
 
 
 def test_compare_takes_the_options_of_fit():
-    from typer.main import get_command
-
-    commands = get_command(app).commands
-    fit, compare = ({name for p in commands[c].params for name in p.opts} for c in ("fit", "compare"))
+    fit, compare = ({name for p in app.commands[c].params for name in p.opts} for c in ("fit", "compare"))
     # Options about the intervals of parameters, which are not compared, and the time for the starts of one model.
     assert fit - compare == {"--profile", "--bootstrap", "--time"}
 

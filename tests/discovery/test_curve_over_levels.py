@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base.figure import Curve
 from greybox.discovery.curve_shape import find_levels, find_period_of_curve
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import localise_residual
@@ -14,7 +15,6 @@ from greybox.discovery.problem import DiscoveryProblem
 from greybox.discovery.surrogate import SURROGATE_INTERVALS, fit_curve_surrogate
 from greybox.discovery.surrogate_effects import evaluate_curve, make_curve_effect
 from greybox.show.figures.discovery import plot_surrogate
-from greybox.show.figures.figure import Curve
 from tests.support.first_order import first_order
 
 LEVELS = np.array([-1.0, -0.2, 0.4, 1.0])

@@ -4,6 +4,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import FitError
+from greybox.discovery.claims import deepest_established
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.pipeline import discover
@@ -56,7 +57,9 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
     assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
     assert (stage, "on purpose") in {(failure.stage, failure.reason) for failure in found.failures}
     if place == "pipeline.gather_evidence":
-        assert found.verdict == "unknown"  # nothing is certain without evidence
+        assert found.verdict == "partly"  # no name is certain without evidence, the place is
+        assert not any(e["grade"] == "established" for e in found.effects)
+        assert deepest_established(found.claims).name == ""
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox import Experiment, FitOptions, fit, simulate
 from greybox.discovery import refinement

@@ -17,7 +17,7 @@ import pytest
 
 from greybox.base.errors import DataError, ModelError
 from greybox.data.read import read_csv
-from greybox.extensions.fmu.description import read_fmu
+from greybox.extensions.fmu.plant import read_fmu
 from tests.data.test_measuring_files import LAG_MODEL, WRITERS
 from tests.hardening.mutations import mutate_bytes, mutate_text
 from tests.hardening.test_fuzz_records import LONGEST_MESSAGE, time_limit

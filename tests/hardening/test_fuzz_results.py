@@ -31,9 +31,10 @@ from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.problem import CampaignCode, DesignPolicy
-from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
+from greybox.extensions.fmu.effects import FmuWithEffects, fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.model import Model
+from greybox.shell.commands import COMMANDS
 from greybox.shell.own_effects import find_own_effects, keep_effect
 from greybox.shell.study_file import read_study
 from models.micro_actuator import micro_actuator
@@ -170,7 +171,7 @@ def use_design(path: Path, plan: object) -> None:
 
 
 def use_fmu_fit(path: Path, _: object) -> None:
-    assert all(entry["unit"] is not None for entry in read_json(path, FmuFit)["parameters"].values())
+    assert all(entry["unit"] is not None for entry in read_json(path, FmuWithEffects)["parameters"].values())
 
 
 SHORT = DesignPolicy(
@@ -203,7 +204,9 @@ def make_later_ones(folder: Path, search: Path) -> dict[Path, tuple[object, Call
     todo = Finding(CampaignCode.MEASURE, subject="02/input.csv", values={"record": "02/record.csv"})
     campaigns._save(plan, folder, campaigns.CampaignStatus.MEASURING, [step, replace(step, number=2)], todo)
     plant = read_fmu(gb.export.to_fmu(silverbox, folder / "plant.fmu", dt=period))
-    around = fit_fmu(plant, records[0], free=[silverbox.free_parameters[0].name], noise={"y": 1e-4})
+    fitted = gb.fit(plant.with_values([silverbox.free_parameters[0].name]), records[0], noise={"y": 1e-4})
+    prepared = prepare_fmu(fitted, records[0])
+    around = fit_fmu_effects(prepared, [e for e in prepared.local.candidates if e.name == "sensor_lag"])
     return {
         law: (None, use_law),
         gb.detect_changes(fit, records[1], search_effects=False).save(folder / "changed.json"): (None, use_change),
@@ -307,8 +310,8 @@ def test_mutated_results_journals_and_studies(tmp_path):
         journal.add(f"k{k}", outcome if k % 4 else None)
     files[journal.path] = (None, use_journal, True)
     (tmp_path / "study.toml").write_text(STUDY)
-    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit"), False)
-    read_study(tmp_path / "study.toml", "fit")
+    files[tmp_path / "study.toml"] = (None, lambda path, _: read_study(path, "fit", COMMANDS), False)
+    read_study(tmp_path / "study.toml", "fit", COMMANDS)
     each = size_of(5000 // len(files) + 1)
     outcomes, wrong = attack(files, each)
     figures = f"of {len(files)} files; {outcomes['used']} used, {outcomes['refused']} refused"

@@ -8,7 +8,7 @@ import pytest
 
 from tests.extensions.export import test_hostile_texts as languages
 from tests.extensions.export.test_hostile_texts import plain  # noqa: F401
-from tests.show.pages.test_hostile_pages import KINDS, pages, poison, write_page  # noqa: F401
+from tests.show.documents.test_hostile_pages import KINDS, pages, poison, write_page  # noqa: F401
 from tests.support.browser import opened
 from tests.support.hostile import CODE, ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row, size_of

@@ -17,7 +17,7 @@ from greybox.estimation.parameter_constancy import compute_running_mean
 SLOW = {"scipy.signal", "scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "control", "matplotlib.pyplot"}
 NEEDED = (
     "greybox.shell.commands, greybox.discovery.pipeline, greybox.extensions.export, greybox.show.figures.discovery,"
-    " greybox.show.pages.discovery_page"
+    " greybox.show.documents.discovery"
 )
 
 

@@ -23,8 +23,8 @@ LAYERS = (
     *("__init__", "__main__"),  # the front doors: they may import everything, and nothing imports them
 )
 LEVEL = {layer: level for level, layer in enumerate(LAYERS)}
-# A value that is printed finds its text by the name of its class: the one import that points upward.
-PRINTING = ("greybox.base.values", "greybox.show.sentences.registry")
+# A value that is described finds its sentences and figures by the name of its class: the one import that points upward.
+PRINTING = ("greybox.base.values", "greybox.show.describe")
 
 
 class Import(NamedTuple):
@@ -190,7 +190,7 @@ def test_each_folder_imports_what_it_may(folder: str) -> None:
     assert not foreign, "\n".join([f"{folder}/ may not import (or pyproject.toml does not declare):", *foreign])
 
 
-@pytest.mark.parametrize(("package", "owners"), [("matplotlib", ("show",)), ("typer", ("shell", "extensions"))])
+@pytest.mark.parametrize(("package", "owners"), [("matplotlib", ("show",)), ("click", ("shell", "extensions"))])
 def test_one_layer_owns_a_package(package: str, owners: tuple[str, ...]) -> None:
     elsewhere = [
         f.where for f in all_imports("greybox") if top(f.module) == package and layer(f.importer) not in owners

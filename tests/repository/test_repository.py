@@ -123,7 +123,8 @@ def inherited(module: ast.Module) -> set[str]:
         return here | attributes | bases(node)
 
     def bases(node: ast.ClassDef) -> set[str]:
-        return set().union(*(described(base.id) for base in node.bases if isinstance(base, ast.Name)))
+        plain = (base.value if isinstance(base, ast.Subscript) else base for base in node.bases)  # Kind[int] is Kind
+        return set().union(*(described(base.id) for base in plain if isinstance(base, ast.Name)))
 
     return {f"{name}.{method}" for name, node in classes.items() for method in bases(node)}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import greybox as gb
 from greybox.data.formats import list_record_files
@@ -87,8 +87,8 @@ BAD = [
     (["{fit}", "{day}", "--population", "--chart"], "exclude each other"),
     (["{fit}", "{day}", "--population"], "a population needs 4"),
     (["{fit}", "{day}", "--chart"], "a chart needs 4"),
-    (["{fit}", "{day}", "--chart", "--validate", "{day}"], "--validate has no effect"),
-    (["{fit}", "{day}", "--skip", "5"], "--skip has no effect"),
+    (["{fit}", "{day}", "--chart", "--validate", "{day}"], "--validate: no effect here"),
+    (["{fit}", "{day}", "--skip", "5"], "--skip 5 has no effect"),
     (["{fit}", "{day}", "--model", "micro_actuator"], "belongs to the model silverbox"),
     (["{fit}", "{fit}"], "fit.json"),
 ]

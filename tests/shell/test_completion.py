@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox.model.effects.catalogue import CATALOGUE
 from greybox.shell.commands import app
@@ -23,27 +23,26 @@ def offered(line: str) -> list[str]:
     environment = {
         **os.environ,
         "PYTHONPATH": str(ROOT),
-        "_GREYBOX_COMPLETE": "complete_bash",
+        "_GREYBOX_COMPLETE": "bash_complete",
         "COMP_WORDS": line,
         "COMP_CWORD": str(len(words) - 1),
-        "_TYPER_COMPLETE_ARGS": line,
     }
     command = [sys.executable, "-m", "greybox"]
     done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stderr == ""
-    return done.stdout.split()
+    return [offer.partition(",")[2] for offer in done.stdout.split("\n") if offer]
 
 
 def inside(line: str) -> list[str]:
-    """The same without a process: through Typer's own entry."""
+    """The same without a process: through the entry of the command line."""
     environment = {
-        "_GREYBOX_COMPLETE": "complete_bash",
+        "_GREYBOX_COMPLETE": "bash_complete",
         "COMP_WORDS": line,
         "COMP_CWORD": str(len(line.split(" ")) - 1),
     }
     done = CliRunner().invoke(app, [], prog_name="greybox", env=environment)
     assert done.stderr == ""
-    return done.stdout.split()
+    return [offer.partition(",")[2] for offer in done.stdout.split("\n") if offer]
 
 
 def test_the_command_itself_answers_the_shell() -> None:

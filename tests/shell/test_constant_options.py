@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.shell.commands import app
@@ -94,7 +94,8 @@ def test_what_is_known_beforehand_counts_and_is_stored(
     shown: list[str],
 ) -> None:
     if records != "pushed":  # drawing takes longer than all the rest: once will do
-        monkeypatch.setattr(fit_module, "_draw", lambda *_, **__: None)
+        monkeypatch.setattr(fit_module, "_draw_pictures", lambda *_: [])
+        options += " --no-report"
     result = run(records, *options.split())
     assert result.exit_code == 0, result.output
     assert result.stderr == ""
@@ -129,6 +130,11 @@ def test_what_is_known_beforehand_counts_and_is_stored(
         (["--noise", "x=-1"], "not a positive standard deviation"),
         (["--quiet", "gaps.csv"], "input 'u' moves by 4 N"),
         (["--profile", "M"], "--profile M: no parameter that is fitted"),
+        (["--profile", "K:K"], "--profile K:K: give one parameter, or two different ones as A:B"),
+        (
+            ["--profile", "K:B", "--own", "K"],
+            "--profile K:B: each record has its own K; give two that all records share",
+        ),
         (["--profile", "Kk"], "--profile Kk: no parameter that is fitted; did you mean 'K'"),
         (["--bootstrap", "20"], "--bootstrap 20: too few replicates for a 95 % interval; give 100 or more"),
     ],

@@ -98,7 +98,7 @@ def test_the_story_is_told_in_order(result: Demo, announced: list[str]) -> None:
 
 def test_the_command_leaves_out_the_page_if_told(run, result: Demo, monkeypatch: pytest.MonkeyPatch) -> None:
     contradiction = run("demo", "--open", "--no-report")
-    assert contradiction.exit_code == 2 and "leave out one of the two" in contradiction.stderr
+    assert contradiction.exit_code == 2 and "--open and --no-report exclude each other" in contradiction.stderr
     monkeypatch.setattr("greybox.shell.demonstration.run_demo", lambda *_, **__: result)
     printed = run("demo", "--no-report", "--output", "there")
     assert printed.exit_code == 0 and "report:" not in printed.stdout

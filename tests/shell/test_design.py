@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import greybox as gb
 from greybox.shell.commands import app
@@ -65,7 +65,10 @@ BAD = [
         "give records or a fit",
     ),
     (["silverbox", "--noise", "y=1e-3", *BASE, "--rate", "u=-1"], "a rate of -1"),
-    (["silverbox", "--noise", "y=1e-3", *BASE, "--effect", "cubic_stiffness"], "--effect has no effect"),
+    (
+        ["silverbox", "--noise", "y=1e-3", *BASE, "--effect", "cubic_stiffness"],
+        "--effect: no effect with --goal precision",
+    ),
     (["silverbx", "--noise", "y=1e-3", *BASE], "silverbox"),
     (["silverbox", "--model", "silverbox", *BASE], "leave out one of the two"),
 ]

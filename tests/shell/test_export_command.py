@@ -7,7 +7,7 @@ import sys
 import casadi as ca
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import Finding
@@ -107,9 +107,12 @@ def test_a_minimal_model_says_what_was_taken_out_and_so_is_its_family(tmp_path):
         (["--to", "python", "--dt", "1e-3"], "--dt: no effect with --to python"),
         (["--to", "mat", "--at", "uu=1"], "no state or input 'uu'; did you mean 'u'"),
         (["--to", "mat", "--at", "u=one"], "'one' is not a number"),
-        (["--to", "mat", "--method", "tustin"], "--method tustin samples the model; give --dt SECONDS too"),
+        (
+            ["--to", "mat", "--method", "tustin"],
+            "--method tustin has no effect: it samples the model; give --dt SECONDS too",
+        ),
         (["--to", "mat", "--output", "p.py"], "--to mat writes .mat; give a file with that suffix"),
-        (["--to", "mat", "--seed", "3"], "--seed has no effect without --samples"),
+        (["--to", "mat", "--seed", "3"], "--seed 3 has no effect: no models are drawn; give --samples N too"),
         (["--to", "mat", "--dt", "-1"], "sampling time -1.0 s: give a time above 0 s"),
         (
             ["--to", "mat", "--at", "x=1e-3", "--at", "u=0"],

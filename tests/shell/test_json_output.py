@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 import re
 from collections.abc import Callable
@@ -10,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from jsonschema import Draft202012Validator
-from typer.testing import CliRunner
 
 from greybox import FitOptions, fit, simulate
 from greybox.estimation.result import load_fit
 from greybox.shell.answers import FitAnswer
-from greybox.shell.commands import app
+from greybox.shell.commands import COMMANDS, app
 from greybox.shell.printed import list_printed, schema_of_command
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator
@@ -24,9 +23,8 @@ from tests.support.result_schema import strict_offences
 
 
 def test_every_command_has_it_and_a_schema() -> None:
-    commands = {c.callback.__name__: c.callback for c in app.registered_commands}
-    printing = {name for name, c in commands.items() if "json" in inspect.signature(c).parameters}
-    assert printing == set(commands) == set(list_printed())
+    printing = {name for name, command in COMMANDS.items() if "json" in command.table}
+    assert printing == set(COMMANDS) == set(list_printed())
 
 
 @pytest.mark.parametrize("command", list_printed())
@@ -170,7 +168,8 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     plain = run(*words.split(), "--json")
     assert plain.exit_code == 0, plain.output
     assert not {"profiles", "bootstrap"} & set(json.loads(plain.stdout))
-    done = run(*words.split(), "--json", "--profile", "K", "--bootstrap", "100")
+    words = words.replace("--no-report ", "")
+    done = run(*words.split(), "--json", "--profile", "K", "--profile", "K:Kv", "--bootstrap", "100")
     assert done.exit_code == 0, done.output
     printed = json.loads(done.stdout)
     assert accepts("fit", printed) and strict_offences(printed, FitAnswer) == []
@@ -179,5 +178,10 @@ def test_intervals_that_were_asked_for_are_in_the_json(tmp_path: Path, monkeypat
     assert (
         profile["name"] == "K" and profile["interval"][0] < printed["parameters"]["K"]["value"] < profile["interval"][1]
     )
+    assert profile["shape"] == "bounded" and not profile["is_better"] and profile["partner"] == "Kv"
+    (region,) = printed["regions"]
+    assert (region["first"], region["second"], region["shape"]) == ("K", "Kv", "bounded")
+    page = Path("out/report.html").read_text()
+    assert "95 % by profile likelihood" in page and "Bounded on both sides" in page and "K and Kv together" in page
     assert np.shape(printed["bootstrap"]["samples"]) == (100, len(printed["free"]))
     assert load_fit("out/fit.json", micro_actuator).parameters["K"].value == printed["parameters"]["K"]["value"]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from greybox.base.errors import GreyboxError
-from greybox.shell.options import check_writable
+from greybox.shell.inputs import check_writable
 
 
 def test_a_folder_that_can_be_made_is_not_made(tmp_path: Path):

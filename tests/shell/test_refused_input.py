@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from greybox import FitOptions, fit, simulate
 from greybox.shell.commands import app
@@ -48,23 +48,32 @@ REFUSED = [
     ("fit micro_actuator a.csv --read-limit 0", "--read-limit 0: give a number above 0"),
     ("simulate micro_actuator --multisine -1 --band 5:60 --duration 1 --sampling-time 1e-3", "an RMS value of -1"),
     # options without an effect
-    (f"{SIGNAL} --seed 3", "--seed 3 has no effect: nothing here is random; give --noise or --multisine too"),
-    ("effects --effect coulomb_friction", "--effect coulomb_friction has no effect without a model"),
+    (
+        f"{SIGNAL} --seed 3",
+        "--seed 3 has no effect: nothing here is random; give --noise OUTPUT=STD or --multisine RMS too",
+    ),
+    (
+        "effects --effect coulomb_friction",
+        "--effect coulomb_friction has no effect: there is no model to add it to; give MODEL too",
+    ),
     ("effects keep soft_stop --json", "--json: no effect with keep"),
     ("effects micro_actuator soft_stop", "soft_stop: no effect without keep"),
     ("check a.csv --fix M=1 --noise x=1", "--fix, --noise: no effect on a look at a file; leave them out"),
     ("check a.csv --output here", "--output: no effect on a look at a file, which writes nothing"),
     ("check micro_actuator --column x=y", "--column: no effect on a check without records; leave it out"),
-    ("fit micro_actuator a.csv --quiet-output --json", "--quiet-output and --json contradict each other"),
+    ("fit micro_actuator a.csv --quiet-output --json", "--quiet-output and --json exclude each other"),
     (
         "fit micro_actuator a.csv --write-study s.toml --json",
         "--json: no effect with --write-study, which runs nothing",
     ),
-    ("compare micro_actuator a.csv --quiet-output --json", "--quiet-output and --json contradict each other"),
-    ("changed fit.json a.csv --validate b.csv --no-effects", "--validate has no effect here: no effect is looked for"),
+    ("compare micro_actuator a.csv --quiet-output --json", "--quiet-output and --json exclude each other"),
+    (
+        "changed fit.json a.csv --validate b.csv --no-effects",
+        "--validate: no effect here, where no effect is looked for",
+    ),
     ("changed fit.json a.csv --validate b.csv --skip 199", "--skip 199: the shortest validation record has 200 rows"),
-    (f"design {QUESTION} --goal detection --constant K", "--constant K has no effect with --goal detection"),
-    (f"design {QUESTION} --goal detection --criterion A", "--criterion A has no effect with --goal detection"),
+    (f"design {QUESTION} --goal detection --constant K", "--constant: no effect with --goal detection"),
+    (f"design {QUESTION} --goal detection --criterion A", "--criterion: no effect with --goal detection"),
     (f"design {QUESTION} --fix M=0.01 --start M=0.02", "M: --fix and --start contradict each other"),
     # what would count twice
     ("fit micro_actuator a.csv a.csv", "a.csv: given twice; its data would count twice"),

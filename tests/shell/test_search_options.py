@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import Result
+from click.testing import Result
 
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.transcription.problem import TranscriptionReason

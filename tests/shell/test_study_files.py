@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import Result
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import Result
 
 from greybox.base.errors import GreyboxError
 from greybox.data.signals import multisine
-from greybox.shell.study import SPECS, STUDY_COMMANDS, Study, fields_of
-from greybox.shell.study_file import read_study, study_text
+from greybox.shell.commands import COMMANDS
+from greybox.shell.study import Study
+from greybox.shell.study_file import read_study, study_commands, study_text
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
@@ -63,7 +63,7 @@ EVERYTHING = {
 @pytest.mark.parametrize("case", EVERYTHING)
 def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, tmp_path: Path, case: str) -> None:
     file, line = EVERYTHING[case]
-    command = case if case in STUDY_COMMANDS else "fit"
+    command = case if case in COMMANDS else "fit"
     words = [command, *line.format(d=data).split()]
     written = run(*words, "--write-study", "there/study.toml")
     assert written.exit_code == 0, written.output
@@ -78,7 +78,7 @@ def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, 
 def test_a_comparison_is_written_and_read_as_the_same_study(run: Run, data: Path, tmp_path: Path) -> None:
     line = f"compare micro_actuator {data}/train.csv --validate {data}/test.csv --effects cubic_stiffness,coulomb_friction+backlash"
     assert run(*line.split(), "--starts", 3, "--seed", 4, "--write-study", "study.toml").exit_code == 0
-    study = read_study(tmp_path / "study.toml", "compare")
+    study = read_study(tmp_path / "study.toml", "compare", COMMANDS)
     assert study.candidates == ("cubic_stiffness", "coulomb_friction+backlash")
     assert (study.starts, study.seed, study.validation) == (3, 4, (data / "test.csv",))
 
@@ -102,7 +102,7 @@ def test_options_beside_a_study_file_take_the_place_of_what_it_says(tmp_path: Pa
     )
     result = run("fit", "study.toml", "--fix", "Ra=8", "--skip", 0, "--write-study", "new.toml")
     assert result.exit_code == 0, result.output
-    study = read_study(tmp_path / "new.toml", "fit")
+    study = read_study(tmp_path / "new.toml", "fit", COMMANDS)
     assert dict(study.fixed) == {"M": 0.01, "Ra": 8.0}
     assert (study.skip, study.estimation) == (0, (data / "train.csv",))
 
@@ -112,7 +112,7 @@ def test_a_table_of_a_command_counts_for_that_command_only(tmp_path: Path) -> No
         'model = "micro_actuator"\n[records]\nestimation = "a.csv"\n[start]\nK = 5000\n'
         '[fit.start]\nB = 0.2\n[fit.estimation]\nstarts = 4\n[discover]\nfurther = true\ncandidates = ["backlash"]\n'
     )
-    fit, discover = (read_study(tmp_path / "study.toml", command) for command in ("fit", "discover"))
+    fit, discover = (read_study(tmp_path / "study.toml", command, COMMANDS) for command in ("fit", "discover"))
     assert dict(fit.start) == {"K": 5000.0, "B": 0.2} and fit.starts == 4 and not fit.candidates
     assert dict(discover.start) == {"K": 5000.0} and discover.further and discover.candidates == ("backlash",)
 
@@ -212,7 +212,7 @@ def _deep(run: Run, folder: Path) -> str:
 def test_reading_a_study_file_runs_no_code(tmp_path: Path) -> None:
     (tmp_path / "rig.py").write_text("raise RuntimeError('the model ran')")
     (tmp_path / "study.toml").write_text('model = "rig.py"\n[records]\nestimation = ["a.csv"]\n')
-    study = read_study(tmp_path / "study.toml", "fit")
+    study = read_study(tmp_path / "study.toml", "fit", COMMANDS)
     assert study.model == str(tmp_path / "rig.py")
 
 
@@ -224,12 +224,19 @@ def test_a_study_file_is_never_overwritten(run: Run, tmp_path: Path, data: Path)
     assert "a study file ends in .toml" in run(*arguments, "study.txt").stderr
 
 
-def test_every_field_has_one_place_and_one_option() -> None:
-    places = [(spec.table, spec.key) for spec in SPECS.values()]
-    flags = [spec.flag for spec in SPECS.values() if spec.flag]
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_of_a_command_has_one_place_and_one_flag(name: str) -> None:
+    options = COMMANDS[name].table.values()
+    places = [option.place for option in options if option.place]
+    flags = [flag for option in options for flag in option.flags]
     assert len(set(places)) == len(places) and len(set(flags)) == len(flags)
-    assert not {spec.table for spec in SPECS.values()} & set(STUDY_COMMANDS)
-    assert all(set(fields_of(command)) <= set(SPECS) for command in STUDY_COMMANDS)
+    assert not {option.table for option in options} & set(study_commands(COMMANDS))
+
+
+def test_every_command_that_computes_reads_a_study() -> None:
+    assert set(study_commands(COMMANDS)) == {
+        *("fit", "compare", "discover", "check", "simulate", "design", "campaign", "changed", "export", "fleet")
+    }
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -249,10 +256,10 @@ name = st.text(st.characters(exclude_categories=["Cs"]), min_size=1).filter(str.
 def test_any_study_is_read_as_it_was_written(tmp_path_factory: pytest.TempPathFactory, **values: object) -> None:
     path = tmp_path_factory.mktemp("study") / "study.toml"
     study = Study(model="rig", estimation=(Path("/a b/ü.csv"),), **values)  # type: ignore[arg-type]
-    path.write_text(study_text(study, path, "fit"), encoding="utf-8", newline="")
-    assert replace(read_study(path, "fit"), file=None, from_file=frozenset()) == study
+    path.write_text(study_text(study, path, "fit", COMMANDS), encoding="utf-8", newline="")
+    assert read_study(path, "fit", COMMANDS).but(file=None, from_file=()) == study
 
 
 def test_a_study_refuses_what_it_cannot_say(tmp_path: Path) -> None:
     with pytest.raises(GreyboxError, match="file not found"):
-        read_study(tmp_path / "none.toml", "fit")
+        read_study(tmp_path / "none.toml", "fit", COMMANDS)

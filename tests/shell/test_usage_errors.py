@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from click.testing import CliRunner, Result
 
 from greybox import FitOptions, compare, fit, linearise
 from greybox.base.errors import DataError
@@ -145,6 +145,6 @@ def test_an_operating_point_far_outside_the_records_is_named_with_their_range(fi
 
 
 def test_completion_is_silent_about_an_unknown_command() -> None:
-    words = {"_GREYBOX_COMPLETE": "complete_bash", "COMP_WORDS": "greybox chek ", "COMP_CWORD": "2"}
+    words = {"_GREYBOX_COMPLETE": "bash_complete", "COMP_WORDS": "greybox chek ", "COMP_CWORD": "2"}
     result = CliRunner().invoke(app, [], env=words, prog_name="greybox")
     assert "no such command" not in result.output

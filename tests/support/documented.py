@@ -20,7 +20,7 @@ from pathlib import Path
 from unittest import mock
 
 import matplotlib as mpl
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox.shell.commands import app
 

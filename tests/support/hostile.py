@@ -7,6 +7,7 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from typing import Any
 
+from greybox.base.document import Later
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
 from greybox.show.sentences.registry import sentence
@@ -70,6 +71,8 @@ def poison(value: Any, texts: Iterator[str]) -> Any:
         return {key: poison(item, texts) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return type(value)(poison(item, texts) for item in value)
+    if isinstance(value, Later):
+        return [poison(item, texts) for item in value]
     return value
 
 

@@ -14,7 +14,7 @@ from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.base.units import format_unit
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
-from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -183,7 +183,7 @@ def linearise(
 
 
 def linearise_at(
-    plant: Plant,
+    plant: ExportedModel,
     functions: ModelFunctions,
     p: np.ndarray,
     at: Mapping[str, float] | None,

@@ -16,7 +16,7 @@ from greybox.base.values import Printable
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
-from greybox.estimation.linear.plant import ExportFinding, Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.result import Fit
 
 # Samples of the fitted parameters from their covariance, within their bounds.
@@ -95,7 +95,7 @@ class ParameterDistribution:
 LOGARITHMIC_STD = 0.25
 
 
-def make_parameter_distribution(plant: Plant) -> ParameterDistribution:
+def make_parameter_distribution(plant: ExportedModel) -> ParameterDistribution:
     """The fitted parameters of ``plant`` with their covariance.
 
     A parameter at its bound or one that the records do not determine has none: it stays where it is, which is a finding. Raises
@@ -195,7 +195,7 @@ class ModelFamily(Printable):
     findings: tuple[Finding, ...]
     distribution: ParameterDistribution
     settings: LinearisationSettings
-    _plant: Plant
+    _plant: ExportedModel
     _functions: ModelFunctions
 
     @property
@@ -352,7 +352,7 @@ def sample_family(
 
 
 def _linearise_member(
-    plant: Plant, functions: ModelFunctions, p: np.ndarray, settings: LinearisationSettings
+    plant: ExportedModel, functions: ModelFunctions, p: np.ndarray, settings: LinearisationSettings
 ) -> Linearisation:
     model = linearise_at(plant, functions, p, settings.at, settings.dt, settings.method, settings.delay)
     return minimal_realisation(model) if settings.minimal else model

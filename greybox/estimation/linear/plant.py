@@ -50,7 +50,7 @@ class ExportFinding(StrEnum):
 
 
 @dataclass(frozen=True)
-class Plant:
+class ExportedModel:
     """A model at its present values, and the fit that found them (None for a model as stated)."""
 
     model: Model
@@ -113,14 +113,16 @@ class Plant:
         return tuple(lines)
 
 
-def to_plant(source: Fit | Model) -> Plant:
+def to_plant(source: Fit | Model) -> ExportedModel:
     """The plant behind a fit or a model. Raises ModelError for anything that is neither."""
+    if isinstance(source, (Fit, Model)):
+        (source.model if isinstance(source, Fit) else source).require_equations("a linearisation or an export")
     if isinstance(source, Fit):
         values = {"status": str(source.status)}
         failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
-        return Plant(source.model, source, failed)
+        return ExportedModel(source.model, source, failed)
     if isinstance(source, Model):
-        return Plant(source)
+        return ExportedModel(source)
     raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
 
 

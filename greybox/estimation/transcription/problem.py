@@ -23,6 +23,7 @@ from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOpti
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import (
     Evaluation,
+    PlantShooting,
     SingleShooting,
     WhitenedShooting,
 )
@@ -32,6 +33,7 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.plant import PlantKernel, PlantModel, make_plant_step
 from greybox.simulation.records import to_experiments, to_record
 
 
@@ -69,6 +71,8 @@ class EstimationProblem:
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
+        if isinstance(self.kernel, PlantKernel):
+            return PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
         if self.loss is None and not self.is_whitened:
             return SingleShooting(*base)
         return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
@@ -173,6 +177,7 @@ def prepare_problem(
     group = to_experiments(experiments)
     for e in group:
         model.check_measured(f"experiment {e.name!r}", e.outputs)
+    arrays = [to_record(model, e) for e in group]  # before the noise: it refuses records that do not go with the model
     if not isinstance(noise, NoiseModel):
         noise = estimate_noise(
             model,
@@ -189,7 +194,7 @@ def prepare_problem(
     constant = tuple(
         n for n, signals in columns.items() if signals and n not in noise.sources and all(map(is_constant, signals))
     )
-    records = tuple(_spread_noise(to_record(model, e), e, noise) for e in group)
+    records = tuple(_spread_noise(r, e, noise) for r, e in zip(arrays, group, strict=True))
     if constant:
         dead = [o.name in constant for o in model.outputs]
         records = tuple(replace(r, y=np.where(dead, np.nan, r.y)) for r in records)
@@ -197,15 +202,18 @@ def prepare_problem(
     if initial:
         beginning = apply_initial_guess(model, beginning, initial)
     p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
-    step = discretise(
-        model.system,
-        p,
-        beginning.guess,
-        lengths,
-        method=options.method,
-        substeps=options.substeps,
-        policy=policy.discretisation,
-    )
+    if isinstance(model, PlantModel):
+        step = make_plant_step(model)
+    else:
+        step = discretise(
+            model.system,
+            p,
+            beginning.guess,
+            lengths,
+            method=options.method,
+            substeps=options.substeps,
+            policy=policy.discretisation,
+        )
     if not step.per_interval:
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
@@ -217,7 +225,7 @@ def prepare_problem(
         noise,
         variables,
         step,
-        make_kernel(step, variables.which),
+        PlantKernel(model) if isinstance(model, PlantModel) else make_kernel(step, variables.which),
         options.method,
         constant_outputs=constant,
         policy=policy,

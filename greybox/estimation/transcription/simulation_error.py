@@ -277,6 +277,86 @@ class WhitenedShooting(SingleShooting):
         return result
 
 
+# Share of the promised decrease that a step must gain for slopes to follow by the secant update (Fletcher's lower ratio).
+SECANT_SHARE = 0.25
+
+Errors = list[tuple[np.ndarray, np.ndarray]]
+"""For each record weighted errors (N, ny) and their Jacobian (N, ny, L)."""
+
+
+class PlantShooting(WhitenedShooting):
+    """Cost of the runs of a plant that has no equations (`greybox.simulation.plant`): only the part of a record that counts is run.
+
+    A run that fails has an infinite cost. With ``follows_secants`` slopes follow from point to point by Broyden's update (Math. Comp. 19,
+    1965), as long as steps gain what they promise: a slope by differences costs a run for each unknown.
+    """
+
+    def __init__(
+        self,
+        variables: DecisionVector,
+        step: Step,
+        kernel: Kernel,
+        records: Sequence[Record],
+        weight: np.ndarray,
+        share: float = 1.0,
+        *,
+        colour: Sequence[AutoRegression],
+        loss: RobustLoss | None = None,
+    ):
+        parts = [r.first(max(2, round(share * len(r.u)))) for r in records]
+        super().__init__(variables, step, kernel, parts, weight, colour=colour, loss=loss)
+        self.follows_secants = False
+        self._last: tuple[np.ndarray, Errors] | None = None
+
+    def cost(self, z: np.ndarray) -> float:
+        """The cost alone, without any slope; infinite where a run fails."""
+        errors = self._compute_errors(z)
+        if any(np.isnan(r[np.isfinite(k.y)]).any() for r, k in zip(errors, self.records, strict=True)):
+            return np.inf
+        whitened = [r for r, _ in self.whiten([(r, np.zeros((*r.shape, 0))) for r in errors])]
+        costs = [r**2 if self.loss is None else self.loss.terms(r)[0] for r in whitened]
+        return float(sum(np.nansum(each) for each in costs)) + self.variables.penalty(z)[0]
+
+    def compute_weighted_errors(self, z: np.ndarray) -> Errors:
+        """For each record measured minus run over the noise (N, ny), and its Jacobian (N, ny, L)."""
+        if not self.follows_secants:
+            return super().compute_weighted_errors(z)
+        if self._last is None or not np.array_equal(self._last[0], z):
+            self._last = z.copy(), self._follow(z) or super().compute_weighted_errors(z)
+        # Copies: whitening takes them as its own.
+        return [(r.copy(), slopes.copy()) for r, slopes in self._last[1]]
+
+    def _follow(self, z: np.ndarray) -> Errors | None:
+        """The slopes before, changed as little as explains the step; None where there are none, or the step fell short of its promise."""
+        if self._last is None:
+            return None
+        before, errors = self._last
+        step, rows = z - before, self._compute_errors(z)
+        moves = [step[self.variables.columns(e)] for e in range(len(rows))]
+        # r(z0) + J d: what the slopes before promised.
+        expected = [r + slopes @ move for (r, slopes), move in zip(errors, moves, strict=True)]
+        was, is_now, promised = (
+            sum(float(np.nansum(r**2)) for r in group) for group in ([r for r, _ in errors], rows, expected)
+        )
+        # A step that fell short shows that the slopes are wrong beyond what one secant can mend.
+        if was - is_now < SECANT_SHARE * (was - promised):
+            return None
+        # Broyden: J+ = J + (r - e) d' / d'd, the least change that explains the step.
+        return [
+            (r, slopes + np.where(np.isfinite(r - e), r - e, 0.0)[:, :, None] * move / (step @ step))
+            for r, (_, slopes), e, move in zip(rows, errors, expected, moves, strict=True)
+        ]
+
+    def forget_slopes(self) -> None:
+        """Take the next slopes by differences."""
+        self._last = None
+
+    def _compute_errors(self, z: np.ndarray) -> list[np.ndarray]:
+        """Measured minus run over the noise (N, ny) of each record, from runs alone."""
+        runs = self.simulate(z)
+        return [(record.y - y) * self.weight for record, (y, _) in zip(self.records, runs, strict=True)]
+
+
 def add_prior_penalty(variables: DecisionVector, z: np.ndarray, evaluation: Evaluation) -> Evaluation:
     """``evaluation``, whose first entries are the constants, with what their priors add (`DecisionVector.penalty`)."""
     if not variables.has_prior.any() or not np.isfinite(evaluation.cost):

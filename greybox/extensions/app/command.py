@@ -11,11 +11,12 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
-import typer
+import click
 
 from greybox.base.errors import GreyboxError, ModelError
+from greybox.shell.fit import FIT
 from greybox.shell.inputs import (
     build_model,
     check_skip,
@@ -27,11 +28,11 @@ from greybox.shell.inputs import (
     read_quiet_records,
     read_records,
     refuse_repeated_records,
+    result_folder,
 )
-from greybox.shell.options import Workers, check_writable, takes_study
-from greybox.shell.study import FIT, Study
+from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study
 from greybox.shell.study_file import study_script, study_text
-from greybox.shell.terminal import Command
+from greybox.shell.study_values import Count, Switch
 
 if TYPE_CHECKING:
     from greybox.data.columns import ColumnChoice
@@ -60,24 +61,14 @@ MODEL_FILE = "model.py"
 """The model itself, in the folder of an export."""
 
 
-@takes_study(FIT, records=False)
-def app(
-    study: Study,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for what is exported. [default: results/MODEL-app]"),
-    ] = None,
-    port: Annotated[
-        int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port to listen on. [default: any free one]")
-    ] = 0,
-    no_browser: Annotated[
-        bool, typer.Option("--no-browser", help="Print the address, and do not open a browser.")
-    ] = False,
-    workers: Workers = 0,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print the address as JSON instead of text, and open no browser.")
-    ] = False,
-) -> None:
+class AppStudy(Study):
+    """The options of `greybox app`."""
+
+    port = Option(Count(most=65535), "--port N", "", "Port to listen on. [default: any free one]")
+    no_browser = Option(Switch(), "--no-browser", "", "Print the address, and do not open a browser.")
+
+
+def app(study: AppStudy) -> None:
     """Open MODEL in the browser: records beside the simulation, with a slider for each constant.
 
     Effects are put in and taken out with a click; the residual and where it lives are shown; fit and discover run with their
@@ -95,7 +86,7 @@ def app(
     from greybox.extensions.app.workbench import Workbench
     from greybox.shell.own_effects import find_own_effects
 
-    _refuse_idle_options(study)
+    _refuse_values_by_record(study)
     try:
         from greybox.extensions.app.server import serve
     except ModuleNotFoundError as error:
@@ -105,7 +96,7 @@ def app(
     model = constrain(build_model(study), study)
     check_substeps(study, model)
     check_given_noise(model, dict(study.noise))
-    folder = check_writable(output or Path("results") / f"{model.name}-app")
+    folder = result_folder(study, model.name)
     book = StudyOnFile(study, model)
     records = [
         LoadedRecord(record, file, validates)
@@ -115,7 +106,7 @@ def app(
     ]
     refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
     judges = [r.experiment for r in records if r.validates]
-    check_skip(replace(study, skip=0, beginning=0) if not judges else study, judges)
+    check_skip(study, judges)
     print_record_notes([r.experiment for r in records])
     session = Session(
         model,
@@ -129,35 +120,28 @@ def app(
     )
 
     def announce(address: str) -> None:
-        if json:
-            typer.echo(json_format.dumps({"address": address, "folder": str(folder)}, indent=2))
+        if study.json:
+            click.echo(json_format.dumps({"address": address, "folder": str(folder)}, indent=2))
             return
-        typer.echo(f"{address}\n")
-        if not no_browser:
+        click.echo(f"{address}\n")
+        if not study.no_browser:
             webbrowser.open(address)
 
     with tempfile.TemporaryDirectory(prefix="greybox-") as uploads:
         bench = Workbench(
-            session, book, folder, beside=find_own_effects(), uploads=Path(uploads).resolve(), workers=workers
+            session, book, folder, beside=find_own_effects(), uploads=Path(uploads).resolve(), workers=study.workers
         )
         with suppress(KeyboardInterrupt):  # that is how it ends
-            asyncio.run(serve(bench, port, announce))
+            asyncio.run(serve(bench, study.port, announce))
         last = bench.save_last()
-    if last is not None and not json:
+    if last is not None and not study.json:
         from greybox.show.sentences.shell import study_line
 
-        typer.echo(study_line(last, APP))
+        click.echo(study_line(last, APP))
 
 
-def _refuse_idle_options(study: Study) -> None:
-    """Options of a fit that the page has no place for. Raises GreyboxError."""
-    idle = ("profiles", "bootstrap", "predict", "time_limit", "seed")
-    given = [study.label(name) for name in idle if getattr(study, name)] + [study.label("starts")] * (study.starts > 1)
-    if given:
-        raise GreyboxError(
-            f"{', '.join(given)}: no effect in the app; leave {'it' if len(given) == 1 else 'them'} out, and give"
-            f" {'it' if len(given) == 1 else 'them'} to greybox fit with the study that the app exports"
-        )
+def _refuse_values_by_record(study: Study) -> None:
+    """Values of conditions that belong to records in their order. Raises GreyboxError."""
     per_record = [name for name, values in study.conditions.items() if values is not None]
     if per_record:
         raise GreyboxError(
@@ -185,7 +169,7 @@ class StudyOnFile:
     ) -> tuple[Experiment, ...]:
         """The records in ``files``, as the study reads its own but for the ``columns``. Raises GreyboxError."""
         estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
-        study = replace(self.study, estimation=estimation, validation=validation, columns=columns)
+        study = self.study.but(estimation=estimation, validation=validation, columns=columns)
         return tuple(record for group in read_records(study, self.model) for record in group)
 
     def propose_columns(
@@ -203,7 +187,9 @@ class StudyOnFile:
 
     def write_study(self, session: Session, path: Path) -> str:
         """The text of the study file ``path``, from which ``greybox fit`` computes the same."""
-        return study_text(self.to_study(session, path.parent), path, FIT)
+        from greybox.shell.commands import COMMANDS
+
+        return study_text(self.to_study(session, path.parent), path, "fit", COMMANDS)
 
     def write_script(self, session: Session, path: Path) -> str:
         """The text of the Python program ``path`` that computes the same."""
@@ -219,8 +205,7 @@ class StudyOnFile:
             tuple(dict.fromkeys(_beside(r.file, folder) for r in session.records if r.validates is validates))
             for validates in (False, True)
         )
-        study = replace(
-            self.study,
+        study = self.study.but(
             estimation=estimation,
             validation=validation,
             columns=session.columns,
@@ -228,21 +213,19 @@ class StudyOnFile:
             from_file=frozenset(),
             unused=(),
         )
-        bare = replace(study, start={}, fixed={}, free=())
+        bare = study.but(start={}, fixed={}, free=())
         if effects is None:
-            return replace(
-                bare,
+            return bare.but(
                 model=str(_beside(folder / MODEL_FILE, folder)),
                 effects=(),
                 schedules={},
                 process_noise={},
                 ties={},
             )
-        bare = replace(bare, effects=effects)
+        bare = bare.but(effects=effects)
         declared = {q.name: q for q in build_model(bare).all_parameters}
         present = [q for q in session.model.all_parameters if q.name in declared]
-        return replace(
-            bare,
+        return bare.but(
             start={q.name: q.value for q in present if not q.fixed and q.value != declared[q.name].value},
             fixed={
                 q.name: q.value if q.value != declared[q.name].value else None
@@ -275,14 +258,27 @@ def _beside(file: Path, folder: Path) -> Path:
     return Path(os.path.relpath(file)) if inside else file
 
 
+NOT_HERE = (Study.profiles, Study.bootstrap, Study.predict, Study.time_limit, Study.seed, Study.starts)
+
 COMMAND = Command(
     app,
     "Open a model and its records in the browser.",
+    (
+        *(*FIT.in_study().values(), Study.estimation, Study.workers, AppStudy.port, AppStudy.no_browser),
+        Study.output.but(help="Folder for what is exported. [default: results/MODEL-app]"),
+        Study.json.but(help="Print the address as JSON instead of text, and open no browser."),
+    ),
     (
         "greybox app micro_actuator train.csv --validate test.csv --fix M=0.01 --at-rest",
         "greybox app my/rig.py",
         "greybox app study.toml",
     ),
+    (
+        *(LAYOUT, SUBSTEPS),
+        Idle(NOT_HERE, "in the app", remedy=", and give {it} to greybox fit with the study that the app exports"),
+    ),
+    study=AppStudy,
+    like="fit",
 )
 
 PRINTS = {"app": ("greybox.extensions.app.command:PrintedAddress",)}

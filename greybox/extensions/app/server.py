@@ -36,7 +36,7 @@ from greybox.data.formats import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
 from greybox.extensions.app.workbench import UnmatchedRecordError, Workbench
-from greybox.show.pages.html import pack_plotly, page_style, read_plotly, security_policy
+from greybox.show.printers.html import pack_plotly, page_style, read_plotly, security_policy
 
 # The page of the app: one HTML text with style and scripts inside, and what a browser may do with it.
 

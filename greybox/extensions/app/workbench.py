@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.base.document import FigureBlock
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
+from greybox.base.figure import Figure
 from greybox.base.files import write_file
 from greybox.base.units import format_unit
 from greybox.data.columns import ColumnChoice
@@ -31,14 +33,12 @@ from greybox.model.effects.placement import find_placements
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
 from greybox.model.system import Statement
+from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
 from greybox.show.figures.discovery import plot_misfit_windows
-from greybox.show.figures.figure import Figure
 from greybox.show.figures.plotly_backend import height_on_page
 from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
-from greybox.show.pages.html import figure_content, say
-from greybox.show.pages.page import FigureBlock
-from greybox.show.pages.report import report
-from greybox.show.sentences.estimation import MISFIT_HEADS, to_constant_cells, to_misfit_cells
+from greybox.show.printers.html import figure_content, say
+from greybox.show.report import report
 
 if TYPE_CHECKING:
     from greybox.extensions.app.command import StudyOnFile
@@ -56,7 +56,7 @@ def show_session(session: Session, places: Sequence[EffectPlace] = ()) -> dict[s
         reach = session.ranges[q.name]
         # Interval and remark are those of the fit, as long as the constants are still its own.
         estimate = session.fit.parameters.get(q.name) if session.fit is not None and session.is_fitted else None
-        cells = None if estimate is None or estimate.fixed else to_constant_cells(q.name, estimate)
+        cells = None if estimate is None or estimate.fixed else estimate_cells(q.name, estimate)
         constants.append(
             {
                 "name": q.name,
@@ -135,7 +135,7 @@ def show_run(session: Session, index: int, *, inputs: bool = False) -> dict[str,
     }
     # A row an output; empty cells where the run overflows.
     rows = [
-        [output, *(to_misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
+        [output, *(misfit_cells(m) if math.isfinite(m.rmse) else [""] * len(MISFIT_HEADS))]
         for output, m in result.misfit.items()
     ]
     return {

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from greybox.base.errors import GreyboxError
-from greybox.shell.inputs import check_skipped_rows, load_fit_with_model, print_record_notes, refuse_repeated_records
-from greybox.shell.options import Cluster, Json, NoReport, Workers, check_writable
+from greybox.shell.inputs import (
+    check_skip,
+    load_fit_with_model,
+    print_record_notes,
+    refuse_repeated_records,
+    result_folder,
+)
 from greybox.shell.progress import show_search_progress
-from greybox.shell.terminal import Command, write_report
+from greybox.shell.study import SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
+from greybox.shell.study_values import Switch
+from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -20,55 +24,27 @@ if TYPE_CHECKING:
     from greybox.extensions.changes.result import ChangeDetection
 
 
-def changed(
-    reference: Annotated[Path, typer.Argument(metavar="FIT", help="fit.json of the machine as it was.")],
-    new: Annotated[
-        list[Path],
-        typer.Argument(metavar="NEW", help="Records of today, or folders of records: CSV, MAT, MF4, TDMS and others."),
-    ],
-    *,
-    validate: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--validate",
-            metavar="FILE",
-            help="A further record of today that an effect must explain as well; may be repeated. [default: the last of NEW]",
-        ),
-    ] = None,
-    population: Annotated[
-        bool,
-        typer.Option("--population", help="Each NEW is another machine of the same kind: which of them falls out?"),
-    ] = False,
-    chart: Annotated[
-        bool,
-        typer.Option(
-            "--chart", help="Each record is one point in time, in the order of their names: when did it change?"
-        ),
-    ] = False,
-    no_effects: Annotated[
-        bool,
-        typer.Option("--no-effects", help="Do not look for an effect where the constants do not explain the records."),
-    ] = False,
-    skip: Annotated[
-        int, typer.Option("--skip", metavar="N", min=0, help="Rows at the start of validation records left out.")
-    ] = 0,
-    sampling_time: Annotated[
-        float | None,
-        typer.Option("--sampling-time", metavar="SECONDS", help="Seconds between rows, for records without a time."),
-    ] = None,
-    model: Annotated[
-        str | None,
-        typer.Option("--model", metavar="MODEL", help="The model of FIT, or its file, if it is not found by its name."),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for the results. [default: results/MODEL-changed]"),
-    ] = None,
-    workers: Workers = 0,
-    cluster: Cluster = "",
-    no_report: NoReport = False,
-    json: Json = False,
-) -> None:
+class ChangeStudy(Study):
+    """The options of `greybox changed`."""
+
+    population = Option(
+        Switch(), "--population", "population", "Each NEW is another machine of the same kind: which of them falls out?"
+    )
+    chart = Option(
+        Switch(),
+        "--chart",
+        "chart",
+        "Each record is one point in time, in the order of their names: when did it change?",
+    )
+    no_effects = Option(
+        Switch(),
+        "--no-effects",
+        "no_effects",
+        "Do not look for an effect where the constants do not explain the records.",
+    )
+
+
+def changed(study: ChangeStudy) -> Answer:
     """Tell what has changed in a machine since FIT, from records of today.
 
     The same model is fitted to NEW, and its constants are compared with those of FIT, corrected for looking at many: of a hundred
@@ -78,117 +54,118 @@ def changed(
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written.
     """
-    known = load_fit_with_model(reference, model)
-    folder = check_writable(output or Path("results") / f"{known.model.name}-changed")
-    if population and chart:
-        raise GreyboxError("--population and --chart exclude each other: several machines, or one over time; keep one")
-    if skip and not validate:
-        raise GreyboxError("--skip has no effect here: it leaves out rows of validation records; add --validate FILE")
-    if validate and (population or chart or no_effects):
-        raise GreyboxError("--validate has no effect here: no effect is looked for; leave it out")
-    if (workers > 1 or cluster) and (population or chart or no_effects):
-        given = f"--cluster {cluster}" if cluster else f"--workers {workers}"
-        raise GreyboxError(f"{given} has no effect here: no effect is looked for; leave it out")
-    result = (
-        _survey(known, new, sampling_time)
-        if population
-        else _chart(known, new, sampling_time)
-        if chart
-        else _detect(known, new, validate or [], skip, sampling_time, not no_effects, workers, cluster)
+    known = load_fit_with_model(Path(study.source), study.model)
+    folder = result_folder(study, known.model.name)
+    result = (_survey if study.population else _chart if study.chart else _detect)(known, study)
+    saved = result.save(folder / "changed.json")
+    return Answer(
+        result,
+        lambda _: saved.read_text(encoding="utf-8"),
+        [saved],
+        lambda: write_report(result, folder / "index.html"),
+        kept=f"the verdict is in {saved}",
     )
-    _write(result, folder, json=json, page=not no_report)
 
 
-def _detect(
-    known: Fit,
-    new: Sequence[Path],
-    validate: Sequence[Path],
-    skip: int,
-    sampling_time: float | None,
-    search_effects: bool,
-    workers: int,
-    cluster: str,
-) -> ChangeDetection:
+def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
     from greybox.data.formats import list_record_files
     from greybox.extensions.changes.detect import detect_changes
 
-    files = list_record_files(new)
-    records = read_like(known, files, sampling_time)
+    files = list_record_files(study.estimation)
+    records = read_like(known, files, study.sampling_time)
     refuse_repeated_records(files, records)
-    validation = read_like(known, validate, sampling_time) if validate else ()
-    if skip:
-        check_skipped_rows("--skip", skip, validation)
+    validation = read_like(known, study.validation, study.sampling_time) if study.validation else ()
+    check_skip(study, validation)
     print_record_notes(records, validation)
-    with open_workers(workers, cluster) as executor, show_search_progress() as (say, report):
+    with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
         return detect_changes(
             known,
             records,
             validation=validation,
-            skip=skip,
-            search_effects=search_effects,
+            skip=study.skip,
+            search_effects=not study.no_effects,
             executor=executor,
-            workers=workers,
+            workers=study.workers,
             on_message=say,
             on_refit=report,
         )
 
 
-def _survey(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
+def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import survey_population
 
-    machines = {str(path): read_like(known, list_record_files([path]), sampling_time) for path in new}
-    refuse_repeated_records(new, (record for records in machines.values() for record in records))
+    machines = {
+        str(path): read_like(known, list_record_files([path]), study.sampling_time) for path in study.estimation
+    }
+    refuse_repeated_records(study.estimation, (record for records in machines.values() for record in records))
     print_record_notes(*machines.values())
     return survey_population(known, machines)
 
 
-def _chart(known: Fit, new: Sequence[Path], sampling_time: float | None) -> ChangeDetection:
+def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.data.formats import list_record_files
     from greybox.extensions.changes.survey import chart_changes
 
-    files = list_record_files(new)
-    records = read_like(known, files, sampling_time)
+    files = list_record_files(study.estimation)
+    records = read_like(known, files, study.sampling_time)
     refuse_repeated_records(files, records)
     print_record_notes(records)
     return chart_changes(known, records)
 
 
-def read_like(known: Fit, files: Sequence[Path], sampling_time: float | None) -> tuple[Experiment, ...]:
+def read_like(known: Fit, files: Sequence[Path], sampling_time: float) -> tuple[Experiment, ...]:
     """Records as those of the fit were read: with their hold, and conditions from each file. Raises GreyboxError."""
     from greybox.data.read import read_experiments
 
     first = next(iter(known.traces), None)
-    layout: dict = {} if sampling_time is None else {"sampling_time": sampling_time}
+    layout: dict = {"sampling_time": sampling_time} if sampling_time else {}
     if first is not None:
         layout |= {"hold": first.hold, "conditions": dict.fromkeys(first.conditions)}
     return read_experiments(files, known.model, **layout)
 
 
-def _write(result: ChangeDetection, folder: Path, *, json: bool, page: bool) -> None:
-    from greybox.show.sentences.shell import report_line, written
-
-    saved = result.save(folder / "changed.json")
-    report = write_report(result, folder / "index.html") if page else None
-    if json:
-        typer.echo(saved.read_text(encoding="utf-8"), nl=False)
-        return
-    typer.echo(str(result))
-    typer.echo(f"\n{written([saved])}")
-    if report:
-        typer.echo(report_line(report))
+def _seeks_no_effect(study: ChangeStudy) -> bool:
+    return study.population or study.chart or study.no_effects
 
 
 CHANGED = Command(
     changed,
     "Tell what has changed in a machine since its fit.",
     (
+        Study.source.but(help="fit.json of the machine as it was."),
+        Study.estimation.but(
+            usage="NEW",
+            help="Records of today, or folders of records: CSV, MAT, MF4, TDMS and others.",
+            required=True,
+        ),
+        Study.validation.but(
+            help="A further record of today that an effect must explain as well; may be repeated. [default: the last of NEW]"
+        ),
+        *(ChangeStudy.population, ChangeStudy.chart, ChangeStudy.no_effects),
+        Study.skip.but(help="Rows at the start of validation records left out."),
+        Study.sampling_time.but(help="Seconds between rows, for records without a time."),
+        Study.model.but(
+            usage="--model MODEL",
+            help="The model of FIT, or its file, if it is not found by its name.",
+            required=False,
+        ),
+        Study.output.but(help="Folder for the results. [default: results/MODEL-changed]"),
+        *(*SHARING, *SHOWING),
+    ),
+    (
         "greybox changed results/rig-fit/fit.json today.csv",
         "greybox changed results/rig-fit/fit.json today.csv --validate today2.csv --model my/rig.py",
         "greybox changed results/rig-fit/fit.json machines/* --population",
         "greybox changed results/rig-fit/fit.json months/ --chart",
     ),
+    (
+        Excludes(ChangeStudy.population, ChangeStudy.chart, "several machines, or one over time"),
+        *VALIDATING,
+        Idle((Study.validation, *SHARING), "here, where no effect is looked for", _seeks_no_effect),
+    ),
+    study=ChangeStudy,
 )
 
 PRINTS = {"changed": ("greybox.extensions.changes.result:ChangeDetection",)}

@@ -6,22 +6,10 @@ import math
 
 import numpy as np
 
+from greybox.base.figure import Axis, Band, Curve, Figure, Height, Panel, Points, Reference, Role, Scale, Series
 from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.changes.sentences import is_determined
-from greybox.show.figures.figure import (
-    Axis,
-    Band,
-    Curve,
-    Figure,
-    Height,
-    Panel,
-    Points,
-    Reference,
-    Role,
-    Scale,
-    Series,
-    typeset_unit,
-)
+from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.wording import join_names
 
 

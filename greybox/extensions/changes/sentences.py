@@ -10,12 +10,10 @@ from typing import TYPE_CHECKING
 from greybox.base.findings import Finding, Severity
 from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.result import ChangeCode, ChangeRule
-from greybox.show.sentences.registry import register, renders, sentence
+from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import (
     TEXT_LIMITS,
     count_noun,
-    format_table,
-    format_with_std,
     join_names,
     make_formatter,
     record_text,
@@ -23,23 +21,18 @@ from greybox.show.sentences.wording import (
 
 if TYPE_CHECKING:
     from greybox.base.findings import Check
-    from greybox.extensions.changes.result import (
-        ChangeDetection,
-        ConstantChange,
-        MachineConstant,
-        MachineReport,
-        PopulationConstant,
-    )
+    from greybox.extensions.changes.result import ConstantChange
 
 
-def _with_unit(value: float, unit: str, digits: int = 4) -> str:
+def with_unit(value: float, unit: str, digits: int = 4) -> str:
+    """``5.1 N/m``."""
     return f"{value:.{digits}g} {unit}".rstrip()
 
 
-def _share_of(change: float, before: float, unit: str, beside: float = math.inf) -> str:
+def share_of(change: float, before: float, unit: str, beside: float = math.inf) -> str:
     """``12 %`` of the value before; in its unit where that is zero. Shares that differ by ``beside`` can be told apart."""
     if not before:
-        return _with_unit(abs(change), unit, 2)
+        return with_unit(abs(change), unit, 2)
     percent, apart = 100 * abs(change / before), 100 * abs(beside / before)
     fine = make_formatter(percent, apart)(percent) if 0 < apart < percent else f"{percent:.2g}"
     return f"{fine} %"
@@ -47,7 +40,7 @@ def _share_of(change: float, before: float, unit: str, beside: float = math.inf)
 
 def _nothing_changed(finding: Finding) -> str:
     v = finding.values
-    seen = _share_of(v["smallest"], v["before"], v["unit"])
+    seen = share_of(v["smallest"], v["before"], v["unit"])
     each = "each constant is" if len(v["constants"]) > 1 else f"{v['constants'][0]} is"
     return (
         f"nothing has changed: {each} what it was, within what the records can tell; a change of {seen} in {v['widest']}, the least"
@@ -60,10 +53,10 @@ def _constant_moved(finding: Finding) -> str:
     way = "risen" if v["after"] > v["before"] else "fallen"
     between = sorted((v["low"], v["high"]), key=abs)
     width = v["high"] - v["low"]
-    by = _share_of(v["after"] - v["before"], v["before"], v["unit"], width)
-    ends = " to ".join(_share_of(e, v["before"], v["unit"], width) for e in between)
+    by = share_of(v["after"] - v["before"], v["before"], v["unit"], width)
+    ends = " to ".join(share_of(e, v["before"], v["unit"], width) for e in between)
     return (
-        f"{finding.subject} has {way} by {by}, from {_with_unit(v['before'], '')} to {_with_unit(v['after'], v['unit'])}"
+        f"{finding.subject} has {way} by {by}, from {with_unit(v['before'], '')} to {with_unit(v['after'], v['unit'])}"
         f" (95 % interval of the change: {ends})"
     )
 
@@ -78,7 +71,7 @@ def _combination_moved(finding: Finding) -> str:
 
 def _effect_appeared(finding: Finding) -> str:
     parameters = ", ".join(
-        f"{name} = {_with_unit(p['value'], p['unit'], 3)}" for name, p in finding.values["parameters"].items()
+        f"{name} = {with_unit(p['value'], p['unit'], 3)}" for name, p in finding.values["parameters"].items()
     )
     described = f" ({parameters})" if parameters else ""
     return (
@@ -173,7 +166,7 @@ def _different_input(finding: Finding) -> str:
 def _machine_falls_out(finding: Finding) -> str:
     v = finding.values
     return (
-        f"{finding.subject} falls out: {v['constant']} is {_with_unit(v['value'], v['unit'])}, and {_with_unit(v['mean'], v['unit'])}"
+        f"{finding.subject} falls out: {v['constant']} is {with_unit(v['value'], v['unit'])}, and {with_unit(v['mean'], v['unit'])}"
         f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; {p_statement(v['p'])})"
     )
 
@@ -193,8 +186,8 @@ def _change_point(finding: Finding) -> str:
     record = v["record"] if numbered else f"record {v['number']} ({v['record']})"
     return (
         f"{finding.subject} {way} with {record} by"
-        f" {_share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {_with_unit(v['before'], '')} to"
-        f" {_with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
+        f" {share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {with_unit(v['before'], '')} to"
+        f" {with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
     )
 
 
@@ -259,48 +252,6 @@ register(
 )
 
 
-@renders("ChangeDetection")
-def write_change_detection(change: ChangeDetection) -> str:
-    """The verdict, the answer, each constant, what a reader should know."""
-    lines = [f"{change.reference.model.title}: {change.verdict}", ""]
-    lines += [f"  {sentence(f)}" for f in change.conclusion]
-    if change.constants:
-        lines += ["", *format_table(CONSTANT_HEAD, [constant_row(n, c) for n, c in change.constants.items()])]
-    if change.population:
-        lines += ["", *format_table(POPULATION_HEAD, population_rows(change))]
-    if change.machines:
-        names = list(change.population)
-        lines += ["", *format_table(machine_head(change), [machine_row(m, names) for m in change.machines])]
-    if change.findings:
-        lines += ["", *(f"{f.severity}: {sentence(f)}" for f in merge_not_seen(change.findings))]
-    return "\n".join(lines)
-
-
-CONSTANT_HEAD = ["parameter", "before", "today", "change", "95 % interval", "p", ""]
-POPULATION_HEAD = ["parameter", "mean", "95 % interval", "from machine to machine"]
-
-
-def constant_row(name: str, change: ConstantChange) -> list[str]:
-    """One constant as cells below `CONSTANT_HEAD`."""
-    difference = change.after - change.before
-    unit = change.unit
-    if change.interval is None:
-        return [name, _with_unit(change.before, unit), "not determined", "", "", "", ""]
-    if not is_determined(change):
-        values = (_with_unit(value, unit) for value in (change.before, change.after))
-        return [name, *values, "not determined", "", p_text(change.p), "changed" if change.moved else ""]
-    width = change.interval[1] - change.interval[0]
-    write = make_formatter(change.before, width / 4)
-    return [
-        name,
-        *(f"{write(value)} {unit}".rstrip() for value in (change.before, change.after)),
-        _signed(difference, change.before, change.unit, width),
-        " to ".join(_signed(e, change.before, change.unit, width) for e in change.interval),
-        p_text(change.p),
-        "changed" if change.moved else "",
-    ]
-
-
 def p_text(p: float | None) -> str:
     """A p-value with two digits; what lies below 1e-4 is only that."""
     return "" if p is None else f"{p:.2g}" if p >= 1e-4 else "< 0.0001"
@@ -312,46 +263,8 @@ def p_statement(p: float | None) -> str:
     return f"p {text}" if text.startswith("<") else f"p = {text}"
 
 
-def population_rows(change: ChangeDetection) -> list[list[str]]:
-    """Mean, interval and spread of each constant."""
-    return [[name, *_mean_cells(c), spread_text(c.spread, c.unit, c.relative)] for name, c in change.population.items()]
-
-
-def _mean_cells(constant: PopulationConstant) -> tuple[str, str]:
-    """The mean with its unit, and its interval, to as many digits as the interval tells."""
-    write = make_formatter(constant.mean, (constant.interval[1] - constant.interval[0]) / 4)
-    return f"{write(constant.mean)} {constant.unit}".rstrip(), " to ".join(map(write, constant.interval))
-
-
 def spread_text(spread: float, unit: str, relative: bool) -> str:
     """``2.1 %``, or in the unit; a spread of zero is one that the records do not show."""
     if not spread:
         return "not visible"
-    return f"{100 * spread:.2g} %" if relative else _with_unit(spread, unit, 2)
-
-
-def machine_head(change: ChangeDetection) -> list[str]:
-    """What stands above `machine_row`: each constant with its unit."""
-    units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
-    return ["machine", *units, "falls out in"]
-
-
-def machine_row(machine: MachineReport, names: list[str]) -> list[str]:
-    """One machine: each constant with its standard deviation, and where it falls out."""
-    return [
-        machine.name,
-        *(_machine_cell(machine.constants.get(name)) for name in names),
-        ", ".join(machine.outlying) or "",
-    ]
-
-
-def _machine_cell(constant: MachineConstant | None) -> str:
-    if constant is None or constant["std"] is None or constant["value"] is None:
-        return "open"
-    return format_with_std(constant["value"], constant["std"])
-
-
-def _signed(change: float, before: float, unit: str, width: float) -> str:
-    if not before:
-        return f"{change:+.3g} {unit}".rstrip()
-    return ("+" if change > 0 else "-") + _share_of(change, before, unit, width)
+    return f"{100 * spread:.2g} %" if relative else with_unit(spread, unit, 2)

@@ -3,33 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError
-from greybox.shell import completion
-from greybox.shell.inputs import load_fit_with_model, parse_limits
-from greybox.shell.options import (
-    Cluster,
-    Fixed,
-    Json,
-    Limits,
-    NoReport,
-    Rates,
-    SensorNoise,
-    Start,
-    Texts,
-    Workers,
-    check_writable,
-    read_noise,
-    repeated,
-)
-from greybox.shell.study import HoldName
-from greybox.shell.study_values import Numbers, parse_names
-from greybox.shell.terminal import Command, exit_with_error, print_note, write_report
+from greybox.shell.inputs import limits_of, load_fit_with_model, result_folder, set_parameters
+from greybox.shell.study import SHARING, SHOWING, Answer, Command, Idle, Option, Study
+from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
+from greybox.shell.terminal import exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -38,114 +19,32 @@ if TYPE_CHECKING:
     from greybox.model.model import Model
 
 
-class GoalChoice(StrEnum):
-    """What the record is to bring."""
+class DesignStudy(Study):
+    """The options of `greybox design` and `greybox campaign`."""
 
-    precision = "precision"
-    discrimination = "discrimination"
-    detection = "detection"
+    # A table: an option is a row or two.
+    # fmt: off
+    goal = Option(Choice(("precision", "discrimination", "detection")), "--goal", "goal",
+        "precision: narrow intervals. discrimination: tell explanations apart. detection: effects that may hide.")
+    criterion = Option(Choice(("D", "A", "E")), "--criterion", "criterion",
+        "For precision: D volume of the region, A mean variance, E worst combination.")
+    counted = Option(Names(), "--constant NAME", "constants", "For precision: a parameter that counts; may be repeated. [default: all]")
+    rivals = Option(Names(), "--rival EFFECT[+EFFECT]", "rivals",
+        "For discrimination: effects of the model that are another explanation; none is the plain model.")
+    sensors = Option(Numbers("OUTPUT=STD", "x=2e-7"), "--sensor OUTPUT=STD", "sensors.",
+        "A sensor that could be added, with the standard deviation of its noise.")
+    # A program that is run is no part of a study: a study file alone runs none.
+    rig = Option(Word(), "--rig COMMAND", "",
+        "Program that plays a CSV file of inputs and writes a record: {input}, {record} and {number} are put in. Without it the"
+        " campaign waits for each record.")
+    experiments = Option(Count(1, 3), "--experiments N", "experiments", "Records that may be taken.")
+    width = Option(Quantity(), "--width SHARE", "width",
+        "Go on until the 95 % interval of each parameter is this share of its value to each side. [default: until one"
+        " explanation is left]")
+    # fmt: on
 
 
-class CriterionChoice(StrEnum):
-    """What of the covariance is made small."""
-
-    D = "D"
-    A = "A"
-    E = "E"
-
-
-def design(
-    source: Annotated[
-        str,
-        typer.Argument(
-            metavar="SOURCE",
-            help="fit.json, discovery.json, or a model (its name or file) of which nothing was measured yet.",
-        ),
-    ],
-    data: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="DATA", help="Records taken so far: needed with discovery.json, fitted with a model."),
-    ] = None,
-    *,
-    goal: Annotated[
-        GoalChoice,
-        typer.Option(
-            "--goal",
-            help="precision: narrow intervals. discrimination: tell explanations apart. detection: effects that may hide.",
-        ),
-    ] = GoalChoice.precision,
-    criterion: Annotated[
-        CriterionChoice,
-        typer.Option(
-            "--criterion", help="For precision: D volume of the region, A mean variance, E worst combination."
-        ),
-    ] = CriterionChoice.D,
-    limit: Limits,
-    rate: Rates,
-    duration: Annotated[
-        float | None,
-        typer.Option("--duration", metavar="SECONDS", help="Duration of the record. [default: as measured]"),
-    ] = None,
-    sampling_time: Annotated[
-        float | None,
-        typer.Option("--sampling-time", metavar="SECONDS", help="Seconds between rows. [default: as measured]"),
-    ] = None,
-    constant: Annotated[
-        Texts,
-        repeated(
-            "--constant",
-            metavar="NAME",
-            text="For precision: a parameter that counts; may be repeated. [default: all]",
-        ),
-    ],
-    rival: Annotated[
-        Texts,
-        repeated(
-            "--rival",
-            metavar="EFFECT[+EFFECT]",
-            text="For discrimination: effects of the model that are another explanation; none is the plain model.",
-        ),
-    ],
-    effect: Annotated[
-        Texts,
-        repeated(
-            "--effect",
-            metavar="NAME",
-            complete=completion.effects,
-            text="For detection: an effect that may hide; may be repeated. [default: all that have a place]",
-        ),
-    ],
-    noise: SensorNoise,
-    sensor: Annotated[
-        Texts,
-        repeated(
-            "--sensor",
-            metavar="OUTPUT=STD",
-            text="A sensor that could be added, with the standard deviation of its noise.",
-        ),
-    ],
-    hold: Annotated[
-        HoldName,
-        typer.Option("--hold", help="The generator between samples: zero holds, first and band-limited are smooth."),
-    ] = HoldName.zero,
-    fixed: Fixed,
-    start: Start,
-    at_rest: Annotated[
-        bool, typer.Option("--at-rest", help="Records begin at the initial state of the model. [default: as fitted]")
-    ] = False,
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model", metavar="MODEL", help="The model of SOURCE, or its file, if it is not found by its name."
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder for the results. [default: results/MODEL-design]"),
-    ] = None,
-    no_report: NoReport = False,
-    json: Json = False,
-) -> None:
+def design(study: DesignStudy) -> Answer:
     """Design the next record: the input, within the limits of the rig, that brings most.
 
     Tries sweeps, steps, PRBS and multisines at the largest amplitude that keeps every limit, under every explanation and for what is
@@ -158,97 +57,67 @@ def design(
     from greybox.estimation.result import Fit
     from greybox.extensions.design.next_record import design as design_record
 
-    if effect and goal is not GoalChoice.detection:
-        raise GreyboxError("--effect has no effect with this goal: it names what may hide; add --goal detection")
-    precise = [f"--criterion {criterion}"] * (criterion is not CriterionChoice.D) + [
-        f"--constant {c}" for c in constant
-    ]
-    if precise and goal is not GoalChoice.precision:
-        raise GreyboxError(
-            f"{precise[0]} has no effect with --goal {goal}: it is for precision; leave out one of the two"
-        )
-    known, plain, rivals = read_source(source, data or [], model, fixed, start, noise, at_rest, sampling_time)
-    name = (known.model if isinstance(known, Fit) else known).name
-    folder = check_writable(output or Path("results") / f"{name}-design")
+    known, plain, rivals = read_source(study)
+    folder = result_folder(study, (known.model if isinstance(known, Fit) else known).name)
     result = design_record(
         known,
-        limits=parse_limits("--limit", limit, rate),
-        duration=duration,
-        sampling_time=sampling_time,
-        goal=goal.value,
-        criterion=criterion.value,
-        constants=constant,
-        rivals=[*rivals, *rival],
+        limits=limits_of(study),
+        duration=study.duration or None,
+        sampling_time=study.sampling_time or None,
+        goal=study.goal,
+        criterion=study.criterion,
+        constants=list(study.counted),
+        rivals=[*rivals, *study.rivals],
         plain=plain,
-        effects=parse_names(effect),
-        noise=read_noise(noise),
-        sensors=read_noise(sensor, "--sensor"),
-        hold=hold.value,
-        options=_options(at_rest) if at_rest else None,  # None: those of the fit
+        effects=study.effects,
+        noise=dict(study.noise),
+        sensors=dict(study.sensors),
+        hold=study.hold,  # type: ignore[arg-type]
+        options=_options(study) if study.at_rest else None,  # None: those of the fit
     )
     written = result.save(folder)
-    report = None if no_report else write_report(result, folder / "report.html")
-    if json:
-        typer.echo(format_json(to_json_data(result)))
-        return
-    from greybox.show.sentences.shell import report_line
-    from greybox.show.sentences.shell import written as written_line
-
-    lines = [str(result), "", written_line([folder / "input.csv", written])]
-    typer.echo("\n".join([*lines, *([report_line(report)] if report else [])]))
+    return Answer(
+        result,
+        lambda _: format_json(to_json_data(result)),
+        [folder / "input.csv", written],
+        lambda: write_report(result, folder / "report.html"),
+        kept=f"the design is in {written}",
+    )
 
 
-def read_source(
-    source: str,
-    data: Sequence[Path],
-    model: str | None,
-    fixed: Sequence[str],
-    start: Sequence[str],
-    noise: list[str],
-    at_rest: bool,
-    sampling_time: float | None = None,
-) -> tuple[Model | Fit, Fit | None, list[str]]:
+def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]:
     """The best explanation, the fit of the plain model where it is another one, and the rivals by their effects. Raises GreyboxError."""
+    source, data = study.source, study.estimation
     if source.endswith(".json"):
-        kind = _kind_of(Path(source))
-        if kind == "fit":
-            if data or fixed or start:
+        if _kind_of(Path(source)) == "fit":
+            if data or study.fixed or study.start:
                 raise GreyboxError(
                     f"{source}: a fit knows its records and parameters; leave out DATA, --fix and --start"
                 )
-            return load_fit_with_model(Path(source), model), None, []
-        if fixed or start:
+            return load_fit_with_model(Path(source), study.model), None, []
+        if study.fixed or study.start:
             raise GreyboxError(f"{source}: a discovery knows its parameters; leave out --fix and --start")
-        return _from_discovery(Path(source), data, model)
-    if model is not None:
-        raise GreyboxError(f"--model {model}: the model is {source} already; leave out one of the two")
-    plant = build_plain_model(source, fixed, start)
+        return _from_discovery(Path(source), data, study.model)
+    plant = build_plain_model(source, study)
     if not data:
         return plant, None, []
-    records = read_data(data, plant, sampling_time)
-    levels = read_noise(noise)
-    return _fit(plant, records, levels, _options(at_rest)), None, []
+    records = read_data(data, plant, study.sampling_time)
+    return _fit(plant, records, dict(study.noise), _options(study)), None, []
 
 
-def build_plain_model(name: str, fixed: Sequence[str], start: Sequence[str]) -> Model:
+def build_plain_model(name: str, study: Study) -> Model:
     """The model with parameters fixed and started. Raises GreyboxError."""
     from greybox.shell.project import find_model
 
-    known = Numbers(bare="as declared").from_option("--fix", fixed)
-    values = {n: v for n, v in known.items() if v is not None}
-    started = Numbers().from_option("--start", start)
-    both = sorted(values.keys() & started.keys())
-    if both:
-        raise GreyboxError(f"{', '.join(both)}: --fix and --start contradict each other; keep one")
-    return find_model(name).start(**started).fix(*[n for n, v in known.items() if v is None], **values)
+    return set_parameters(find_model(name), study)
 
 
-def read_data(paths: Sequence[Path], model: Model, sampling_time: float | None = None) -> tuple[Experiment, ...]:
+def read_data(paths: Sequence[Path], model: Model, sampling_time: float = 0.0) -> tuple[Experiment, ...]:
     """The records; what is to be said of them goes to stderr. Raises GreyboxError."""
     from greybox.data.read import read_experiments
     from greybox.shell.inputs import print_record_notes, refuse_repeated_records
 
-    layout = {} if sampling_time is None else {"sampling_time": sampling_time}
+    layout = {"sampling_time": sampling_time} if sampling_time else {}
     try:
         records = read_experiments(paths, model, **layout)  # type: ignore[arg-type]
     except DataError:
@@ -260,10 +129,10 @@ def read_data(paths: Sequence[Path], model: Model, sampling_time: float | None =
     return records
 
 
-def _options(at_rest: bool) -> FitOptions:
+def _options(study: Study) -> FitOptions:
     from greybox.estimation.options import FitOptions
 
-    return FitOptions(at_rest=at_rest)
+    return FitOptions(at_rest=study.at_rest)
 
 
 def _fit(model: Model, records: Sequence[Experiment], noise: dict[str, float], options: FitOptions) -> Fit:
@@ -288,7 +157,7 @@ def _kind_of(path: Path) -> str:
     return "discovery" if isinstance(data, dict) and "verdict" in data else "fit"
 
 
-def _from_discovery(path: Path, data: Sequence[Path], name: str | None) -> tuple[Fit, Fit, list[str]]:
+def _from_discovery(path: Path, data: Sequence[Path], name: str) -> tuple[Fit, Fit, list[str]]:
     """The best explanation of a discovery fitted again to the records, the fit of its plain model, and the alternatives."""
     from greybox.base.json_file import ResultKind, read_json
     from greybox.estimation.options import FitOptions
@@ -300,7 +169,7 @@ def _from_discovery(path: Path, data: Sequence[Path], name: str | None) -> tuple
         raise GreyboxError(
             f"{path}: a discovery does not hold its records; give them too, as in greybox design {path} train.csv"
         )
-    if name is None and is_model_path(content["model"]):
+    if not name and is_model_path(content["model"]):
         raise DataError(f"{path}: its model is a file; give --model MODEL")
     try:
         plain = find_model(name or content["model"])
@@ -324,62 +193,7 @@ def _from_discovery(path: Path, data: Sequence[Path], name: str | None) -> tuple
 # `greybox campaign`.
 
 
-def campaign(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="Name of the plain model, or its file.")],
-    data: Annotated[list[Path] | None, typer.Argument(metavar="DATA", help="Records that were taken before.")] = None,
-    *,
-    rig: Annotated[
-        str,
-        typer.Option(
-            "--rig",
-            metavar="COMMAND",
-            help="Program that plays a CSV file of inputs and writes a record: {input}, {record} and {number} are put in. Without it the"
-            " campaign waits for each record.",
-        ),
-    ] = "",
-    limit: Limits,
-    rate: Rates,
-    duration: Annotated[float, typer.Option("--duration", metavar="SECONDS", help="Duration of each record.")] = 0.0,
-    sampling_time: Annotated[
-        float, typer.Option("--sampling-time", metavar="SECONDS", help="Seconds between rows.")
-    ] = 0.0,
-    noise: SensorNoise,
-    experiments: Annotated[
-        int, typer.Option("--experiments", metavar="N", min=1, help="Records that may be taken.")
-    ] = 3,
-    width: Annotated[
-        float | None,
-        typer.Option(
-            "--width",
-            metavar="SHARE",
-            help="Go on until the 95 % interval of each parameter is this share of its value to each side. [default: until one"
-            " explanation is left]",
-        ),
-    ] = None,
-    effects: Annotated[
-        Texts,
-        repeated(
-            "--effect",
-            metavar="NAME",
-            complete=completion.effects,
-            text="Try only this effect of the catalogue; may be repeated. [default: all]",
-        ),
-    ],
-    hold: Annotated[HoldName, typer.Option("--hold", help="The generator between samples.")] = HoldName.zero,
-    fixed: Fixed,
-    start: Start,
-    at_rest: Annotated[
-        bool, typer.Option("--at-rest", help="Records begin at the initial state of the model.")
-    ] = False,
-    workers: Workers = 0,
-    cluster: Cluster = "",
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="DIR", help="Folder of the campaign. [default: results/MODEL-campaign]"),
-    ] = None,
-    no_report: NoReport = False,
-    json: Json = False,
-) -> None:
+def campaign(study: DesignStudy) -> Answer:
     """Design a record, measure it, fit, discover, and design the next one, until one explanation is left.
 
     DIR holds a folder for each experiment, with input.csv, record.csv, their results and pages, and report.html with all of them. Without
@@ -392,70 +206,113 @@ def campaign(
     """
     from dataclasses import replace
 
-    from greybox.base.errors import DataError, GreyboxError
     from greybox.base.json_shape import format_json, to_json_data
     from greybox.base.parallel.jobs import open_workers
-    from greybox.estimation.options import FitOptions
     from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, run_campaign
     from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem
     from greybox.extensions.design.rig import check_command
     from greybox.model.effects.catalogue import effect
-    from greybox.show.sentences.shell import report_line
 
-    if width is not None and not width > 0:
-        raise GreyboxError(f"--width {width:g}: give a share above 0, as in --width 0.05")
-    plain = build_plain_model(model, fixed, start)
-    folder = check_writable(output or Path("results") / f"{plain.name}-campaign")
+    plain = build_plain_model(study.model, study)
+    folder = result_folder(study, plain.name)
     plan = CampaignPlan(
         plain,
-        parse_limits("--limit", limit, rate),
-        duration,
-        sampling_time,
-        read_noise(noise),
-        read_data(data, plain) if data else (),
-        width,
-        parse_names(effects),
-        hold.value,
-        FitOptions(at_rest=at_rest),
-        replace(CAMPAIGN_POLICY, experiments=experiments),
+        limits_of(study),
+        study.duration,
+        study.sampling_time,
+        dict(study.noise),
+        read_data(study.estimation, plain) if study.estimation else (),
+        study.width or None,
+        study.effects,
+        study.hold,  # type: ignore[arg-type]
+        _options(study),
+        replace(CAMPAIGN_POLICY, experiments=study.experiments),
     )
     # Whatever is wrong with the question is said before a folder is made.
     for name in plan.effects:
         plain + effect(name)
-    if rig:
-        check_command(rig)
-    DesignProblem((plain,), plan.limits, duration, sampling_time, plan.noise, plan.records, hold=plan.hold)
+    if study.rig:
+        check_command(study.rig)
+    DesignProblem((plain,), plan.limits, plan.duration, plan.sampling_time, plan.noise, plan.records, hold=plan.hold)
 
     def write_page(path: Path, value: Any) -> None:
-        if not no_report:
+        if not study.no_report:
             write_report(value, path)
 
     try:
-        with open_workers(workers, cluster) as executor:
+        with open_workers(study.workers, study.cluster) as executor:
             result = run_campaign(
-                plan, folder, rig=rig, on_step=write_page, on_message=print_note, executor=executor, workers=workers
+                plan,
+                folder,
+                rig=study.rig,
+                on_step=write_page,
+                on_message=print_note,
+                executor=executor,
+                workers=study.workers,
             )
     except KeyboardInterrupt:
         exit_with_error(f"interrupted; what is finished is in {folder}, the same command goes on", ExitCode.INTERRUPTED)
     except DataError as error:
         raise GreyboxError(str(error)) from error
-    report = None if no_report else write_report(result, folder / "report.html")
-    if json:
-        typer.echo(format_json(to_json_data(result)))
-    else:
-        typer.echo("\n".join([str(result), *([report_line(report)] if report else [])]))
-    if result.status in (CampaignStatus.BUDGET_SPENT, CampaignStatus.LIMIT_BROKEN):
-        raise typer.Exit(ExitCode.UNSUCCESSFUL)
+    is_open = result.status in (CampaignStatus.BUDGET_SPENT, CampaignStatus.LIMIT_BROKEN)
+    return Answer(
+        result,
+        lambda _: format_json(to_json_data(result)),
+        page=lambda: write_report(result, folder / "report.html"),
+        kept=f"the campaign is in {folder}",
+        code=ExitCode.UNSUCCESSFUL if is_open else ExitCode.SUCCESS,
+    )
 
+
+OWN = DesignStudy
+RIG = (Study.limits, Study.rates, Study.duration, Study.fixed, Study.at_rest)
+MODEL_VALUES = Study.start.but(help="Value of a parameter of MODEL.")
+SENSOR_NOISE = Study.noise.but(help="Standard deviation of the sensor noise of an output. [default: that of the fit]")
 
 DESIGN = Command(
     design,
     "Design the next record within what the rig allows.",
     (
+        Study.source.but(
+            usage="SOURCE",
+            help="fit.json, discovery.json, or a model (its name or file) of which nothing was measured yet.",
+        ),
+        Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
+        *(*RIG, MODEL_VALUES, SENSOR_NOISE, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
+        Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
+        Study.duration.but(help="Duration of the record. [default: as measured]"),
+        Study.effects.but(
+            help="For detection: an effect that may hide; may be repeated. [default: all that have a place]"
+        ),
+        Study.hold.but(help="The generator between samples: zero holds, first and band-limited are smooth."),
+        Study.at_rest.but(help="Records begin at the initial state of the model. [default: as fitted]"),
+        Study.model.but(
+            usage="--model MODEL",
+            help="The model of SOURCE, or its file, if it is not found by its name.",
+            required=False,
+        ),
+        Study.output.but(help="Folder for the results. [default: results/MODEL-design]"),
+        *SHOWING,
+    ),
+    (
         "greybox design results/rig-fit/fit.json --limit u=-3:3 --limit x=-1e-4:1e-4 --duration 1",
         "greybox design results/rig-discover/discovery.json train.csv --goal discrimination --limit u=-3:3",
         "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
     ),
+    (
+        Idle(
+            (OWN.criterion, OWN.counted),
+            "with --goal {s.goal}: it is for precision",
+            lambda study: study.goal != "precision",
+        ),
+        Idle(
+            (Study.effects,),
+            "with --goal {s.goal}: it names what may hide",
+            lambda study: study.goal != "detection",
+            ", or add --goal detection",
+        ),
+    ),
+    study=DesignStudy,
 )
 
 
@@ -463,9 +320,22 @@ CAMPAIGN = Command(
     campaign,
     "Design, measure, fit and discover in turn, in one folder.",
     (
+        Study.model.but(help="Name of the plain model, or its file."),
+        Study.estimation.but(help="Records that were taken before."),
+        *(*RIG, MODEL_VALUES, SENSOR_NOISE, OWN.rig, OWN.experiments, OWN.width),
+        Study.sampling_time.but(help="Seconds between rows."),
+        Study.duration.but(help="Duration of each record."),
+        Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),
+        Study.hold.but(help="The generator between samples."),
+        Study.at_rest.but(help="Records begin at the initial state of the model."),
+        Study.output.but(help="Folder of the campaign. [default: results/MODEL-campaign]"),
+        *(*SHARING, *SHOWING),
+    ),
+    (
         "greybox campaign my/rig.py --noise x=2e-7 --limit u=-1:1 --duration 0.5 --sampling-time 2.5e-4 --output rig",
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
+    study=DesignStudy,
 )
 
 PRINTS = {

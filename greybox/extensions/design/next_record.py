@@ -116,6 +116,7 @@ def read_source(
         For a rival that cannot be made or fitted.
     """
     if isinstance(source, Model):
+        source.require_equations("a design")
         named = [r for r in rivals if isinstance(r, str)]
         if named:
             raise DataError(

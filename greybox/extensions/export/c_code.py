@@ -10,7 +10,7 @@ from pathlib import Path
 from greybox.base.files import write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers
 from greybox.base.units import format_unit
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.extensions.export.observer import Observer, refuse_sampling
@@ -72,7 +72,7 @@ def read_template(name: str) -> str:
     return files("greybox.extensions.export").joinpath(name).read_text(encoding="utf-8")
 
 
-def write_constants(plant: Plant, interval: DiscreteStep) -> list[str]:
+def write_constants(plant: ExportedModel, interval: DiscreteStep) -> list[str]:
     """The array of the constants, one a line, each with its unit and where it comes from."""
     lines = []
     for q, value in zip(interval.signals.all_parameters, interval.p, strict=True):
@@ -141,7 +141,7 @@ def to_c(
     return write_file(target, text), declarations
 
 
-def _header(plant: Plant, interval: DiscreteStep) -> str:
+def _header(plant: ExportedModel, interval: DiscreteStep) -> str:
     model, name = interval.signals, to_identifier(interval.signals.name)
     # Equations and constants are those of the plant, also in the header of its observer.
     table = [
@@ -192,7 +192,7 @@ def _header(plant: Plant, interval: DiscreteStep) -> str:
     return "\n".join(lines)
 
 
-def _source(plant: Plant, interval: DiscreteStep, header_name: str) -> str:
+def _source(plant: ExportedModel, interval: DiscreteStep, header_name: str) -> str:
     model, name = interval.signals, to_identifier(interval.signals.name)
     # An exact hold computes nothing from the constants: its matrices are numbers of their own.
     exact = interval.step.per_interval

@@ -11,7 +11,7 @@ import casadi as ca
 from greybox.base.errors import GreyboxError, ModelError, nearest
 from greybox.base.files import write_file
 from greybox.base.texts import to_identifier, to_identifiers
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (
     find_delay_parameters,
@@ -180,7 +180,7 @@ def _import_optional(module: str, package: str, extra: str) -> Any:
         raise GreyboxError(f"the package {package} is missing; install it with: {how}") from error
 
 
-def _write_equations(plant: Plant, dt: float | None, free: Sequence[str], substeps: int) -> _SymbolicModel:
+def _write_equations(plant: ExportedModel, dt: float | None, free: Sequence[str], substeps: int) -> _SymbolicModel:
     model, s = plant.model, plant.model.system
     names = list(s.parameter_names)
     for name in free:

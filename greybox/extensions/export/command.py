@@ -2,116 +2,51 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from enum import StrEnum
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.extensions.export.target import ExportTarget
-from greybox.shell.inputs import load_fit_with_model
-from greybox.shell.options import NoReport, Texts, check_writable
-from greybox.shell.study import FIT, SPECS
-from greybox.shell.study_values import parse_numbers
-from greybox.shell.terminal import Command, print_note, write_report
+from greybox.shell.inputs import check_writable, load_fit_with_model
+from greybox.shell.study import SHOWING, Answer, Command, Idle, Needs, Option, Study
+from greybox.shell.study_values import Choice, Count, MaybeNumber, Number, Numbers, Switch
+from greybox.shell.terminal import print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.estimation.linear.linearisation import Linearisation
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.result import Fit
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
     from greybox.shell.answers import CodeAnswer, LinearAnswer
 
 
-if TYPE_CHECKING:
-    Target = StrEnum
-else:
-    # The choices of --to: the targets of this package, then those of others. Their modules are loaded when one is chosen.
-    Target = StrEnum("Target", {name: name for name in extension_names(ExtensionKind.EXPORTS)})
+class ExportStudy(Study):
+    """The options of `greybox export`."""
+
+    # A table: an option is a row or two.
+    # fmt: off
+    # The choices: the targets of this package, then those of others. Their modules are loaded when one is chosen.
+    to = Option(Choice(extension_names(ExtensionKind.EXPORTS), start=""), "--to", "to",
+        "Linear (control: Python file, mat: MATLAB, json, numpy), or the nonlinear one (c, fmu, modelica, python, casadi).", required=True)
+    at = Option(Numbers(), "--at NAME=VALUE", "at.",
+        "A state or input of the operating point, in the model's unit; the other values are solved for.")
+    dt = Option(MaybeNumber(), "--dt SECONDS", "dt", "Sampling time. [default: linear models continuous, else as recorded]")
+    sampling = Option(Choice(("zoh", "tustin"), start=""), "--method", "method",
+        "Exact for a held input (zoh) or the trapezoidal rule (tustin). [default: zoh]")
+    delay = Option(Number(), "--delay SECONDS", "delay", "Delay of every input; need not be a multiple of the sampling time.")
+    minimal = Option(Switch(), "--minimal", "minimal", "Remove states that are not controllable or not observable.")
+    samples = Option(Count(), "--samples N", "samples", "Add N models drawn from the parameters' covariance.")
+    sample_seed = Option(Count(), "--seed N", "seed", "Seed of --samples.")
+    observer = Option(Switch(), "--observer", "observer",
+        "With c, fmu and python: write the Kalman filter of the model, extended where it is nonlinear.")
+    observer_noise = Option(Numbers("STATE=VALUE", "v=1e-3"), "--process-noise STATE=VALUE", "observer_noise.",
+        "Process noise for --observer, in the state's unit over sqrt(s). [default: of the fit, or of its records]")
+    # fmt: on
 
 
-class Sampling(StrEnum):
-    """How a linear model is sampled."""
-
-    zoh = "zoh"
-    tustin = "tustin"
-
-
-def export(
-    fit: Annotated[Path, typer.Argument(metavar="FIT.json", help="The fit.json that greybox fit has written.")],
-    *,
-    to: Annotated[
-        Target,
-        typer.Option(
-            "--to",
-            help="Linear (control: Python file, mat: MATLAB, json, numpy), or the nonlinear one (c, fmu, modelica, python, casadi).",
-        ),
-    ],
-    at: Annotated[
-        Texts,
-        typer.Option(
-            "--at",
-            metavar="NAME=VALUE",
-            default_factory=list,
-            help="A state or input of the operating point, in the model's unit; the other values are solved for.",
-        ),
-    ],
-    dt: Annotated[
-        float | None,
-        typer.Option(
-            "--dt", metavar="SECONDS", help="Sampling time. [default: linear models continuous, else as recorded]"
-        ),
-    ] = None,
-    method: Annotated[
-        Sampling | None,
-        typer.Option("--method", help="Exact for a held input (zoh) or the trapezoidal rule (tustin). [default: zoh]"),
-    ] = None,
-    delay: Annotated[
-        float,
-        typer.Option(
-            "--delay", metavar="SECONDS", help="Delay of every input; need not be a multiple of the sampling time."
-        ),
-    ] = 0.0,
-    minimal: Annotated[
-        bool, typer.Option("--minimal", help="Remove states that are not controllable or not observable.")
-    ] = False,
-    samples: Annotated[
-        int, typer.Option("--samples", metavar="N", min=0, help="Add N models drawn from the parameters' covariance.")
-    ] = 0,
-    seed: Annotated[int, typer.Option("--seed", metavar="N", min=0, help="Seed of --samples.")] = 0,
-    substeps: Annotated[int, typer.Option("--substeps", metavar="N", min=0, help=SPECS["substeps"].help_for(FIT))] = 0,
-    observer: Annotated[
-        bool,
-        typer.Option(
-            "--observer",
-            help="With c, fmu and python: write the Kalman filter of the model, extended where it is nonlinear.",
-        ),
-    ] = False,
-    process_noise: Annotated[
-        Texts,
-        typer.Option(
-            "--process-noise",
-            metavar="STATE=VALUE",
-            default_factory=list,
-            help="Process noise for --observer, in the state's unit over sqrt(s). [default: of the fit, or of its records]",
-        ),
-    ],
-    model: Annotated[
-        str | None,
-        typer.Option(
-            "--model", metavar="MODEL", help="The model of the fit, or its file, if it is not found by its name."
-        ),
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", metavar="FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
-    ] = None,
-    no_report: NoReport = False,
-    json: Annotated[bool, typer.Option("--json", help="Print the matrices and what was written as JSON.")] = False,
-) -> None:
+def export(study: ExportStudy) -> Answer:
     """Export a fitted model for controller design: linear with its uncertainty, or as code.
 
     Linear models are computed at an operating point (--at; an equilibrium is solved for) and printed with poles, zeros, gain
@@ -121,36 +56,25 @@ def export(
     Exit code 0: written. 2: bad input, nothing was written.
     """
     from greybox.base.texts import to_identifier
-    from greybox.show.sentences.shell import report_line
 
-    kind: ExportTarget = load_extension(ExtensionKind.EXPORTS, to.value)
-    point = parse_numbers("--at", at)
-    given = {
-        "--at": point,
-        "--method": method,
-        "--delay": delay,
-        "--minimal": minimal,
-        "--samples": samples,
-        "--seed": seed,
-    }
-    noise = parse_numbers("--process-noise", process_noise)
-    _refuse_idle(to.value, kind, dt, method, given, substeps, observer)
-    if noise and not observer:
-        raise GreyboxError("--process-noise has no effect without --observer")
-    result = load_fit_with_model(fit, model)
+    kind = _kind(study)
+    result = load_fit_with_model(Path(study.source), study.model)
     name = to_identifier(result.model.name)
-    ending = kind.ending or (f"_observer{kind.suffix}" if observer else kind.suffix)
-    target = _target(output or Path("results") / f"{name}-export" / f"{name}{ending}", to.value, kind, fit)
-    answer: Any
-    if kind.linear:
-        answer, made = _linear(result, kind, target, point, dt, method or Sampling.zoh, delay, minimal, samples, seed)
-    else:
-        answer, made = _code(result, kind, target, dt, substeps, noise if observer else None)
-    report = None if no_report else write_report(made, target.with_name(f"{target.name}.html"))
-    if json:
-        typer.echo(_as_json(made, to.value, report))
-    else:
-        typer.echo("\n".join([str(answer), *([report_line(report)] if report else [])]))
+    ending = kind.ending or (f"_observer{kind.suffix}" if study.observer else kind.suffix)
+    target = _target(
+        study.output or Path("results") / f"{name}-export" / f"{name}{ending}", study.to, kind, study.source
+    )
+    answer, made = _linear(result, kind, target, study) if kind.linear else _code(result, kind, target, study)
+    return Answer(
+        answer,
+        lambda report: _as_json(made, study.to, report),
+        page=lambda: write_report(made, target.with_name(f"{target.name}.html")),
+    )
+
+
+def _kind(study: ExportStudy) -> ExportTarget:
+    kind: ExportTarget = load_extension(ExtensionKind.EXPORTS, study.to)
+    return kind
 
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
@@ -167,31 +91,22 @@ def _as_json(made: Export, to: str, report: Path | None) -> str:
     return format_json(to_json_data(printed))
 
 
-def _linear(
-    fit: Fit,
-    kind: ExportTarget,
-    target: Path,
-    at: Mapping[str, float],
-    dt: float | None,
-    method: Sampling,
-    delay: float,
-    minimal: bool,
-    samples: int,
-    seed: int,
-) -> tuple[LinearAnswer, Export]:
+def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
     from dataclasses import replace
 
     from greybox.estimation.linear.linearisation import minimal_realisation
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.linear.model_family import sample_family
     from greybox.estimation.linear.plant import to_plant
-    from greybox.extensions.export.page import Export
+    from greybox.extensions.export.document import Export
     from greybox.shell.answers import LinearAnswer
 
-    whole: Linearisation = linearise(fit, at, dt=dt, method=method.value, delay=delay)
-    linear = minimal_realisation(whole) if minimal else whole
+    at, samples = dict(study.at), study.samples
+    sampled: dict[str, Any] = {"dt": study.dt, "method": study.sampling or "zoh", "delay": study.delay}
+    whole: Linearisation = linearise(fit, at, **sampled)
+    linear = minimal_realisation(whole) if study.minimal else whole
     drawn: ModelFamily | None = (
-        sample_family(fit, at, number=samples, seed=seed, dt=dt, method=method.value, delay=delay, minimal=minimal)
+        sample_family(fit, at, number=samples, seed=study.sample_seed, minimal=study.minimal, **sampled)
         if samples
         else None
     )
@@ -205,24 +120,17 @@ def _linear(
     return LinearAnswer(shown, family, written), Export(fit, kind.description, written, linear, drawn)
 
 
-def _code(
-    fit: Fit,
-    kind: ExportTarget,
-    target: Path,
-    dt: float | None,
-    substeps: int,
-    observer_noise: Mapping[str, float] | None = None,
-) -> tuple[CodeAnswer, Export]:
-    """``observer_noise``: process noise of an observer, empty for that of the fit; None for the model itself."""
+def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
     from greybox.estimation.linear.plant import to_plant
+    from greybox.extensions.export.document import Export
     from greybox.extensions.export.observer import design_observer
-    from greybox.extensions.export.page import Export
     from greybox.shell.answers import CodeAnswer
 
     for finding in to_plant(fit).findings:
         print_note(f"warning: {finding}")
-    if observer_noise is not None:
-        observer = design_observer(fit, dt, process_noise=observer_noise or None, substeps=substeps)
+    dt, substeps = study.dt, study.substeps
+    if study.observer:
+        observer = design_observer(fit, dt, process_noise=dict(study.observer_noise) or None, substeps=substeps)
         files = _write(kind, observer, target)
         what = f"{kind.description.replace('model file', 'file')}, its Kalman filter"
         return CodeAnswer(fit.model.title, what, observer.dt, "step", files), Export(fit, what, files)
@@ -239,34 +147,7 @@ def _write(kind: ExportTarget, source: Any, target: Path, **options: Any) -> tup
     return (files,) if isinstance(files, Path) else files
 
 
-def _refuse_idle(
-    to: str,
-    kind: ExportTarget,
-    dt: float | None,
-    method: Sampling | None,
-    given: Mapping[str, object],
-    substeps: int,
-    observer: bool = False,
-) -> None:
-    """Refuse options that would change nothing."""
-    idle = [name for name, value in given.items() if value] if not kind.linear else []
-    is_sampled = "dt" in kind.options or observer
-    idle += ["--dt"] if dt is not None and not kind.linear and not is_sampled else []
-    idle += ["--substeps"] if substeps and not is_sampled else []
-    idle += ["--observer"] if observer and "observer" not in kind.options else []
-    if kind.linear and given["--samples"] and "samples" not in kind.options:
-        idle += ["--samples"]
-    if idle:
-        raise GreyboxError(
-            f"{', '.join(idle)}: no effect with --to {to}; leave {'it' if len(idle) == 1 else 'them'} out"
-        )
-    if method is not None and dt is None:
-        raise GreyboxError(f"--method {method.value} samples the model; give --dt SECONDS too")
-    if given["--seed"] and not given["--samples"]:
-        raise GreyboxError("--seed has no effect without --samples N")
-
-
-def _target(path: Path, to: str, kind: ExportTarget, fit: Path) -> Path:
+def _target(path: Path, to: str, kind: ExportTarget, fit: str) -> Path:
     """``path`` with its suffix, unless it cannot be written or is the file that is read."""
     if path.is_dir():
         raise GreyboxError(f"--output {path}: it is a folder; give a file that ends in {kind.suffix}")
@@ -279,14 +160,55 @@ def _target(path: Path, to: str, kind: ExportTarget, fit: Path) -> Path:
     return target
 
 
+def _unless(has: Callable[[ExportTarget, ExportStudy], bool]) -> Callable[[ExportStudy], bool]:
+    return lambda study: not has(_kind(study), study)
+
+
+def _is_sampled(kind: ExportTarget, study: ExportStudy) -> bool:
+    return "dt" in kind.options or study.observer
+
+
+OWN = ExportStudy
+LINEAR = (OWN.at, OWN.sampling, OWN.delay, OWN.minimal, OWN.samples, OWN.sample_seed)
+
 EXPORT = Command(
     export,
     "Export a fitted model for controller design, or as code.",
+    (
+        *(Study.source.but(usage="FIT.json"), OWN.to, OWN.dt, *LINEAR, Study.substeps),
+        *(OWN.observer, OWN.observer_noise),
+        Study.model.but(
+            usage="--model MODEL",
+            help="The model of the fit, or its file, if it is not found by its name.",
+            required=False,
+        ),
+        Study.output.but(usage="--output FILE", help="File to write. [default: results/MODEL-export/MODEL.*]"),
+        *SHOWING,
+    ),
     (
         "greybox export results/micro_actuator-fit/fit.json --to mat --dt 2.5e-4 --delay 1e-4 --samples 100",
         "greybox export fit.json --to control --at u=1",
         "greybox export fit.json --to c --output firmware/plant.c",
     ),
+    (
+        Idle(LINEAR, "with --to {s.to}", _unless(lambda kind, _: kind.linear)),
+        Idle(
+            (OWN.dt,),
+            "with --to {s.to}",
+            _unless(lambda kind, study: kind.linear or _is_sampled(kind, study)),
+        ),
+        Idle((Study.substeps,), "with --to {s.to}", _unless(_is_sampled)),
+        Idle((OWN.observer,), "with --to {s.to}", _unless(lambda kind, _: "observer" in kind.options)),
+        Idle(
+            (OWN.samples,),
+            "with --to {s.to}",
+            _unless(lambda kind, _: "samples" in kind.options),
+        ),
+        Needs(OWN.sampling, (OWN.dt,), "it samples the model"),
+        Needs(OWN.sample_seed, (OWN.samples,), "no models are drawn"),
+        Needs(OWN.observer_noise, (OWN.observer,), "it is the noise of a Kalman filter"),
+    ),
+    study=ExportStudy,
 )
 
 PRINTS = {"export": ("greybox.extensions.export.linear_files:PrintedExport",)}

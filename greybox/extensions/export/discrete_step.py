@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base.errors import ModelError
-from greybox.estimation.linear.plant import Plant
+from greybox.estimation.linear.plant import ExportedModel
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.integrators.discretisation import discretise
@@ -92,7 +92,7 @@ DISCRETE_STEP_ROWS = 2000
 
 
 def make_discrete_step(
-    plant: Plant,
+    plant: ExportedModel,
     dt: float | None = None,
     *,
     substeps: int = 0,

@@ -16,7 +16,7 @@ from greybox.base.errors import ModelError, OutputError
 from greybox.base.files import write_file
 from greybox.base.texts import to_identifier, to_identifiers, to_line
 from greybox.base.units import format_unit, parse_unit
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.c_code import read_template, write_constants, write_step
 from greybox.extensions.export.discrete_step import (
@@ -138,7 +138,7 @@ def to_fmu(
 # ---- modelDescription.xml ----
 
 
-def write_description(plant: Plant, step: DiscreteStep, name: str, guid: str) -> str:
+def write_description(plant: ExportedModel, step: DiscreteStep, name: str, guid: str) -> str:
     """The description of ``plant`` stepped over ``step``; value references as in ``fmu.c``."""
     model = step.signals
     root = ET.Element(
@@ -201,7 +201,7 @@ def list_fmu_names(model: SteppedSignals) -> list[str]:
 
 
 def _variables(
-    root: ET.Element, plant: Plant, step: DiscreteStep, signals: list[Input | Output | State | Parameter]
+    root: ET.Element, plant: ExportedModel, step: DiscreteStep, signals: list[Input | Output | State | Parameter]
 ) -> None:
     group, fixed = ET.SubElement(root, "ModelVariables"), find_delay_parameters(plant.model)
     starts = iter(step.x0)

@@ -22,7 +22,7 @@ from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.model_family import ModelFamily, sample_family
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.linear.transfer_channel import TransferChannel, describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
@@ -117,7 +117,7 @@ class LinearFile:
     """
 
     model: Linearisation
-    plant: Plant | None = None
+    plant: ExportedModel | None = None
     members: ModelFamily | None = None
 
     FILE: ClassVar[FileKind] = FileKind("a linear model", "file that greybox export --to json has written")
@@ -349,14 +349,14 @@ def to_numpy(
 
 
 def write_json(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as JSON, every number to the last digit; ``plant`` adds where it comes from, ``family`` its members."""
     return write_json_file(Path(path).with_suffix(".json"), LinearFile(model, plant, family))
 
 
 def write_npz(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` as arrays of NumPy (``A``, ``B``, ``C``, ``D``, ``dt``, names ...), the members of a family as ``family_A`` ..."""
     file = LinearFile(model, plant, family)
@@ -369,7 +369,7 @@ def write_npz(
 
 
 def write_mat(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write ``model`` for MATLAB: ``A, B, C, D, Ts`` and the names and units that ``ss`` takes, as cell arrays.
 
@@ -417,7 +417,7 @@ def write_mat(
 
 
 def write_control(
-    model: Linearisation, path: str | Path, *, plant: Plant | None = None, family: ModelFamily | None = None
+    model: Linearisation, path: str | Path, *, plant: ExportedModel | None = None, family: ModelFamily | None = None
 ) -> Path:
     """Write a Python file that makes the ``control.StateSpace`` called ``plant``, matrices and names in plain sight.
 

@@ -14,7 +14,7 @@ from greybox.base.files import write_file
 from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_line
 from greybox.base.units import format_unit
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.balance import Balance
@@ -68,7 +68,7 @@ def to_modelica(plant: Fit | Model, path: str | Path) -> Path:
     return write_file(target, text)
 
 
-def modelica_text(plant: Plant) -> str:
+def modelica_text(plant: ExportedModel) -> str:
     """The text of the model."""
     model, s = plant.model, plant.model.system
     if s.updates:
@@ -221,7 +221,7 @@ class ModelicaNames:
         return cls(states, inputs, outputs, parameters, late, is_state, symbols)
 
 
-def _declarations(plant: Plant, names: ModelicaNames, printer: Printer) -> list[str]:
+def _declarations(plant: ExportedModel, names: ModelicaNames, printer: Printer) -> list[str]:
     """Parameters, inputs, states and outputs, and what dry friction needs, a line each."""
     model, s = plant.model, plant.model.system
     lines = []

@@ -17,7 +17,7 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.numerics import LARGEST_VALUE
 from greybox.base.texts import to_identifier
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import (
     CorrectionKind,
@@ -78,7 +78,7 @@ class Observer:
         The same whose outputs are those before: known when the sample begins.
     """
 
-    plant: Plant
+    plant: ExportedModel
     dt: float
     noise: Mapping[str, float]
     process_noise: Mapping[str, float]
@@ -251,14 +251,14 @@ def _make_correction(step: Step, nx: int, nu: int, ny: int, constants: int) -> c
 
 
 def _find_noise(
-    plant: Plant, noise: Mapping[str, float] | None, process_noise: Mapping[str, float] | None
-) -> tuple[Plant, dict[str, float]]:
+    plant: ExportedModel, noise: Mapping[str, float] | None, process_noise: Mapping[str, float] | None
+) -> tuple[ExportedModel, dict[str, float]]:
     """The plant with its process noise, and the noise of its sensors."""
     fit, model = plant.fit, plant.model
     known = dict(noise) if noise is not None else dict(fit.noise.std) if fit is not None else {}
     if process_noise is not None:
         _check_names(model, process_noise, [s.name for s in model.all_states], "state")
-        return Plant(model.with_process_noise(**process_noise), fit, plant.findings), known
+        return ExportedModel(model.with_process_noise(**process_noise), fit, plant.findings), known
     # What the model states goes before what records show.
     if any(model.noise_intensities.values()):
         return plant, known
@@ -267,7 +267,9 @@ def _find_noise(
         # The most likely intensities for the residual of the fit, as a prediction takes them.
         correction = identify_correction(FixedParameterModel(model, known, options), [t.experiment for t in fit.traces])
         if correction.kind is CorrectionKind.ESTIMATED_KALMAN_FILTER:
-            return Plant(correction.model, fit, plant.findings), dict(correction.noise) if noise is None else known
+            return ExportedModel(correction.model, fit, plant.findings), dict(
+                correction.noise
+            ) if noise is None else known
         why = "and its records show none"
     else:
         why = "and there are no records to estimate it from"

@@ -12,7 +12,7 @@ import casadi as ca
 from greybox.base.errors import GreyboxError
 from greybox.base.files import write_file
 from greybox.base.texts import to_identifier
-from greybox.estimation.linear.plant import Plant, to_plant
+from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
 from greybox.extensions.export.target import ExportTarget
@@ -78,7 +78,7 @@ def to_python(plant: Fit | Model | Observer, path: str | Path) -> Path:
     return write_file(target, text)
 
 
-def python_text(plant: Plant) -> str:
+def python_text(plant: ExportedModel) -> str:
     """The text of the file."""
     model, name = plant.model, to_identifier(plant.model.name)
     # The body first: what is imported follows from what it names.
@@ -124,7 +124,7 @@ def _plant_names(model: Model) -> dict[str, str]:
     return {s.name: f"{letter}.{s.name}" for letter, group in groups for s in group}
 
 
-def _model(plant: Plant) -> str:
+def _model(plant: ExportedModel) -> str:
     model = plant.model
     x, u, p = _plant_symbols(model)
 

@@ -5,17 +5,17 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
-    from greybox.extensions.fmu.description import FmuPlant, FmuVariable, read_fmu
+    from greybox.extensions.fmu.description import FmuVariable
     from greybox.extensions.fmu.effects import (
         FmuDiscovery,
-        FmuEffectFit,
+        FmuWithEffects,
         PreparedFmu,
         compare_fmu,
         discover_fmu,
         fit_fmu_effects,
         prepare_fmu,
     )
-    from greybox.extensions.fmu.fit_fmu import FmuFit, fit_fmu
+    from greybox.extensions.fmu.plant import FmuPlant, read_fmu
     from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 
 __getattr__, __all__ = lazy_face(__name__)

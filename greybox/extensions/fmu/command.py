@@ -6,69 +6,73 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from greybox.base.errors import DataError, ExitCode, GreyboxError
-from greybox.shell.inputs import layout_of, print_record_notes
-from greybox.shell.options import check_writable
+from greybox.base.errors import DataError, ExitCode
+from greybox.shell.inputs import layout_of, print_record_notes, result_folder
 from greybox.shell.plants import PlantDiscovery, PlantKind
-from greybox.shell.study import CHECK, COMPARE, DISCOVER, FIT, Study, fields_of
+from greybox.shell.study import READING, Answer, Study
 
 if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
+    from greybox.estimation.result import Fit
     from greybox.extensions.fmu.effects import PreparedFmu
-    from greybox.extensions.fmu.fit_fmu import FmuFit
+    from greybox.simulation.plant import PlantModel
 
     Records = tuple[Experiment, ...]
 
-SIGNALS = ["hold", "columns", "headers", "sampling_time", "read_limit", "interpolation", "split_holes", "free_decay"]
-ALWAYS = frozenset(["model", "estimation", "validation", "fixed", "start", "free", "noise", *SIGNALS])
+ALWAYS = (
+    *(Study.model, Study.estimation, Study.validation, Study.fixed, Study.start, Study.free, Study.noise),
+    *READING,
+)
+JUDGING = (Study.candidates, Study.skip, Study.beginning)
 USED = {
-    FIT: ALWAYS | {"effects"},
-    CHECK: ALWAYS,
-    COMPARE: ALWAYS | {"candidates", "skip", "beginning", "predict"},
-    DISCOVER: ALWAYS | {"candidates", "skip", "beginning", "without", "without_family", "further", "time_limit"},
+    "fit": (*ALWAYS, Study.effects),
+    "check": ALWAYS,
+    "compare": (*ALWAYS, *JUDGING, Study.predict),
+    "discover": (*ALWAYS, *JUDGING, Study.without, Study.without_family, Study.further, Study.time_limit),
 }
-"""Command -> fields of a study that it uses with an FMU."""
+"""Command -> options of a study that it uses with an FMU."""
 
 
-def run_fmu_fit(study: Study, output: Path | None, *, json: bool) -> None:
-    """Fit the FMU of a study to its records, print the result and write fmu_fit.json. Raises GreyboxError."""
+def run_fmu_fit(study: Study) -> Answer:
+    """Fit the FMU of a study to its records, and write fit.json (fmu_fit.json with effects). Raises GreyboxError."""
     from greybox.base.json_shape import format_json
     from greybox.extensions.fmu.effects import prepare_fmu
-    from greybox.show.sentences.shell import written
 
-    result, records, validation, folder = _fit(study, FIT, output)
+    result, records, validation, folder = _fit(study)
     answer: Any = result
     if study.effects:
         answer = _fit_effects(prepare_fmu(result, records, validation), study.effects, study)
-    saved = answer.save(folder / "fmu_fit.json")
-    typer.echo(format_json(answer.as_dict()) if json else f"{answer}\n\n{written([saved])}")
-    if not (answer.agrees if study.effects else result.success):
-        raise typer.Exit(ExitCode.UNSUCCESSFUL)
+    saved = answer.save(folder / ("fmu_fit.json" if study.effects else "fit.json"))
+    succeeded = answer.agrees if study.effects else result.success
+    return Answer(
+        answer,
+        lambda _: format_json(answer.as_dict()),
+        [saved],
+        code=ExitCode.SUCCESS if succeeded else ExitCode.UNSUCCESSFUL,
+    )
 
 
-def run_fmu_check(study: Study, output: Path | None) -> tuple[Any, Path]:
+def run_fmu_check(study: Study) -> tuple[Any, Path]:
     """The check of an FMU at its start values, and the folder for it. Raises GreyboxError."""
     from greybox.estimation.check import check
-    from greybox.extensions.fmu.effects import AT_REST, prepare_fmu
+    from greybox.extensions.fmu.effects import AT_REST, prepare_plant
 
     if not study.estimation:
         raise DataError(f"{study.model}: an FMU is checked over records; give one")
-    result, records, _, folder = _fit(study, CHECK, output, search=False)
-    prepared = prepare_fmu(result, records)
-    return check(prepared.local.model, prepared.estimation, noise=dict(study.noise), options=AT_REST), folder
+    model, records, _, folder = _read(study)
+    local, (extended, _), _ = prepare_plant(model, records)
+    return check(local.model, extended, noise=dict(study.noise), options=AT_REST), folder
 
 
-def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str], **options: Any) -> PlantDiscovery:
+def run_fmu_discovery(study: Study, without: Sequence[str], **options: Any) -> PlantDiscovery:
     """The discovery around the FMU of a study. Raises GreyboxError."""
     from greybox.extensions.fmu.effects import discover_fmu, prepare_fmu
     from greybox.model.effects.catalogue import effect
 
     if not study.validation:
         raise DataError("no validation record: a discovery needs a record that was not fitted; give --validate FILE")
-    result, records, validation, folder = _fit(study, DISCOVER, output)
+    result, records, validation, folder = _fit(study)
     prepared = prepare_fmu(result, records, validation)
     candidates = [effect(name) for name in study.candidates] or None
     answer = discover_fmu(
@@ -82,14 +86,15 @@ def run_fmu_discovery(study: Study, output: Path | None, without: Sequence[str],
         **options,
     )
     fitted = answer.with_effects or prepared.fit
-    return PlantDiscovery(answer.discovery, str(answer), folder, lambda: fitted.save(folder / "fmu_fit.json"))
+    name = "fmu_fit.json" if answer.with_effects else "fit.json"
+    return PlantDiscovery(answer.discovery, str(answer), folder, lambda: fitted.save(folder / name))
 
 
-def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, Records, Records, Path]:
+def run_fmu_comparison(study: Study) -> tuple[Comparison, Records, Records, Path]:
     """The FMU of a study beside black boxes, its records and the others, and the folder for that. Raises GreyboxError."""
     from greybox.extensions.fmu.effects import compare_fmu, prepare_fmu
 
-    result, records, validation, folder = _fit(study, COMPARE, output)
+    result, records, validation, folder = _fit(study)
     prepared = prepare_fmu(result, records, validation)
     comparison = compare_fmu(
         prepared,
@@ -102,29 +107,18 @@ def run_fmu_comparison(study: Study, output: Path | None) -> tuple[Comparison, R
     return comparison, prepared.records, prepared.others, folder
 
 
-def _fit(
-    study: Study, command: str, output: Path | None, *, search: bool = True
-) -> tuple[FmuFit, tuple[Experiment, ...], tuple[Experiment, ...], Path]:
-    """The fit of the FMU alone (its start values without a ``search``), the records and the folder."""
+def _read(study: Study) -> tuple[PlantModel, Records, Records, Path]:
+    """The FMU with its start values, the records and the folder."""
     from greybox.data.read import read_experiments
-    from greybox.extensions.fmu.description import read_fmu
-    from greybox.extensions.fmu.fit_fmu import fit_fmu
+    from greybox.extensions.fmu.plant import read_fmu
 
-    idle = [
-        study.label(name)
-        for name, spec in fields_of(command).items()
-        if name not in USED[command] and getattr(study, name) != getattr(Study(), name) and spec.flag
-    ]
-    if idle:
-        raise GreyboxError(f"{', '.join(idle)}: no effect on an FMU, whose equations are closed; leave out")
     plant = read_fmu(study.model)
-    model = plant.record_model
-    folder = check_writable(output or Path("results") / f"{model.name}-{command}")
+    folder = result_folder(study, plant.name)
     layout = layout_of(study)
     records, validation = (
         read_experiments(
             files,
-            model,
+            plant.model,
             hold=study.hold,  # type: ignore[arg-type]
             split=study.split_holes,
             allow_constant_input=study.free_decay or not plant.inputs,
@@ -135,18 +129,18 @@ def _fit(
         for files in (study.estimation, study.validation)
     )
     print_record_notes(records, validation)
-    names = {v.name for v in plant.parameters} | {v.label for v in plant.parameters}
+    names = {v.name for v in plant.fmu.parameters} | {v.label for v in plant.fmu.parameters}
     start = {name: value for name, value in study.start.items() if name in names or not study.effects}
-    result = fit_fmu(
-        plant,
-        records,
-        free=study.free,
-        start=start,
-        fixed={name: value for name, value in study.fixed.items() if value is not None},
-        noise=dict(study.noise) or None,
-        validation=validation,
-        search=search,
-    )
+    fixed = {name: value for name, value in study.fixed.items() if value is not None}
+    return plant.with_values(study.free, start, fixed), records, validation, folder
+
+
+def _fit(study: Study) -> tuple[Fit, Records, Records, Path]:
+    """The fit of the FMU alone, the records and the folder."""
+    from greybox.estimation.fit import fit
+
+    model, records, validation, folder = _read(study)
+    result = fit(model, records, noise=dict(study.noise) or None, validation=validation)
     return result, records, validation, folder
 
 
@@ -166,8 +160,9 @@ def _fit_effects(prepared: PreparedFmu, names: Sequence[str], study: Study) -> A
     return fit_fmu_effects(prepared, extended.model.effects, start=start, noise=noise)
 
 
-FMU = PlantKind((".fmu",), run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
+CLOSED = "on an FMU, whose equations are closed"
+FMU = PlantKind((".fmu",), CLOSED, USED, run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
 """An FMU in the place of a model."""
 
-PRINTS = {"fit": ("greybox.extensions.fmu.fit_fmu:FmuFit", "greybox.extensions.fmu.effects:FmuEffectFit")}
+PRINTS = {"fit": ("greybox.extensions.fmu.effects:FmuWithEffects",)}
 """Command -> types of what it prints with ``--json``."""

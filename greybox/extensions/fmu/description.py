@@ -1,4 +1,4 @@
-"""What an FMU says of itself: signals and parameters by `modelDescription.xml`, and a model without equations to read records by."""
+"""What an FMU says of itself: signals and parameters by `modelDescription.xml`."""
 
 from __future__ import annotations
 
@@ -7,17 +7,12 @@ import os
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.texts import to_identifiers
 from greybox.base.units import unit_converter
-from greybox.base.values import Printable
-from greybox.model.balance import Balance
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter, State
 
 REAL = ("Real", "Float64", "Float32")
 
@@ -36,13 +31,9 @@ class FmuVariable:
     """Whether it is the start of a state and no constant."""
 
 
-# Most parameters that are fitted unless they are named: each costs a run an iteration.
-MOST_FREE = 12
-
-
 @dataclass(frozen=True, eq=False)
-class FmuPlant(Printable):
-    """An FMU as a plant.
+class FmuDescription:
+    """What `modelDescription.xml` says.
 
     Attributes
     ----------
@@ -66,74 +57,13 @@ class FmuPlant(Printable):
     outputs: tuple[FmuVariable, ...]
     parameters: tuple[FmuVariable, ...]
 
-    @property
-    def file_name(self) -> str:
-        """Name of the file, without its folder."""
-        return self.path.name
-
-    def choose(self, names: Sequence[str]) -> tuple[FmuVariable, ...]:
-        """The parameters of these names or labels; all constants for none. Raises ModelError for unknown names, and for too many."""
-        if not names:
-            constants = tuple(v for v in self.parameters if not v.is_initial)
-            if len(constants) > MOST_FREE:
-                raise ModelError(
-                    f"{self.title} has {len(constants)} parameters, and each costs a run in every step; name those to fit"
-                    " (free=[...], shell: --free NAME)"
-                )
-            return constants
-        return tuple(self.find(name) for name in names)
-
-    def find(self, name: str) -> FmuVariable:
-        """The parameter of this name or label. Raises ModelError."""
-        for variable in self.parameters:
-            if name in (variable.name, variable.label):
-                return variable
-        raise ModelError(f"{self.title} has no parameter {name!r}; {nearest(name, [v.label for v in self.parameters])}")
-
-    @cached_property
-    def record_model(self) -> Model:
-        """A model with the same signals and no equations, by which records are read."""
-        states = [State(o.label, o.unit) for o in self.outputs]
-
-        def balances(x: Any, u: Any, p: Any) -> list[Balance]:
-            return [Balance(s.name, s.unit, p[f"{s.name}__time"], s.name, back=-x[s.name]) for s in states]
-
-        return Model(
-            to_identifiers([self.title])[0],
-            states=states,
-            inputs=[Input(i.label, i.unit) for i in self.inputs],
-            outputs=[Output(o.label, o.unit) for o in self.outputs],
-            parameters=[Parameter(f"{o.label}__time", "s", 1.0, fixed=True) for o in self.outputs],
-            balances=balances,
-        )
-
 
 # Bytes that an FMU unpacks to at most.
 LARGEST_UNPACKED = 1000000000
 
 
-def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = None) -> FmuPlant:
-    """Read the description of an FMU of FMI 2 or 3, for co-simulation or model exchange.
-
-    Parameters
-    ----------
-    path
-        The file.
-    outputs
-        Variables that are measured; None takes the FMU's outputs. Others may be named.
-
-    Returns
-    -------
-    FmuPlant
-        Its signals and parameters. Nothing of the FMU is run yet.
-
-    Raises
-    ------
-    DataError
-        For a file that is no FMU of these versions, or too large.
-    ModelError
-        Where it has no output, or not those named.
-    """
+def read_description(path: str | os.PathLike[str], outputs: Sequence[str] | None = None) -> FmuDescription:
+    """The description of an FMU of FMI 2 or 3, with its outputs or the variables named. Raises as `read_fmu`."""
     file = Path(path)
     try:
         from fmpy import read_model_description
@@ -182,7 +112,7 @@ def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = No
     inputs, chosen, parameters = (tuple(_to_variable(v, next(labels)) for v in group) for group in groups)
     # With its own solver, where it brings one.
     kind = "CoSimulation" if description.coSimulation is not None else "ModelExchange"
-    return FmuPlant(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
+    return FmuDescription(file, description.modelName, str(description.fmiVersion), kind, inputs, chosen, parameters)
 
 
 # Bounds of a variable beyond it are none: tools write the largest number there.

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from greybox.base.errors import ModelError
 from greybox.base.json_file import StoredResult
 from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
@@ -22,22 +23,20 @@ from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
+from greybox.estimation.optimum import compute_misfit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit
-from greybox.extensions.fmu.description import FmuPlant
-from greybox.extensions.fmu.fit_fmu import FMU_FIT_FILE, FmuFit, FmuObjective, choose_sizes, compute_misfits
+from greybox.estimation.result_parts import Estimate, Misfit, Trace
 from greybox.extensions.fmu.local_model import (
     LocalModel,
     build_local_model,
-    collect_runs,
     estimate_linear_response,
     extend_record,
     name_arriving,
 )
-from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.model.effect import Effect
 from greybox.model.model import Model
+from greybox.simulation.plant import PlantKernel, PlantModel, PlantRunError
 from greybox.simulation.simulate import simulate
 
 AT_REST = FitOptions(at_rest=True)
@@ -60,9 +59,11 @@ class PreparedFmu:
         The records as they were.
     runs, failures
         Runs that this took, and those of them that failed.
+    equivalents
+        What these runs cost: their rows over those of all records.
     """
 
-    fit: FmuFit
+    fit: Fit
     local: LocalModel
     estimation: tuple[Experiment, ...]
     validation: tuple[Experiment, ...]
@@ -70,16 +71,17 @@ class PreparedFmu:
     others: tuple[Experiment, ...]
     runs: int
     failures: int
+    equivalents: float
 
 
 @dataclass(frozen=True, eq=False)
-class FmuEffectFit(Printable, StoredResult):
+class FmuWithEffects(Printable, StoredResult):
     """Effects and parameters fitted with the FMU itself.
 
     Parameters
     ----------
     plant
-        The FMU.
+        The FMU at these parameters.
     effects
         Their names.
     fit
@@ -94,7 +96,7 @@ class FmuEffectFit(Printable, StoredResult):
         The local model about this point, with its records.
     """
 
-    plant: FmuPlant
+    plant: PlantModel
     effects: tuple[str, ...]
     fit: Fit
     misfits: Mapping[str, Misfit]
@@ -103,10 +105,17 @@ class FmuEffectFit(Printable, StoredResult):
     agrees: bool
     prepared: PreparedFmu
 
-    FILE: ClassVar[FileKind] = FMU_FIT_FILE
+    FILE: ClassVar[FileKind] = FileKind("a fit of an FMU", "fmu_fit.json that greybox fit has written")
+    # Earlier versions wrote fits without effects so, too: without effects and rounds, and with what the runs cost.
     KEYS: ClassVar[str] = """
-        fmu!=plant.file_name effects status! parameters! misfit=misfits validation runs! failures=prepared.failures rounds
+        fmu! effects? status! parameters! misfit=misfits validation runs! failures=prepared.failures rounds?
+        simulation_equivalents?=prepared.equivalents
         """
+
+    @property
+    def fmu(self) -> str:
+        """Name of the FMU's file."""
+        return str(self.plant.plant.fmu.path.name)
 
     @property
     def status(self) -> TerminationStatus:
@@ -144,12 +153,12 @@ class FmuDiscovery(Printable):
 
     prepared: PreparedFmu
     discovery: Discovery
-    with_effects: FmuEffectFit | None
+    with_effects: FmuWithEffects | None
     runs: int
 
 
 def prepare_fmu(
-    result: FmuFit,
+    result: Fit,
     estimation: Experiment | Sequence[Experiment],
     validation: Experiment | Sequence[Experiment] = (),
 ) -> PreparedFmu:
@@ -158,7 +167,7 @@ def prepare_fmu(
     Parameters
     ----------
     result
-        The fit, see `fit_fmu`.
+        The fit of the FMU alone (`greybox.fit`).
     estimation, validation
         The records.
 
@@ -169,18 +178,27 @@ def prepare_fmu(
 
     Raises
     ------
-    FmuRunError
+    PlantRunError
         Where the FMU does not run over a validation record.
     """
+    local, groups, kernel = prepare_plant(result.model, as_records(estimation), as_records(validation))
     records, others = as_records(estimation), as_records(validation)
-    with FmuSimulator(result.plant) as simulator:
-        objective, z = _restore_objective(result, simulator, records)
-        longest = max(records, key=lambda record: record.rows)
-        answer = estimate_linear_response(simulator, objective.settings(z), longest)
-        local = build_local_model(objective, z, answer)
-        groups = [_extend(objective.over(group), z, local) if group else () for group in (records, others)]
-        runs, failures = simulator.runs, simulator.failures
-    return PreparedFmu(result, local, groups[0], groups[1], records, others, runs, failures)
+    return PreparedFmu(result, local, *groups, records, others, **_sum_costs([kernel], records))
+
+
+def prepare_plant(
+    plant: Model, records: tuple[Experiment, ...], others: tuple[Experiment, ...] = ()
+) -> tuple[LocalModel, tuple[tuple[Experiment, ...], tuple[Experiment, ...]], PlantKernel]:
+    """The local model of any plant without equations about its present values, both groups of records as it reads them, and what ran it.
+
+    Raises ModelError for a model that has equations, and PlantRunError where the plant does not run.
+    """
+    if not isinstance(plant, PlantModel):
+        raise ModelError(f"{plant.title} has equations: check, compare and search it as it is")
+    kernel = PlantKernel(plant)
+    longest = max(records, key=lambda record: record.rows)
+    local = build_local_model(plant, records[0].hold, estimate_linear_response(kernel, longest))
+    return local, (_extend(kernel, records, local), _extend(kernel, others, local)), kernel
 
 
 # Most rounds of a fit of the local model and a run of the FMU there.
@@ -195,7 +213,7 @@ def fit_fmu_effects(
     *,
     start: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
-) -> FmuEffectFit:
+) -> FmuWithEffects:
     """Fit effects together with the parameters of the FMU, which is run with them.
 
     The local model with the effects is fitted, the FMU is run at the parameters and inputs that it says, and the local model is
@@ -214,52 +232,54 @@ def fit_fmu_effects(
 
     Returns
     -------
-    FmuEffectFit
+    FmuWithEffects
         Parameters with intervals, and the misfit of the FMU with the effects.
 
     Raises
     ------
-    FmuRunError
+    PlantRunError
         Where the FMU does not run with the effects.
     """
-    result, local, records = prepared.fit, prepared.local, prepared.estimation
+    plant, local, records = prepared.local.plant, prepared.local, prepared.estimation
+    names, hold = [q.name for q in plant.free_parameters], prepared.records[0].hold
     values = dict(start or {})
     std = dict(noise) if noise else None
-    with FmuSimulator(result.plant) as simulator:
-        objective, z = _restore_objective(result, simulator, prepared.records)
-        agrees, rounds = False, 0
-        while not agrees and rounds < FMU_RESPONSE_ROUNDS:
-            rounds += 1
-            model = _add(local.model, effects).start(**values)
-            fitted = fit(model, records, noise=std, options=AT_REST)
-            names, plain = [v.label for v in objective.unknowns], {q.name for q in local.model.parameters}
-            # The next round begins where this one ended; constants of the FMU go into its own run.
-            values = {name: e.value for name, e in fitted.parameters.items() if name not in plain}
-            z = np.array([fitted.parameters[name].value for name in names]) / objective.sizes
-            with_inputs = _add(build_local_model(objective, z, local.response, show_inputs=True).model, effects)
-            with_inputs = with_inputs.start(**values)
-            behind = _apply(prepared.records, records, with_inputs, result.plant)
-            # The response belongs to the parameters: that of others would leave part of what an effect with memory does to an average.
-            longest = max(behind, key=lambda record: record.rows)
-            answer = estimate_linear_response(simulator, objective.settings(z), longest) or local.response
-            local = build_local_model(objective, z, answer)
-            # Runs of the FMU with the inputs as they arrive behind the effects: the local model is exact there, not
-            # only near by.
-            records = _extend(objective.over(behind), z, local, prepared.records)
-            model = _add(local.model, effects).start(**values)
-            errors = _measure(model, prepared.records, records, result)
-            expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
-            # The FMU itself errs as much as its local model: then what was fitted on that holds for the FMU.
-            agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
-        checked: dict[str, Misfit] = {}
-        validation: tuple[Experiment, ...] = ()
-        if prepared.others:
-            behind = _apply(prepared.others, prepared.validation, with_inputs, result.plant)
-            validation = _extend(objective.over(behind), z, local, prepared.others)
-            checked = _measure(model, prepared.others, validation, result)
-        runs, failures = simulator.runs, simulator.failures
-    about = replace(prepared, local=local, estimation=records, validation=validation, runs=runs, failures=failures)
-    return FmuEffectFit(result.plant, tuple(e.name for e in effects), fitted, errors, checked, rounds, agrees, about)
+    agrees, rounds, kernels = False, 0, list[PlantKernel]()
+    while not agrees and rounds < FMU_RESPONSE_ROUNDS:
+        rounds += 1
+        model = _add(local.model, effects).start(**values)
+        fitted = fit(model, records, noise=std, options=AT_REST)
+        plain = {q.name for q in local.model.parameters}
+        # The next round begins where this one ended; constants of the FMU go into its own run.
+        values = {name: e.value for name, e in fitted.parameters.items() if name not in plain}
+        moved = plant.start(**{name: fitted.parameters[name].value for name in names})
+        assert isinstance(moved, PlantModel)
+        plant = moved
+        kernel = PlantKernel(plant)
+        kernels.append(kernel)
+        with_inputs = _add(build_local_model(plant, hold, local.response, show_inputs=True).model, effects)
+        with_inputs = with_inputs.start(**values)
+        behind = _apply(prepared.records, records, with_inputs, plant)
+        # The response belongs to the parameters: that of others would leave part of what an effect with memory does to an average.
+        longest = max(behind, key=lambda record: record.rows)
+        answer = estimate_linear_response(kernel, longest) or local.response
+        local = build_local_model(plant, hold, answer)
+        # Runs of the FMU with the inputs as they arrive behind the effects: the local model is exact there, not only near by.
+        records = _extend(kernel, behind, local, prepared.records)
+        model = _add(local.model, effects).start(**values)
+        errors = _measure(model, prepared.records, records, prepared.fit)
+        expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
+        # The FMU itself errs as much as its local model: then what was fitted on that holds for the FMU.
+        agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
+    checked: dict[str, Misfit] = {}
+    validation: tuple[Experiment, ...] = ()
+    if prepared.others:
+        behind = _apply(prepared.others, prepared.validation, with_inputs, plant)
+        validation = _extend(kernel, behind, local, prepared.others)
+        checked = _measure(model, prepared.others, validation, prepared.fit)
+    costs = _sum_costs(kernels, prepared.records)
+    about = replace(prepared, local=local, estimation=records, validation=validation, **costs)
+    return FmuWithEffects(plant, tuple(e.name for e in effects), fitted, errors, checked, rounds, agrees, about)
 
 
 def discover_fmu(
@@ -296,7 +316,7 @@ def discover_fmu(
         Without a validation record.
     """
 
-    def search(about: PreparedFmu) -> tuple[Discovery, FmuEffectFit | None]:
+    def search(about: PreparedFmu) -> tuple[Discovery, FmuWithEffects | None]:
         answer = discover(
             about.local.model,
             about.estimation,
@@ -314,11 +334,11 @@ def discover_fmu(
         start = {name: value for name, value in answer.best.model.values.items() if name not in plain}
         try:
             return answer, fit_fmu_effects(about, chosen, start=start, noise=noise)
-        except FmuRunError:
+        except PlantRunError:
             return answer, None
 
     answer, with_effects = search(prepared)
-    runs = prepared.fit.runs + prepared.runs + (with_effects.runs if with_effects else 0)
+    runs = int(prepared.fit.solver.statistics["runs"]) + prepared.runs + (with_effects.runs if with_effects else 0)
     if with_effects is not None and with_effects.rounds > 1 and answer.verdict is not Verdict.NAMED:
         # About the parameters of the FMU alone the local model was not exact enough to tell what is left.
         answer, again = search(with_effects.prepared)
@@ -361,7 +381,7 @@ def compare_fmu(
     GreyboxError
         For an unknown effect, or records that no model can be compared on.
     """
-    local, plant = prepared.local.model, prepared.fit.plant
+    local, plant = prepared.local.model, prepared.local.plant
     grey = [fit(local, prepared.estimation, noise=noise, options=AT_REST)]
     for text in candidates:
         extended = grey[0]
@@ -369,13 +389,13 @@ def compare_fmu(
             extended = try_effect(extended, name.strip(), nominal=local).larger
         grey.append(extended)
     # Black boxes see the record itself: the FMU's own inputs and the outputs that were measured.
-    measured = [o for o in plant.outputs if any(o.label in e.outputs for e in prepared.records)]
+    measured = [o for o in plant.outputs if any(o.name in e.outputs for e in prepared.records)]
     black, findings = (
         fit_black_boxes(
             prepared.records,
-            [o.label for o in measured],
-            [i.label for i in plant.inputs],
-            units={s.label: s.unit for s in (*plant.inputs, *measured)},
+            [o.name for o in measured],
+            [i.name for i in plant.inputs],
+            units={i.name: i.unit for i in plant.inputs} | {o.name: o.unit for o in measured},
         )
         if plant.inputs
         else ((), ())
@@ -392,25 +412,29 @@ def compare_fmu(
     )
 
 
-def _restore_objective(
-    result: FmuFit, simulator: FmuSimulator, records: Sequence[Experiment]
-) -> tuple[FmuObjective, np.ndarray]:
-    unknowns = [result.plant.find(name) for name in result.parameters]
-    values = np.array([e.value for e in result.parameters.values()])
-    sizes = choose_sizes(unknowns, values)
-    return FmuObjective(simulator, unknowns, result.given, records, result.std, sizes), values / sizes
+def _sum_costs(kernels: Sequence[PlantKernel], records: Sequence[Experiment]) -> dict[str, Any]:
+    """The runs of all of ``kernels``, their failures, and their rows over those of the records."""
+    rows = sum(kernel.rows for kernel in kernels) / sum(record.rows for record in records)
+    return {
+        "runs": sum(kernel.runs for kernel in kernels),
+        "failures": sum(kernel.failures for kernel in kernels),
+        "equivalents": rows,
+    }
 
 
 def _extend(
-    objective: FmuObjective, z: np.ndarray, local: LocalModel, recorded: Sequence[Experiment] | None = None
+    kernel: PlantKernel,
+    seen: Sequence[Experiment],
+    local: LocalModel,
+    recorded: Sequence[Experiment] | None = None,
 ) -> tuple[Experiment, ...]:
-    """The records with runs of the FMU; ``objective`` has them with the inputs that the FMU sees, ``recorded`` as they were measured."""
-    runs, slopes = collect_runs(objective, z)
-    labels = [i.label for i in local.plant.inputs]
+    """The records with runs of the plant; ``seen`` have the inputs that it sees, ``recorded`` those that were measured."""
+    labels = [i.name for i in local.plant.inputs]
     extended = []
-    for seen, record, run, slope in zip(objective.records, recorded or objective.records, runs, slopes, strict=True):
-        applied = np.column_stack([seen.inputs[name] for name in labels]) if labels else None
-        extended.append(extend_record(record, local, run, slope, applied))
+    for driven, record in zip(seen, recorded or seen, strict=True):
+        run, slopes = kernel.run_experiment(driven), kernel.differentiate_experiment(driven)
+        applied = np.column_stack([driven.inputs[name] for name in labels]) if labels else None
+        extended.append(extend_record(record, local, run, slopes, applied))
     return tuple(extended)
 
 
@@ -422,10 +446,10 @@ def _apply(
     records: Sequence[Experiment],
     extended: Sequence[Experiment],
     model: Model,
-    plant: FmuPlant,
+    plant: PlantModel,
 ) -> tuple[Experiment, ...]:
     """The records with their inputs as they arrive behind the effects: the mean over each interval where they are held."""
-    labels = [i.label for i in plant.inputs]
+    labels = [i.name for i in plant.inputs]
     if not labels:
         return tuple(records)
     result = []
@@ -458,8 +482,12 @@ def _add(model: Model, effects: Sequence[Effect]) -> Model:
 
 
 def _measure(
-    model: Model, records: Sequence[Experiment], extended: Sequence[Experiment], result: FmuFit
+    model: Model, records: Sequence[Experiment], extended: Sequence[Experiment], result: Fit
 ) -> dict[str, Misfit]:
     """Error of the FMU with the effects: that of the model where it is exact."""
-    simulated = {r.name: simulate(model, e).outputs for r, e in zip(records, extended, strict=True)}
-    return compute_misfits(result.plant, records, simulated, result.std)
+    traces = []
+    for record, more in zip(records, extended, strict=True):
+        run = simulate(model, more).outputs
+        traces.append(Trace(record.name, record.fingerprint, record.time, record.outputs, run, {}))
+    units = {o.name: o.unit for o in model.outputs}
+    return {name: compute_misfit(traces, name, units[name], std) for name, std in result.noise.std.items()}

@@ -18,15 +18,13 @@ from greybox.base.errors import DataError
 from greybox.base.texts import to_identifiers
 from greybox.comparison.blackbox.subspace import StateSpaceModel, subspace
 from greybox.data.experiment import Experiment
-from greybox.extensions.fmu.description import FmuPlant
-from greybox.extensions.fmu.fit_fmu import FmuObjective
-from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.plant import PlantKernel, PlantModel, PlantRunError
 
 # What an FMU answers to a small change of its inputs, as a linear system: what an effect at an input is seen through.
 
@@ -65,17 +63,13 @@ FMU_RESPONSE_ORDERS: tuple[int, ...] = (1, 2, 3, 4, 6)
 LEAST_EXPLAINED = 0.5
 
 
-def estimate_linear_response(
-    simulator: FmuSimulator, settings: Mapping[str, float], record: Experiment
-) -> LinearResponse | None:
+def estimate_linear_response(kernel: PlantKernel, record: Experiment) -> LinearResponse | None:
     """The answer to a small random change of every input about a record, by two runs.
 
     Parameters
     ----------
-    simulator
-        Runs the FMU.
-    settings
-        Variable of the FMU -> value before a run.
+    kernel
+        Runs the plant, at the present values of its model.
     record
         Whose inputs are changed.
 
@@ -84,19 +78,19 @@ def estimate_linear_response(
     LinearResponse or None
         None for an FMU without inputs, one that does not answer or fails, and one that no linear system follows.
     """
-    plant = simulator.plant
+    plant = kernel.model
     if not plant.inputs:
         return None
-    change = _draw_change(record, [i.label for i in plant.inputs])
-    names = [o.label for o in plant.outputs]
+    change = _draw_change(record, [i.name for i in plant.inputs])
+    names = [o.name for o in plant.outputs]
     try:
         plus, minus = (
-            simulator.run(
-                replace(record, inputs={n: record.inputs[n] + sign * change[n] for n in change}, hold="zero"), settings
+            kernel.run_experiment(
+                replace(record, inputs={n: record.inputs[n] + sign * change[n] for n in change}, hold="zero")
             )
             for sign in (1.0, -1.0)
         )
-    except FmuRunError:
+    except PlantRunError:
         return None
     # (y(u + d) - y(u - d)) / 2: even terms of the plant's nonlinearity cancel.
     answer = np.column_stack([(plus[n] - minus[n]) / 2 for n in names])
@@ -114,7 +108,7 @@ def estimate_linear_response(
     best = max(candidates, key=lambda r: min(r.explained.values()))
     if min(best.explained.values()) < LEAST_EXPLAINED:
         return None
-    gains = np.array([1 / np.abs(change[i.label]).max() for i in plant.inputs])
+    gains = np.array([1 / np.abs(change[i.name]).max() for i in plant.inputs])
     C, D = np.zeros((len(names), len(best.A))), np.zeros((len(names), len(gains)))
     # Rounding of a subspace estimate is not taken for a feed-through.
     direct = np.where(np.abs(best.D) > LEAST_ANSWER, best.D, 0.0)
@@ -212,41 +206,38 @@ class LocalModel:
     Parameters
     ----------
     plant
-        The FMU.
+        The plant, at the values about which the model is exact.
     model
-        The model; its free parameters are the fitted ones, in the FMU's names.
+        The model; its free parameters are the plant's.
     response
         The linear answer to the inputs; None where effects at inputs cannot be seen through one.
-    z
-        Unknowns about which it is exact.
     """
 
-    plant: FmuPlant
+    plant: PlantModel
     model: Model
     response: LinearResponse | None
-    z: np.ndarray
 
     @property
     def candidates(self) -> list[Effect]:
         """The effects of the catalogue at the inputs, as far as their response is known, and at the outputs of the FMU."""
-        sites = {o.label for o in self.plant.outputs}
+        sites = {o.name for o in self.plant.outputs}
         if self.response is not None:
-            sites |= {i.label for i in self.plant.inputs}
+            sites |= {i.name for i in self.plant.inputs}
         places = find_placements(self.model, tuple(e for e in all_effects() if not e.hold))
         return [p.effect for p in places if p.effect is not None and p.site in sites]
 
 
 def build_local_model(
-    objective: FmuObjective, z: np.ndarray, response: LinearResponse | None, *, show_inputs: bool = False
+    plant: PlantModel, hold: str, response: LinearResponse | None, *, show_inputs: bool = False
 ) -> LocalModel:
-    """The model about ``z``.
+    """The model about the present values of a plant.
 
     Parameters
     ----------
-    objective
-        Records, unknowns and noise of the fit.
-    z
-        The unknowns (n,).
+    plant
+        The plant; its free constants are those of the model.
+    hold
+        How the inputs of the records move between samples.
     response
         The answer to the inputs.
     show_inputs
@@ -257,49 +248,48 @@ def build_local_model(
     LocalModel
         To be used with records from `extend_record`.
     """
-    plant = objective.simulator.plant
-    held = objective.records[0].hold == "zero"
-    values = dict(zip([v.label for v in objective.unknowns], objective.values(z).tolist(), strict=True))
-    inputs = [Input(i.label, i.unit) for i in plant.inputs]
+    held, unknowns = hold == "zero", plant.free_parameters
+    values = {q.name: q.value for q in unknowns}
+    inputs = [Input(i.name, i.unit) for i in plant.inputs]
     for o in plant.outputs:
-        inputs += [Input(f"{PREFIX}{o.label}", o.unit)]
-        inputs += [Input(f"{PREFIX}{o.label}_rate", f"({o.unit})/s")] if held else []
-        inputs += [Input(_slope_name(o.label, v.label), f"({o.unit})/({v.unit})") for v in objective.unknowns]
+        inputs += [Input(f"{PREFIX}{o.name}", o.unit)]
+        inputs += [Input(f"{PREFIX}{o.name}_rate", f"({o.unit})/s")] if held else []
+        inputs += [Input(_slope_name(o.name, v.name), f"({o.unit})/({v.unit})") for v in unknowns]
     order = 0 if response is None else len(response.A)
-    units = (*plant.inputs, *plant.outputs) if response is not None else ()
+    units: tuple[Input | Output, ...] = (*plant.inputs, *plant.outputs) if response is not None else ()
     hidden = to_identifiers([f"response_{k + 1}" for k in range(order)])
     states = [State(name, "1") for name in hidden]
-    states += [State(f"{PREFIX}{o.label}_moved", o.unit) for o in plant.outputs] if held else []
+    states += [State(f"{PREFIX}{o.name}_moved", o.unit) for o in plant.outputs] if held else []
 
     def balances(x: Any, u: Any, p: Any) -> list[Balance]:
-        drive = [u[i.label] for i in plant.inputs]
+        drive = [u[i.name] for i in plant.inputs]
         result = []
         for k, name in enumerate(hidden):
             terms = {h: p[RATE] * response.A[k, j] * x[h] for j, h in enumerate(hidden) if response.A[k, j]}  # type: ignore[union-attr]
             terms |= {
-                i.label: p[RATE] * response.B[k, j] * drive[j] / p[_unit_name(i.label)]  # type: ignore[union-attr]
+                i.name: p[RATE] * response.B[k, j] * drive[j] / p[_unit_name(i.name)]  # type: ignore[union-attr]
                 for j, i in enumerate(plant.inputs)
             }
             result.append(Balance(name, "1/s", 1.0, name, **{f"by_{n}": t for n, t in terms.items()}))
         for o in plant.outputs if held else ():
-            name = f"{PREFIX}{o.label}_moved"
-            result.append(Balance(name, f"({o.unit})/s", 1.0, name, rate=u[f"{PREFIX}{o.label}_rate"]))
+            name = f"{PREFIX}{o.name}_moved"
+            result.append(Balance(name, f"({o.unit})/s", 1.0, name, rate=u[f"{PREFIX}{o.name}_rate"]))
         return result
 
     def read(number: int) -> Any:
         o = plant.outputs[number]
 
         def equation(x: Any, u: Any, p: Any) -> Any:
-            value = u[f"{PREFIX}{o.label}"] + (x[f"{PREFIX}{o.label}_moved"] if held else 0.0)
+            value = u[f"{PREFIX}{o.name}"] + (x[f"{PREFIX}{o.name}_moved"] if held else 0.0)
             for name in values:
                 # y = y_run + (dy/dp) (p - p_run): exact at the run, of first order around it.
-                value = value + u[_slope_name(o.label, name)] * (p[name] - p[_start_name(name)])
+                value = value + u[_slope_name(o.name, name)] * (p[name] - p[_start_name(name)])
             if response is not None:
-                one = p[_unit_name(o.label)]
+                one = p[_unit_name(o.name)]
                 for k, name in enumerate(hidden):
                     value = value + one * response.C[number, k] * x[name]
                 for j, i in enumerate(plant.inputs):
-                    value = value + one * response.D[number, j] * u[i.label] / p[_unit_name(i.label)]
+                    value = value + one * response.D[number, j] * u[i.name] / p[_unit_name(i.name)]
             return value
 
         return equation
@@ -307,25 +297,22 @@ def build_local_model(
     def arrive(label: str) -> Any:
         return lambda x, u, p: u[label]
 
-    shown = [Output(name_arriving(i.label), i.unit, arrive(i.label)) for i in plant.inputs] if show_inputs else []
+    shown = [Output(name_arriving(i.name), i.unit, arrive(i.name)) for i in plant.inputs] if show_inputs else []
     model = Model(
-        to_identifiers([plant.title])[0],
+        plant.name,
         states=states,
         inputs=inputs,
-        outputs=[*(Output(o.label, o.unit, read(k)) for k, o in enumerate(plant.outputs)), *shown],
+        outputs=[*(Output(o.name, o.unit, read(k)) for k, o in enumerate(plant.outputs)), *shown],
         parameters=[
-            *(
-                Parameter(v.label, v.unit, values[v.label], v.bounds, source=plant.path.name)
-                for v in objective.unknowns
-            ),
-            *(Parameter(_start_name(v.label), v.unit, values[v.label], fixed=True) for v in objective.unknowns),
+            *(Parameter(v.name, v.unit, v.value, v.bounds, source=v.source) for v in unknowns),
+            *(Parameter(_start_name(v.name), v.unit, values[v.name], fixed=True) for v in unknowns),
             # Numbers of the response have no unit; these give them one.
-            *(Parameter(_unit_name(s.label), s.unit, 1.0, fixed=True) for s in units),
+            *(Parameter(_unit_name(s.name), s.unit, 1.0, fixed=True) for s in units),
             *([Parameter(RATE, "1/s", 1.0, fixed=True)] if order else []),
         ],
         balances=balances,
     )
-    return LocalModel(plant, model, response, z)
+    return LocalModel(plant, model, response)
 
 
 def extend_record(
@@ -351,22 +338,22 @@ def extend_record(
         Inputs (N, nu) that the run had; None for those of the record.
     """
     plant, response = local.plant, local.response
-    u = np.column_stack([record.inputs[i.label] for i in plant.inputs]) if applied is None and plant.inputs else applied
+    u = np.column_stack([record.inputs[i.name] for i in plant.inputs]) if applied is None and plant.inputs else applied
     known = response.run(record.time, u, record.hold) if response is not None and u is not None else None
-    inputs = {i.label: record.inputs[i.label] for i in plant.inputs}
+    inputs = {i.name: record.inputs[i.name] for i in plant.inputs}
     free = [q.name for q in local.model.free_parameters]
     for j, o in enumerate(plant.outputs):
         # The linear answer to the inputs is in the model: what comes through the record is the rest, so that the sum
         # is the run.
-        base = run[o.label] - (0.0 if known is None else known[:, j])
+        base = run[o.name] - (0.0 if known is None else known[:, j])
         if record.hold == "zero":
             # Between samples an output moves on: its rate is held, and a state adds it up.
             steps = np.diff(base) / np.diff(record.time)
-            inputs[f"{PREFIX}{o.label}"] = np.full(record.rows, base[0])
-            inputs[f"{PREFIX}{o.label}_rate"] = np.append(steps, steps[-1:])
+            inputs[f"{PREFIX}{o.name}"] = np.full(record.rows, base[0])
+            inputs[f"{PREFIX}{o.name}_rate"] = np.append(steps, steps[-1:])
         else:
-            inputs[f"{PREFIX}{o.label}"] = base
-        inputs |= {_slope_name(o.label, name): slopes[:, j, k] for k, name in enumerate(free)}
+            inputs[f"{PREFIX}{o.name}"] = base
+        inputs |= {_slope_name(o.name, name): slopes[:, j, k] for k, name in enumerate(free)}
     return replace(record, inputs=inputs)
 
 
@@ -385,13 +372,3 @@ def _start_name(parameter: str) -> str:
 
 def _slope_name(output: str, parameter: str) -> str:
     return f"{PREFIX}{output}_per_{parameter}"
-
-
-def collect_runs(objective: FmuObjective, z: np.ndarray) -> tuple[list[dict[str, np.ndarray]], list[np.ndarray]]:
-    """The run over each record of ``objective``, and the slopes (N, ny, n) of its outputs in their units. Raises FmuRunError."""
-    objective.run(z)
-    slopes = objective.slopes(z)
-    std = np.array([objective.std[o.label] for o in objective.simulator.plant.outputs])
-    runs = [objective.simulated[record.name] for record in objective.records]
-    # A residual is the measurement less the run, over the noise; what is not measured needs no slope.
-    return runs, [np.nan_to_num(-s * std[None, :, None] / objective.sizes) for s in slopes]

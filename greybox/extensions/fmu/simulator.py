@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from greybox.base.errors import GreyboxError, OutputError, shorten
+from greybox.base.errors import OutputError, shorten
 from greybox.data.experiment import Experiment
-from greybox.extensions.fmu.description import FmuPlant, FmuVariable
+from greybox.extensions.fmu.description import FmuDescription, FmuVariable
+from greybox.simulation.plant import PlantRunError
 
 
 @contextlib.contextmanager
@@ -50,7 +51,7 @@ def _silence() -> Iterator[list[BaseException]]:
         os.close(nowhere)
 
 
-class FmuRunError(GreyboxError):
+class FmuRunError(PlantRunError):
     """A run of an FMU that failed."""
 
 
@@ -69,7 +70,7 @@ class FmuSimulator:
         The FMU.
     """
 
-    def __init__(self, plant: FmuPlant) -> None:
+    def __init__(self, plant: FmuDescription) -> None:
         self.plant = plant
         self.runs = self.failures = self.rows = 0
         self._folder: str | None = None
@@ -98,6 +99,10 @@ class FmuSimulator:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the instance, and remove what was unpacked."""
         self._discard()
         if self._folder is not None:
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -308,7 +313,7 @@ class SensitivityRunner:
         The FMU.
     """
 
-    def __init__(self, folder: str, description: Any, plant: FmuPlant) -> None:
+    def __init__(self, folder: str, description: Any, plant: FmuDescription) -> None:
         self.folder, self.description, self.plant = folder, description, plant
         by_name = {v.name: v for v in description.modelVariables}
         # Of each rate the state that it belongs to, as itself or as its number in the list.

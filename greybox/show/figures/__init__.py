@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
-    from greybox.show.figures.figure import Axis, Figure, Panel, Role
+    from greybox.base.figure import Axis, Figure, Panel, Role
     from greybox.show.figures.pictures import draw_comparison, draw_discovery, draw_fit, draw_gap, draw_residual_tests
 
 # The figures of one page do not need what those of another one import.

@@ -7,24 +7,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from greybox.base.figure import MODELS, Axis, Curve, Figure, Height, Panel, Points, Role, Scale, Symbol, Thinning
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
-from greybox.show.figures.figure import (
-    MODELS,
-    Axis,
-    Curve,
-    Figure,
-    Height,
-    Panel,
-    Points,
-    Role,
-    Scale,
-    Symbol,
-    Thinning,
-    draw_sizes,
-    root_mean_square,
-    scale_to_prefix,
-    size_axis,
-)
+from greybox.show.figures.figure import draw_sizes, root_mean_square, scale_to_prefix, size_axis
 from greybox.show.figures.records import TIME
 from greybox.show.sentences.wording import capitalise, record_text, value_with_unit
 

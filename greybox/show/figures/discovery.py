@@ -6,14 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.discovery.curve_shape import Dependence
-from greybox.discovery.decision import Verdict
-from greybox.discovery.effect_signal import EffectSignal
-from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.localisation import ResidualLocalisation, estimate_residual_spectrum
-from greybox.discovery.result import Discovery
-from greybox.discovery.surrogate import Surrogate
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Area,
     Axis,
     Bars,
@@ -27,11 +20,15 @@ from greybox.show.figures.figure import (
     Role,
     Scale,
     Series,
-    draw_sizes,
-    scale_to_prefix,
-    size_axis,
-    typeset_exponents,
 )
+from greybox.discovery.curve_shape import Dependence
+from greybox.discovery.decision import Verdict
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.holdout import HoldoutError
+from greybox.discovery.localisation import ResidualLocalisation, estimate_residual_spectrum
+from greybox.discovery.result import Discovery
+from greybox.discovery.surrogate import Surrogate
+from greybox.show.figures.figure import draw_sizes, scale_to_prefix, size_axis, typeset_exponents
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import capitalise, change_text, value_with_unit

@@ -4,23 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from greybox.base.figure import Area, Axis, Curve, Dash, Figure, Height, Panel, Points, Role, Scale, Series, Symbol
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
-from greybox.show.figures.figure import (
-    Area,
-    Axis,
-    Curve,
-    Dash,
-    Figure,
-    Height,
-    Panel,
-    Points,
-    Role,
-    Scale,
-    Series,
-    Symbol,
-    typeset_unit,
-)
+from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.records import FREQUENCY
 from greybox.show.sentences.wording import value_with_unit
 

@@ -18,9 +18,7 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from greybox.base.files import write_file
-from greybox.base.texts import to_line
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Area,
     Axis,
     Band,
@@ -35,10 +33,10 @@ from greybox.show.figures.figure import (
     Scale,
     Series,
     Symbol,
-    thin_curve,
-    typeset_exponents,
-    write_cell,
 )
+from greybox.base.files import write_file
+from greybox.base.texts import to_line
+from greybox.show.figures.figure import thin_curve, typeset_exponents, write_cell
 from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
 
 MARKERS = {Symbol.CIRCLE: "o", Symbol.DIAMOND: "D", Symbol.SQUARE: "s", Symbol.CROSS: "x"}

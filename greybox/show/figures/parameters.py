@@ -7,9 +7,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from greybox.base.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
-from greybox.show.figures.figure import Axis, Figure, Heatmap, Height, Panel, Points, Role, Scale
 
 
 def plot_intervals(percent: Mapping[str, float], caption: str) -> Figure | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.result import Discovery
@@ -27,7 +28,7 @@ from greybox.show.figures.discovery import (
     plot_holdout_error,
     plot_surrogate,
 )
-from greybox.show.figures.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale, draw_sizes
+from greybox.show.figures.figure import draw_sizes
 from greybox.show.figures.records import (
     liveliest_window,
     plot_residual,

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Area,
     Axis,
     Band,
@@ -25,10 +25,8 @@ from greybox.show.figures.figure import (
     Scale,
     Series,
     Symbol,
-    choose_evenly,
-    thin_curve,
-    write_cell,
 )
+from greybox.show.figures.figure import choose_evenly, thin_curve, write_cell
 from greybox.show.figures.sheet import PAGE, PageStyle
 
 PAPER = "--paper"

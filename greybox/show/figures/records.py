@@ -7,9 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.data.experiment import Experiment
-from greybox.estimation.result_parts import Trace
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Axis,
     Band,
     Curve,
@@ -22,10 +20,10 @@ from greybox.show.figures.figure import (
     Scale,
     Series,
     Thinning,
-    root_mean_square,
-    scale_to_prefix,
-    value_range,
 )
+from greybox.data.experiment import Experiment
+from greybox.estimation.result_parts import Trace
+from greybox.show.figures.figure import root_mean_square, scale_to_prefix, value_range
 from greybox.show.sentences.wording import capitalise, range_with_unit, record_text, value_with_unit
 
 # The spectrum of a residual, as pages draw it and take it anew over the stretch that a reader zooms into.

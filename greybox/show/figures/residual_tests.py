@@ -8,9 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Axis,
     Band,
     Bars,
@@ -24,8 +22,10 @@ from greybox.show.figures.figure import (
     Series,
     Symbol,
     Thinning,
-    choose_evenly,
 )
+from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.show.figures.figure import choose_evenly
 from greybox.show.sentences.estimation import name_test
 
 

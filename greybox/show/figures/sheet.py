@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
-from greybox.show.figures.figure import Height, Panel, Role
+from greybox.base.figure import Height, Panel, Role
 
 
 @dataclass(frozen=True, eq=False)

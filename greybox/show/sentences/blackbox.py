@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock, Text
 from greybox.base.findings import Finding
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import format_table
 
 if TYPE_CHECKING:
     from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity
@@ -73,7 +73,7 @@ register(
 
 
 @renders("PolynomialModel")
-def polynomial_model_text(model: PolynomialModel) -> str:
+def polynomial_blocks(model: PolynomialModel) -> list[Block]:
     """Equation, coefficients with standard deviations, poles, zeros, gain, and what to know before trusting them."""
     from greybox.comparison.blackbox.rounding import count_digits_needed
 
@@ -85,20 +85,23 @@ def polynomial_model_text(model: PolynomialModel) -> str:
         [name, f"{value:.{digits}g}", "" if np.isnan(std[name]) else f"{std[name]:.2g}"]
         for name, value in model.coefficients.items()
     ]
-    lines = [
-        f"{model.label} of {model.output} from {', '.join(model.inputs)}, every {model.sampling_time:.6g} s",
-        polynomial_equation(model),
-        "",
-        *format_table(["coefficient", "value", "std"], rows),
-        "",
-        f"poles: {_numbers(model.poles)}",
-        *(f"zeros from {n}: {_numbers(model.zeros(n))}; steady-state gain {model.gain(n):.6g}" for n in model.inputs),
-        f"noise: {model.noise_std:.4g} {unit}".rstrip() + f" one step ahead, over {model.samples} equations",
-        f"digits: at least {needed} keep stability, and the frequency response within 1 %",
+    facts: list[tuple[str, Text]] = [
+        ("poles", _numbers(model.poles)),
+        *(
+            (f"zeros from {n}", f"{_numbers(model.zeros(n))}; steady-state gain {model.gain(n):.6g}")
+            for n in model.inputs
+        ),
+        ("noise", f"{model.noise_std:.4g} {unit}".rstrip() + f" one step ahead, over {model.samples} equations"),
+        ("digits", f"at least {needed} keep stability, and the frequency response within 1 %"),
+        *([("history", f"{model.history}; focus: {model.focus}")] if model.history else []),
+        *(("note", finding) for finding in model.findings),
     ]
-    if model.history:
-        lines.append(f"history: {model.history}; focus: {model.focus}")
-    return "\n".join([*lines, *_notes(model.findings)])
+    title = f"{model.label} of {model.output} from {', '.join(model.inputs)}, every {model.sampling_time:.6g} s"
+    return [
+        Paragraphs([title, polynomial_equation(model)]),
+        TableBlock("Coefficients", ["coefficient", "value", "std"], rows),
+        Facts(facts),
+    ]
 
 
 def polynomial_equation(model: PolynomialModel) -> str:
@@ -118,13 +121,13 @@ def polynomial_equation(model: PolynomialModel) -> str:
 
 
 @renders("HammersteinModel")
-def hammerstein_model_text(model: HammersteinModel) -> str:
+def hammerstein_blocks(model: HammersteinModel) -> list[Block]:
     """A few points of each nonlinearity, then the linear part."""
     curves = [
         nonlinearity_text(name, curve, model.linear.units)
         for name, curve in zip(model.inputs, model.curves, strict=True)
     ]
-    return "\n".join([model.label, *curves, "", polynomial_model_text(model.linear)])
+    return [Paragraphs([model.label, *curves]), *polynomial_blocks(model.linear)]
 
 
 def nonlinearity_text(name: str, curve: StaticNonlinearity, units: Mapping[str, str]) -> str:
@@ -136,7 +139,7 @@ def nonlinearity_text(name: str, curve: StaticNonlinearity, units: Mapping[str, 
 
 
 @renders("StructureScan")
-def structure_scan_text(scan: StructureScan) -> str:
+def structure_scan_blocks(scan: StructureScan) -> list[Block]:
     """The best structures in a table, the chosen one marked."""
     key = {"aic": lambda s: s.aic, "bic": lambda s: s.bic, "free run": lambda s: s.free_run}[scan.criterion]
     shown_rows = 12
@@ -158,19 +161,15 @@ def structure_scan_text(scan: StructureScan) -> str:
     ]
     failed = [s for s in scan.structures if s.model is None]
     records = ", ".join(scan.validation) or "the estimation records"
-    lines = [
-        f"{len(scan.structures)} structures, chosen by {scan.criterion}; free run over {records}",
-        *format_table(["structure", "coefficients", "AIC", "BIC", "free run", "", ""], rows),
-    ]
-    if len(fitted) > len(shown):
-        lines.append(f"  and {len(fitted) - len(shown)} more")
-    if failed:
-        lines.append(f"  {len(failed)} could not be fitted, the first: {failed[0].failure}")
-    return "\n".join(lines)
+    more = [f"and {len(fitted) - len(shown)} more"] if len(fitted) > len(shown) else []
+    more += [f"{len(failed)} could not be fitted, the first: {failed[0].failure}"] if failed else []
+    title = f"{len(scan.structures)} structures, chosen by {scan.criterion}; free run over {records}"
+    table = TableBlock("Structures", ["structure", "coefficients", "AIC", "BIC", "free run", "", ""], rows)
+    return [Details(title, [table, Paragraphs(more)])]
 
 
 @renders("MonteCarloSmoothing")
-def monte_carlo_smoothing_text(smoothing: MonteCarloSmoothing) -> str:
+def smoothing_blocks(smoothing: MonteCarloSmoothing) -> list[Block]:
     """The five parameters with the intervals they were drawn from, the error, and the transfer function."""
     from greybox.comparison.blackbox.monte_carlo_smoothing import AXES, SYMBOLS
 
@@ -183,19 +182,17 @@ def monte_carlo_smoothing_text(smoothing: MonteCarloSmoothing) -> str:
         f"{evaluations} evaluations of {smoothing.draws.combinations:,} combinations,"
         f" {len(smoothing.rounds) - 1} adjustments"
     )
-    return "\n".join(
-        [
-            f"Monte-Carlo smoothing of {smoothing.output} after a step of {smoothing.height:g} of {smoothing.input},"
-            f" {smoothing.samples} rows",
-            *([search] if smoothing.rounds else []),
-            "",
-            *format_table(["parameter", "value", "unit", "drawn from"], rows),
-            "",
-            f"mean square error {smoothing.error:.5g} {unit and unit + '^2'}".rstrip(),
-            f"transfer function {continuous_transfer_function_text(smoothing.transfer_function)}",
-            *_notes(smoothing.findings),
-        ]
+    title = (
+        f"Monte-Carlo smoothing of {smoothing.output} after a step of {smoothing.height:g} of {smoothing.input},"
+        f" {smoothing.samples} rows"
     )
+    error = f"mean square error {smoothing.error:.5g} {unit and unit + '^2'}".rstrip()
+    function = f"transfer function {continuous_transfer_function_text(smoothing.transfer_function)}"
+    return [
+        Paragraphs([title, *([search] if smoothing.rounds else [])]),
+        TableBlock("Parameters", ["parameter", "value", "unit", "drawn from"], rows),
+        Paragraphs([error, function, *(f"note: {text}" for text in sentences(smoothing.findings))]),
+    ]
 
 
 @renders("ContinuousTransferFunction")
@@ -219,10 +216,6 @@ def _numbers(values: np.ndarray) -> str:
     if not len(values):
         return "none"
     return ", ".join(f"{v.real:.6g}" if abs(v.imag) < 1e-12 else f"{v.real:.6g}{v.imag:+.6g}j" for v in values)
-
-
-def _notes(findings: tuple[Finding, ...]) -> list[str]:
-    return [f"note: {sentence}" for sentence in sentences(findings)]
 
 
 @renders("StateSpaceModel")

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import count_noun, format_table
+from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -188,7 +189,7 @@ def write_experiment(experiment: Experiment) -> str:
 
 
 @renders("FileSurvey")
-def write_survey(survey: FileSurvey) -> str:
+def write_survey(survey: FileSurvey) -> list[Block]:
     """The signals as a table, what is doubtful, and the columns to name."""
     clocks = any(s.clock for s in survey.signals)
     head = [
@@ -203,24 +204,19 @@ def write_survey(survey: FileSurvey) -> str:
         "may be",
     ]
     rows = [_write_signal(signal, clocks) for signal in survey.signals]
-    lines = [f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}", "", *format_table(head, rows)]
-    if survey.findings:
-        lines += [
-            "",
-            *(f"{f.severity}: {text}" for f, text in zip(survey.findings, sentences(survey.findings), strict=True)),
-        ]
     inputs, outputs = ([s for s in survey.signals if s.use == use] for use in ("input", "output"))
-    if inputs or outputs:
-        lines += ["", "for a model (which signal is an input is a guess from names and from how they move):"]
-        lines += [f'  gb.Input("{s.name}", "{s.unit or "1"}")' for s in inputs]
-        lines += [f'  gb.Output("{s.name}", "{s.unit or "1"}")' for s in outputs]
+    lines = [f'gb.Input("{s.name}", "{s.unit or "1"}")' for s in inputs]
+    lines += [f'gb.Output("{s.name}", "{s.unit or "1"}")' for s in outputs]
+    guess = "for a model (which signal is an input is a guess from names and from how they move):"
     renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
-    if renamed:
-        lines += [
-            "",
-            "columns for it: " + " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items()),
-        ]
-    return "\n".join(lines)
+    columns = " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items())
+    return [
+        Paragraphs([f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}"]),
+        TableBlock("Signals", head, rows),
+        Facts([(str(f.severity), f) for f in survey.findings]),
+        *([Details(guess, [Paragraphs(lines)])] if lines else []),
+        Facts([("columns for it", columns)] if columns else []),
+    ]
 
 
 def _bare(header: str) -> str:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 from greybox.base.findings import Check, Finding
 from greybox.base.units import format_unit
 from greybox.discovery.certainty import Grade
-from greybox.discovery.curve_shape import Parity, ShapeKind
+from greybox.discovery.claims import Depth, claim_values
+from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
+from greybox.discovery.decision import Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
@@ -19,6 +21,7 @@ from greybox.show.sentences.registry import register, renders, sentence, sentenc
 from greybox.show.sentences.wording import TEXT_LIMITS, change_text, quantity_text
 
 if TYPE_CHECKING:
+    from greybox.discovery.claims import Claim
     from greybox.discovery.curve_shape import Dependence
     from greybox.discovery.effect_signal import RemainingError
     from greybox.discovery.effect_test import EffectTest
@@ -267,9 +270,7 @@ GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.ST
 
 @renders("EffectEvidence")
 def _evidence(e: EffectEvidence) -> str:
-    most = TEXT_LIMITS.most_percent
-    probability = min(max(100 * e.probability, 100 - most), most)
-    text = f"{GRADES[e.grade]} ({probability:.0f} %)"
+    text = f"{GRADES[e.grade]} ({probability_text(e.probability)})"
     if e.share > 0:
         low, high = e.share_interval
         interval = f" ({100 * low:.0f} to {100 * high:.0f} %)" if math.isfinite(low) and math.isfinite(high) else ""
@@ -293,6 +294,71 @@ def _evidence(e: EffectEvidence) -> str:
         *([f"its value changes by {100 * e.change:.0f} % between the halves of the records"] if e.change > 0.5 else []),
     ]
     return f"{text}; {'; '.join(doubts)}" if doubts else text
+
+
+def probability_text(probability: float) -> str:
+    """``98 %``; nothing is quite certain, and nothing impossible."""
+    most = TEXT_LIMITS.most_percent
+    return f"{min(max(100 * probability, 100 - most), most):.0f} %"
+
+
+def _sites_of(values: Mapping[str, Any]) -> list[str]:
+    return values["site"].split(" or ") if values["site"] else []
+
+
+def _variables_text(variables: Sequence[str]) -> str:
+    """``of v``, ``of x and v``, ``of time``; of nothing in particular where there are none."""
+    return (
+        f"of {list_text(['time' if v == TIME else v for v in variables])}"
+        if variables
+        else "of no variable of the model"
+    )
+
+
+def claim_text(values: Mapping[str, Any]) -> str:
+    """What a claim says, in half a sentence, from its values."""
+    if values["depth"] == Depth.MISSING:
+        return f"something is missing in {values['output']}"
+    place = sites_text(_sites_of(values))
+    if values["depth"] == Depth.PLACE:
+        return f"something acts at {place}"
+    kind = {"static": "a static function", "with memory": "a function with memory"}.get(values["form"], "a function")
+    what = f"{kind} {_variables_text(values['variables'])}"
+    if values["form"] == "timing":
+        what = f"a lag or a delay {_variables_text(values['variables'])}"
+    if values["depth"] == Depth.VARIABLES:
+        return f"{what} acts at {place}"
+    if values["depth"] == Depth.FAMILY and values["form"] == "timing":
+        return f"{what} acts at {place}"
+    if values["depth"] == Depth.FAMILY:
+        family = [effect_title(name) for name in values["family"]]
+        named = f"{family[0]} or a relative ({', '.join(family[1:])})" if len(family) > 1 else family[0]
+        return f"{named}, {what}, acts at {place}"
+    return f"{effect_title(values['name'])} acts at {place}"
+
+
+def rival_text(rival: str) -> str:
+    """The sets of effects that win where a claim does not hold."""
+    if not rival:
+        return ""
+    return list_text([effect_title(name) for name in rival.split(" + ")])
+
+
+@renders("Claim")
+def _claim(claim: Claim) -> str:
+    v = claim_values(claim)
+    text = f"{GRADES[claim.grade]} ({probability_text(claim.probability)}): {claim_text(v)}"
+    if claim.depth > Depth.MISSING and claim.share > 0:
+        text += f", {100 * claim.share:.0f} % of the error in {claim.output}"
+    rival = rival_text(claim.rival)
+    return f"{text}; the best rival is {rival}" if rival else text
+
+
+def _claim_established(finding: Finding) -> str:
+    v = finding.values
+    text = claim_text(v)
+    share = f": {100 * v['share']:.0f} % of the error in {v['output']}" if v["share"] > 0 else ""
+    return f"{text[0].upper()}{text[1:]}{share} ({probability_text(v['probability'])} certain). The name is open."
 
 
 @renders("RemainingError")
@@ -364,8 +430,8 @@ def conclusion_text(discovery: Discovery) -> str:
     return " ".join(sentences(discovery.conclusion))
 
 
-@renders("Discovery")
-def _discovery(d: Discovery) -> str:
+def write_discovery(d: Discovery) -> str:
+    """The answer, the effects with what speaks for them, the errors, the candidates, and what to do next."""
     lines = [conclusion_text(d)]
     if d.refinement is not None and d.refinement.steps:
         lines.append(refinement_text(d.refinement))
@@ -379,6 +445,9 @@ def _discovery(d: Discovery) -> str:
         lines.append(f"  {effect['name']} -> {effect['site']}: {equation}{values}")
         if effect["name"] in evidence:
             lines.append(f"    {evidence[effect['name']]}")
+    if d.claims and d.verdict is not Verdict.NAMED:
+        lines.append("  claims, from what is missing to its name:")
+        lines += [f"    {'  ' * claim.depth}{claim}" for claim in d.claims]
     lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
     if d.surrogate is not None:
         lines.append(f"  surrogate: {d.surrogate}")
@@ -562,6 +631,7 @@ register(
         DiscoveryCode.ERROR_REDUCED: _error_reduced,
         DiscoveryCode.ERROR_LEFT: lambda f: f"{_remaining_text(f.subject, f.values)}.",
         DiscoveryCode.EFFECTS_TIED: _effects_tied,
+        DiscoveryCode.CLAIM_ESTABLISHED: _claim_established,
         DiscoveryCode.EFFECTS_PROBABLE: _effects_probable,
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
         DiscoveryCode.NO_LOOK_ALIKE: "What follows the estimation records best, {subject}, does no better than the plain model on the"

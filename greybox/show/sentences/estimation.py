@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.base.document import REMARK, Block, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.profiles import NEARLY_COLLINEAR
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
@@ -20,21 +22,15 @@ from greybox.show.sentences.registry import register, renders, sentence, sentenc
 from greybox.show.sentences.wording import (
     TEXT_LIMITS,
     capitalise,
-    format_number,
     format_shares,
-    format_table,
-    format_with_std,
-    make_formatter,
 )
 
 if TYPE_CHECKING:
-    from greybox.data.noise.noise_model import NoiseBound
     from greybox.estimation.multistart import MultiStartResult
     from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
     from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
-    from greybox.estimation.result import Fit
-    from greybox.estimation.result_parts import Estimate, FitNoise, Misfit, SolverReport
-    from greybox.estimation.uncertainty import Profile
+    from greybox.estimation.result_parts import FitNoise, SolverReport
+    from greybox.estimation.uncertainty import Profile, ProfilePair
 
 STATUS = {
     "converged": "converged",
@@ -292,6 +288,10 @@ register(
             "the simulation of experiment {experiment} succeeds, but its sensitivity to the parameters is not finite: a term has an"
             " infinite slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope"
         ),
+        EstimationCode.PLANT_RUN_FAILED: (
+            "{subject} does not run over experiment {experiment} from its start values ({reason}): give others"
+            " (model.start(...), shell: --start)"
+        ),
         EstimationCode.MODEL_DOES_NOT_FOLLOW: _write_other_plant,
         EstimationCode.DIRECTION_UNDETERMINED: lambda f: (
             f"not determined by these data: {write_direction(f.values['direction'])}"
@@ -399,54 +399,6 @@ def write_correction(correction: PredictionCorrection) -> str:
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
 
 
-# A fit in plain text: what a person reads first.
-
-MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
-
-
-@renders("Fit")
-def write_fit(fit: Fit) -> str:
-    """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
-    lines = [f"{fit.model.title}: {fit.solver}", ""]
-    lines += format_table(["parameter", "value", "95 % interval", "unit", ""], to_constant_rows(fit))
-    if fit.constraints.priors:
-        lines += ["", *_write_priors(fit)]
-    lines += ["", *_write_misfits("misfit (free run)", fit.misfit, fit.noise)]
-    if fit.prediction.one_step:
-        lines += ["", *_write_misfits("prediction (1 step ahead)", fit.prediction.one_step, fit.noise)]
-    if fit.validation:
-        lines += ["", *_write_misfits("on validation records (free run)", fit.validation.misfit, fit.noise)]
-    intervals = _write_interval_kind(fit)
-    if intervals:
-        lines += ["", f"intervals: {intervals}"]
-    lines += ["", f"noise: {fit.noise}", f"discretisation: {fit.discretisation.label}{_write_step_error(fit)}"]
-    if fit.solver.strategy is not None:
-        lines.append(f"search: {fit.solver.strategy}")
-    lines += [f"note: {note}" for note in sentences(fit.findings)]
-    return "\n".join(lines)
-
-
-def _write_interval_kind(fit: Fit) -> str:
-    sandwich = fit.uncertainty.kind == "sandwich"
-    if fit.prediction.process_noise and not sandwich:
-        return "information matrix of the likelihood; the innovations are white"
-    if sandwich and fit.uncertainty.inflation:
-        widest = fit.uncertainty.largest_inflation
-        return f"sandwich covariance, which allows for the colour of the residual (up to {widest:.3g} times as wide)"
-    if any(e.std is not None for e in fit.parameters.values()):
-        return "Gauss-Newton covariance; the residual is white"
-    return ""
-
-
-def _write_step_error(fit: Fit) -> str:
-    """What is left of the integrator's error; nothing where the discretisation is exact."""
-    error = max((e for e in fit.discretisation.error.values() if math.isfinite(e)), default=0.0)
-    shift = max((s for s in fit.discretisation.shift.values() if math.isfinite(s)), default=0.0)
-    if not error and not shift:
-        return ""
-    return f"; error {error:.2g} x noise, half the step changes no parameter by more than {shift:.2g} std"
-
-
 register(
     {
         ResultCode.FOREIGN_FINDING: lambda f: (
@@ -455,62 +407,6 @@ register(
         ),
     }
 )
-
-
-def to_constant_rows(fit: Fit) -> list[list[str]]:
-    """Rows of the table of parameters: each one, its values in experiments that have their own, then those that are tied."""
-    rows = []
-    for name, e in fit.parameters.items():
-        rows.append(to_constant_cells(name, e))
-        if name in fit.constraints.per_experiment:
-            rows[-1][-1] = "mean"
-            each = fit.constraints.per_experiment[name].items()
-            rows += [to_constant_cells(f"{name} ({title})", estimate) for title, estimate in each]
-    for name, e in fit.constraints.tied.items():
-        rows.append(to_constant_cells(name, e))
-        rows[-1][-1] = f"= {fit.constraints.ties[name]}"
-    return rows
-
-
-def to_constant_cells(name: str, e: Estimate) -> list[str]:
-    """Name, value, interval, unit and remark of one parameter, as tables show them."""
-    if e.fixed:
-        return [name, format_number(e.value, 7), "", format_unit(e.unit), "fixed"]
-    remark = "at its bound" if e.at_bound else ""
-    if e.std is None or e.interval is None:
-        limits = "" if e.interval is None else f"[{format_number(e.interval[0], 3)}, {format_number(e.interval[1], 3)}]"
-        return [name, format_number(e.value), limits, format_unit(e.unit), remark or "not determined by these data"]
-    if not remark and not e.determined:
-        remark = "not determined: interval over 50 %"
-    low, high = map(make_formatter(e.value, e.std), e.interval)
-    return [name, format_with_std(e.value, e.std), f"[{low}, {high}]", format_unit(e.unit), remark]
-
-
-def to_misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
-    """rmse, best fit and rmse over noise, as tables show them; over noise that is only bounded it is at least that."""
-    least = None if bound is None else bound.least_ratio(m.rmse)
-    ratio = (
-        f"{format_number(m.noise_ratio, 4)} x noise" if least is None else f"at least {format_number(least, 4)} x noise"
-    )
-    return [
-        f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(),
-        f"{m.best_fit_percent:.2f} %",
-        ratio,
-    ]
-
-
-def _write_priors(fit: Fit) -> list[str]:
-    rows = []
-    for name, c in fit.constraints.priors.items():
-        conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
-        reduction = f"{100 * c.variance_reduction:.3g} %"
-        rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
-    return format_table(["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
-
-
-def _write_misfits(title: str, misfit: Mapping[str, Misfit], noise: FitNoise) -> list[str]:
-    rows = [[name, *to_misfit_cells(m, noise.bound(name))] for name, m in misfit.items()]
-    return format_table([title, *MISFIT_HEADS], rows)
 
 
 @renders("FitNoise")
@@ -634,14 +530,68 @@ register(
 # Profiles in plain text.
 
 
+# Times as closely as alone that a constant is known beside another, from which a region is called thin.
+LEAST_NARROWING = 3.0
+
+
 @renders("Profile")
 def write_profile(profile: Profile) -> str:
-    """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]``; sides that the data leave open are marked."""
+    """``K: 7000 N/m, 95 % by profile likelihood [6988, 7012]; bounded``, and below it what is to be known of the shape."""
     sides = [
         f"{v:.5g}{' (open)' if is_open else ''}"
         for v, is_open in zip(profile.interval, profile.open_sides, strict=True)
     ]
-    return f"{profile.name}: {profile.best:.5g} {profile.unit}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]"
+    value = f"{profile.name}: {profile.best:.5g} {profile.unit}"
+    return "\n  ".join([f"{value}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]", *explain_profile(profile)])
+
+
+def explain_profile(profile: Profile) -> list[str]:
+    """The shape of a profile in words, whether it is to be taken in place of the covariance, and which constant makes it so."""
+    shape = {
+        "bounded": "bounded on both sides",
+        "one_sided": f"one-sided: the records set no {'lower' if profile.open_sides[0] else 'upper'} limit",
+        "flat": "flat: the records set no limit on either side",
+        "two_valleys": "two valleys",
+    }[profile.shape]
+    if profile.valley is not None:
+        value, rise = profile.valley
+        place = f"{value:.5g} {profile.unit}"
+        shape += (
+            f": at {place} the cost is less than at the optimum; fit again from there"
+            if rise < 0
+            else f": at {place} the cost has fallen again, to {rise:.3g} above its least (95 % at {profile.threshold:.3g})"
+        )
+    lines = [shape]
+    if profile.is_better and profile.by_covariance is not None:
+        low, high = profile.by_covariance
+        lines.append(
+            f"the covariance says [{low:.5g}, {high:.5g}], for a cost that it takes for a parabola: use the profile"
+        )
+    if abs(profile.correlation) > NEARLY_COLLINEAR:
+        lines.append(
+            f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g}): the records determine a"
+            " combination of them better than either"
+        )
+    return lines
+
+
+@renders("ProfilePair")
+def write_profile_pair(pair: ProfilePair) -> str:
+    """The region of two constants: from where to where, how thin it is, and where the records leave it open."""
+    first, second = pair.first, pair.second
+    shape = {
+        "bounded": "bounded on all sides",
+        "one_sided": "open towards some side",
+        "flat": "flat: the records set no limit to either",
+    }[pair.shape]
+    ends = f"[{pair.values[0]:.5g}, {pair.values[-1]:.5g}] {pair.units[0]}"
+    lines = [f"{first} and {second} together, 95 % by profile likelihood: {first} in {ends}; {shape}"]
+    if math.isfinite(pair.narrowing) and pair.narrowing > LEAST_NARROWING:
+        lines.append(
+            f"beside a known {first}, {second} is known {pair.narrowing:.3g} times as closely: the region is thin, and the records"
+            f" determine a combination of both (correlation {pair.correlation:.5g})"
+        )
+    return "\n  ".join(lines)
 
 
 # What a residual test says, and the tables of tests and scores.
@@ -686,23 +636,19 @@ def write_residual_test(test: ResidualTest) -> str:
     return _SENTENCES[test.kind][test.alarm](test)
 
 
+def residual_tests_tables(tests: ResidualTests, note: str = "") -> list[TableBlock]:
+    """A row for each test; no table where none was made."""
+    rows = [[t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)] for t in tests.tests]
+    table = TableBlock("Tests of the residual", ["output", "test", "statistic", "p", REMARK], rows, note)
+    return [table] if rows else []
+
+
 @renders("ResidualTests")
-def write_residual_tests(tests: ResidualTests) -> str:
-    """A table with a row for each test, and what could not be tested."""
-    rows = [
-        ("output", "test", "statistic", "p", ""),
-        *((t.output, name_test(t), f"{t.statistic:.4g}", f"{t.p_value:.2g}", str(t)) for t in tests.tests),
-    ]
-    widths = [max(len(row[k]) for row in rows) for k in range(4)]
-    lines = [
-        "  ".join([*(cell.ljust(w) for cell, w in zip(row, widths, strict=False)), row[4]]).rstrip() for row in rows
-    ]
-    if not tests.tests:
-        lines = []
-    if tests.whitened:
-        outputs = ", ".join(tests.whitened)
-        lines.append(f"the residual of {outputs} was whitened with the noise model before the tests")
-    return "\n".join(lines + [f"not tested: {sentence}" for sentence in list_tests_not_made(tests)])
+def write_residual_tests(tests: ResidualTests) -> list[Block]:
+    """The tests, which residuals were whitened before, and what could not be tested."""
+    whitened = f"the residual of {', '.join(tests.whitened)} was whitened with the noise model before the tests"
+    lines = [*([whitened] if tests.whitened else []), *(f"not tested: {line}" for line in list_tests_not_made(tests))]
+    return [*residual_tests_tables(tests), Paragraphs(lines)]
 
 
 def list_tests_not_made(tests: ResidualTests) -> list[str]:
@@ -714,15 +660,13 @@ def list_tests_not_made(tests: ResidualTests) -> list[str]:
 
 
 @renders("PredictionScores")
-def write_prediction_scores(scores: PredictionScores) -> str:
-    """A table with a row for each output: errors of the free run and of predictions; infinite where a run overflows."""
+def write_prediction_scores(scores: PredictionScores) -> list[Block]:
+    """A row for each output: errors of the free run and of predictions; infinite where a run overflows."""
     ahead = sorted({k for s in scores.outputs.values() for k in s.prediction})
     head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
     rows = [
         [name, *(f"{v:.4g}" for v in (s.free_run, *(s.prediction[k] for k in ahead), s.movement)), s.unit]
         for name, s in scores.outputs.items()
     ]
-    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
-    corrections = dict.fromkeys(s.predictor for s in scores.outputs.values())
-    return "\n".join([*lines, *(f"corrected by: {text}" for text in corrections)])
+    corrections = dict.fromkeys(str(s.predictor) for s in scores.outputs.values())
+    return [TableBlock("Free run and prediction", head, rows), Facts([("corrected by", text) for text in corrections])]

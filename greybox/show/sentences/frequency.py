@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.units import format_unit
-from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import format_number, format_table, format_with_std
+from greybox.base.document import Block, Facts, Paragraphs
+from greybox.show.documents.tables import estimates_table
+from greybox.show.sentences.registry import register, renders
+from greybox.show.sentences.wording import format_number
 
 if TYPE_CHECKING:
     from greybox.base.findings import Check
@@ -49,15 +50,8 @@ def write_response(response: FrequencyResponse) -> str:
 
 
 @renders("FrequencyFit")
-def write_fit(result: FrequencyFit) -> str:
+def write_fit(result: FrequencyFit) -> list[Block]:
     """The parameters as a table, and how well the responses are met."""
-    rows = []
-    for name in result.names:
-        estimate = result.parameters[name]
-        low, high = estimate.interval or (np.nan, np.nan)
-        value = format_with_std(estimate.value, estimate.std or 0.0)
-        note = "at its bound" if estimate.at_bound else ""
-        rows.append([name, value, format_unit(estimate.unit) or "-", f"{low:.5g} .. {high:.5g}", note])
     records = "" if result.time_fit is None else f" and {len(result.time_fit.traces)} records over time"
     head = f"{result.model.title}, fitted to {'; '.join(map(str, result.responses))}{records}: {result.status}"
     error = (
@@ -65,8 +59,13 @@ def write_fit(result: FrequencyFit) -> str:
         if result.weighted
         else "the response states no noise: intervals are scaled by its error"
     )
-    table = format_table(["parameter", "value", "unit", "95 % interval", ""], rows)
-    return "\n".join([head, "", *table, "", error, *(f"note: {text}" for text in sentences(result.findings))])
+    estimates = {name: result.parameters[name] for name in result.names}
+    return [
+        Paragraphs([head]),
+        estimates_table(estimates),
+        Paragraphs([error]),
+        Facts([("note", f) for f in result.findings]),
+    ]
 
 
 @renders("BestLinearApproximation")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.base.findings import Finding
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.show.sentences.registry import register, renders, sentence
-from greybox.show.sentences.wording import join_words
+from greybox.show.sentences.wording import join_names
 
 if TYPE_CHECKING:
     from greybox.estimation.identifiability.combinations import OpenDirection
@@ -29,7 +29,7 @@ def describe_closing(closing: Mapping[str, Any]) -> str:
     if missing == 1:
         text = f"fix one of {', '.join(constants)}" if len(constants) > 1 else f"fix {constants[0]}"
     else:
-        text = f"fix {missing} parameters" + (f", such as {join_words(constants)}" if constants else "")
+        text = f"fix {missing} parameters" + (f", such as {join_names(constants)}" if constants else "")
     if not closing["relations"]:
         return text
     relations = " or ".join(map(_describe_relation, closing["relations"]))
@@ -116,8 +116,8 @@ def write_open_direction(direction: OpenDirection) -> str:
         return [f"{n} by {_power(w * sign)}" for n, w in direction.weights.items() if w * sign > 0]
 
     down = factors(-1)
-    divided = f" and dividing {join_words(down)}" if down else ""
-    return f"multiplying {join_words(factors(1))}{divided} leaves the outputs unchanged, for any c"
+    divided = f" and dividing {join_names(down)}" if down else ""
+    return f"multiplying {join_names(factors(1))}{divided} leaves the outputs unchanged, for any c"
 
 
 def _power(exponent: float) -> str:

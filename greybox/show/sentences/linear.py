@@ -6,15 +6,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.findings import Finding
+from greybox.base.numerics import VANISHED_POLE
 from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import ExportFinding
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import format_table
+from greybox.show.sentences.registry import register, renders
 
 if TYPE_CHECKING:
-    from greybox.estimation.linear.linearisation import Linearisation
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.linear.transfer_channel import LinearBehaviour, TransferChannel
 
@@ -140,23 +140,10 @@ register(
 )
 
 
-@renders("Linearisation")
-def linearisation_text(model: Linearisation) -> str:
-    """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
-    from greybox.estimation.linear.transfer_channel import describe_behaviour
-
-    lines = [*_operating_point(model), "", *_matrices(model), "", behaviour_text(describe_behaviour(model))]
-    notes = [f"note: {sentence}" for sentence in sentences(model.findings)]
-    return "\n".join([*lines, *(["", *notes] if notes else [])])
-
-
 @renders("LinearBehaviour")
-def behaviour_text(behaviour: LinearBehaviour) -> str:
+def behaviour_blocks(behaviour: LinearBehaviour) -> list[Block]:
     """Poles, then zeros, gain and bandwidth of each channel."""
-    lines = pole_table(behaviour.poles, behaviour.dt)
-    for channel in behaviour.channels:
-        lines += ["", *channel_lines(channel)]
-    return "\n".join(lines)
+    return [poles_table(behaviour.poles, behaviour.dt), *(Paragraphs(channel_lines(c)) for c in behaviour.channels)]
 
 
 @renders("TransferChannel")
@@ -166,7 +153,7 @@ def channel_text(channel: TransferChannel) -> str:
 
 
 @renders("ModelFamily")
-def model_family_text(family: ModelFamily) -> str:
+def model_family_blocks(family: ModelFamily) -> list[Block]:
     """How far poles, gains and frequency responses spread."""
     from greybox.estimation.linear.transfer_channel import extract_channel
 
@@ -189,19 +176,19 @@ def model_family_text(family: ModelFamily) -> str:
             if np.isfinite(bandwidth):
                 largest = family.relative_error(bandwidth * np.geomspace(1e-3, 1, 200))[:, row, column].max()
                 errors.append(
-                    f"  response {name} -> {output} up to {bandwidth:.6g} rad/s: within {100 * largest:.3g} % of the nominal one"
+                    f"response {name} -> {output} up to {bandwidth:.6g} rad/s: within {100 * largest:.3g} % of the nominal one"
                 )
     drawn = ", ".join(family.distribution.names)
     head = f"{len(family.members)} models drawn from the covariance of {drawn} (seed {family.seed})"
-    table = format_table(["pole", "real part, 95 %", "imaginary part, 95 %"], rows)
-    return "\n".join([head, *table, *errors, *(f"note: {sentence}" for sentence in sentences(family.findings))])
+    table = TableBlock("Spread of the models", ["pole", "real part, 95 %", "imaginary part, 95 %"], rows)
+    return [Details(head, [table, Paragraphs(errors)]), Facts([("note", finding) for finding in family.findings])]
 
 
-def pole_table(poles: np.ndarray, dt: float) -> list[str]:
-    """Lines with pole, natural frequency, damping ratio, time constant."""
+def poles_table(poles: np.ndarray, dt: float) -> TableBlock:
+    """Poles with natural frequency, damping ratio, time constant; of a conjugate pair one."""
     rows = []
     for pole in poles[poles.imag >= 0]:
-        if dt and abs(pole) < 1e-12:
+        if dt and abs(pole) < VANISHED_POLE:
             rows.append([complex_text(pole), "decays within one sample", "", ""])
             continue
         s = np.log(pole) / dt if dt else pole
@@ -214,7 +201,8 @@ def pole_table(poles: np.ndarray, dt: float) -> list[str]:
                 f"{-1 / s.real:.4g} s" if s.real < 0 else "unstable" * bool(s.real > 0),
             ]
         )
-    return format_table(["poles (z)" if dt else "poles", "natural frequency", "damping", "time constant"], rows)
+    name = "poles (z)" if dt else "poles"
+    return TableBlock(name.capitalize(), [name, "natural frequency", "damping", "time constant"], rows)
 
 
 def channel_lines(channel: TransferChannel) -> list[str]:
@@ -239,31 +227,3 @@ def complex_text(value: complex) -> str:
     if abs(value.imag) <= 1e-12 * abs(value):
         return f"{value.real:.10g}"
     return f"{value.real:.10g}{value.imag:+.10g}j"
-
-
-def _operating_point(model: Linearisation) -> list[str]:
-    from greybox.estimation.linear.plant import format_signals
-
-    timing = f"sampled every {model.dt:g} s ({model.method})" if model.dt else "continuous"
-    lines = [f"{model.name}: linear model, {timing}", ""]
-    lines += [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
-    if model.input_names:
-        lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"]
-    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
-    lines += [
-        f"  delay of {name} {seconds:.6g} s, not in the matrices"
-        for name, seconds in zip(model.input_names, model.delay, strict=True)
-        if seconds
-    ]
-    return lines
-
-
-def _matrices(model: Linearisation) -> list[str]:
-    lines = []
-    for name, matrix in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D)):
-        rows = [[repr(float(v)) for v in row] for row in matrix]
-        widths = [max((len(row[k]) for row in rows), default=0) for k in range(matrix.shape[1])]
-        for k, row in enumerate(rows):
-            head = f"  {name} = " if k == 0 else "      "
-            lines.append(head + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)))
-    return lines

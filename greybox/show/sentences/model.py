@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from greybox.base.document import Block, Details, TableBlock
 from greybox.base.units import format_unit
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
@@ -14,7 +15,7 @@ from greybox.model.equations import equations_text
 from greybox.model.expressions.text import number_text
 from greybox.model.sites import NEEDED
 from greybox.show.sentences.registry import renders
-from greybox.show.sentences.wording import format_table
+from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
     from greybox.model.effect import Effect
@@ -98,20 +99,23 @@ and ambient temperature), `tanks` (levels), `circuit` (current, inductance).
 
 
 @renders("EffectListing")
-def write_effects(listing: EffectListing) -> str:
+def write_effects(listing: EffectListing) -> list[Block]:
     """Name, place, equation and units of each effect, and why some have no place."""
     if not listing.model:
         rows = [[e.name, e.site, _write_units(e.parameters), e.equation] for e in listing.entries]
-        return "\n".join(format_table(["effect", "acts at", "parameters", "equation"], rows))
+        return [TableBlock("Effects", ["effect", "acts at", "parameters", "equation"], rows)]
     taken = [p for p in listing.placements if p.effect is not None]
-    units = {p.name: _write_units(p.parameters) for p in taken}
-    rows = [[p.name, p.site, units[p.name], p.effect.equation if p.effect else ""] for p in taken]
-    lines = [f"{listing.model} takes {len(taken)} effect{'s' if len(taken) != 1 else ''}:"]
-    lines += format_table(["effect", "at", "parameters", "equation"], rows)
-    refused = [p for p in listing.placements if p.effect is None]
-    if refused:
-        lines += ["", "no place for:", *format_table(["effect", "why not"], [[p.name, _shorten(p)] for p in refused])]
-    return "\n".join(lines)
+    rows = [[p.name, p.site, _write_units(p.parameters), p.effect.equation if p.effect else ""] for p in taken]
+    title = f"{listing.model} takes {count_noun(len(taken), 'effect')}:"
+    refused = [[p.name, _shorten(p)] for p in listing.placements if p.effect is None]
+    return [
+        Details(title, [TableBlock("Effects", ["effect", "at", "parameters", "equation"], rows)]),
+        *(
+            [Details("no place for:", [TableBlock("Effects without a place", ["effect", "why not"], refused)])]
+            if refused
+            else []
+        ),
+    ]
 
 
 def write_catalogue_page(entries: Sequence[Effect]) -> str:

@@ -1,9 +1,9 @@
-"""Which template belongs to which code, and which function writes which class of result."""
+"""Which template belongs to which code, and which function writes which class of value."""
 
 from __future__ import annotations
 
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,7 +13,7 @@ from typing import Any
 from greybox.base.findings import Check, Finding
 
 Template = str | Callable[[Any], str]
-Writer = Callable[[Any], str]
+Writer = Callable[[Any], str | Sequence[Any]]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
@@ -36,7 +36,7 @@ def register(new: Mapping[str, Template]) -> None:
 
 
 def renders(class_name: str) -> Callable[[Writer], Writer]:
-    """Decorator: the function writes values of the class of this name. Class names are unique in the library."""
+    """Decorator: the function writes values of the class of this name, as a text or as blocks. Class names are unique in the library."""
 
     def add(writer: Writer) -> Writer:
         if class_name in _writers:
@@ -81,16 +81,20 @@ def sentences(items: Iterable[Finding | Check]) -> tuple[str, ...]:
     return tuple(map(sentence, items))
 
 
-def text(value: Any) -> str:
-    """A result in plain text: what ``print(value)`` shows."""
-    if isinstance(value, (Finding, Check)):
-        return sentence(value)
+def find_writer(value: Any) -> Writer:
+    """The function that writes values of this class.
+
+    Raises
+    ------
+    TypeError
+        If there is none.
+    """
     for load in (_load_for, lambda _: _load_all()):
         for kind in type(value).__mro__:
             load(kind)
             if kind.__name__ in _writers:
-                return _writers[kind.__name__](value)
-    raise TypeError(f"no module of greybox.rendering writes a {type(value).__name__}")
+                return _writers[kind.__name__]
+    raise TypeError(f"no module of greybox.show writes a {type(value).__name__}")
 
 
 @cache

@@ -115,17 +115,9 @@ def make_formatter(value: float, std: float) -> Callable[[float], str]:
     return scientific
 
 
-def format_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table, indented by two; each column as wide as it must be."""
-    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-    return [
-        "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
-    ]
-
-
-def join_words(words: Sequence[str]) -> str:
-    """``a``, ``a and b``, ``a, b and c``."""
-    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else "".join(words)
+def shorten(name: str, width: int) -> str:
+    """A name of so many letters at most."""
+    return name if len(name) <= width else f"{name[: width - 3]}..."
 
 
 def format_shares(shares: Mapping[str, float], digits: int = 2) -> str:

@@ -21,8 +21,7 @@ from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.design.campaign import Campaign
 from greybox.extensions.design.result import Design
 from greybox.extensions.export.linear_files import LinearFile
-from greybox.extensions.fmu.effects import FmuEffectFit
-from greybox.extensions.fmu.fit_fmu import FmuFit
+from greybox.extensions.fmu.effects import FmuWithEffects
 from greybox.shell.answers import FitAnswer
 from greybox.shell.printed import ComparisonAnswer
 from models.silverbox import silverbox
@@ -31,7 +30,7 @@ from tests.support.result_schema import find_schema, strict_offences
 
 KINDS = (
     *(*ResultKind, Fit, FitAnswer, Profile, Bootstrap, Comparison, ComparisonAnswer, Design, Campaign, ChangeDetection),
-    *(ModelCheck, LinearFile, FmuFit, FmuEffectFit),
+    *(ModelCheck, LinearFile, FmuWithEffects),
 )
 
 RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 600, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)
@@ -155,6 +154,7 @@ OFFENCES = [
     (lambda d: d["covariance"][0].pop(), "covariance is no matrix of"),
     (lambda d: d["traces"][0]["simulated"]["y"].pop(), r"traces\[0\]\.simulated\.y has 599 rows, its time 600"),
     (lambda d: d["misfit"]["y"].update(unit="V!"), r"misfit\.y: unit 'V!' cannot be read"),
+    (lambda d: d["free"].__setitem__(0, "nan"), "free names a parameter that parameters does not"),
     (lambda d: d.update(ties={"K": "B"}), "tied and ties do not name the same parameters"),
     (lambda d: d["traces"][0]["time"].__setitem__(3, 0.0), r"traces\[0\]: time goes back at row 4"),
     (lambda d: d["parameters"].update(extra=next(iter(d["parameters"].values()))), "extra"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox import Balance, Input, Model, Output, Parameter, State, fit
 from greybox.base.errors import DataError, ModelError

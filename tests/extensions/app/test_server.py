@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox.extensions.app.command import StudyOnFile
 from greybox.extensions.app.server import page_policy, page_text

@@ -20,6 +20,7 @@ from greybox.extensions.app.jobs import JobKind, _fit
 from greybox.extensions.app.session import Session, ValueRange
 from greybox.extensions.app.workbench import Workbench
 from greybox.model.signals import Parameter
+from greybox.shell.commands import COMMANDS
 from greybox.shell.inputs import build_model, constrain, fit_options
 from greybox.shell.project import find_model
 from greybox.shell.study import Study
@@ -241,7 +242,7 @@ def test_studies_of_other_kinds_are_shown_and_repeated_too(rig: Path, tmp_path: 
     bench.load(rig / "train.csv")
     assert bench.show_run(0)["misfit"]["rows"] and bench.show_location(0)["text"]
     bench.export()
-    again = read_study(tmp_path / "out" / "study.toml", "fit")
+    again = read_study(tmp_path / "out" / "study.toml", "fit", COMMANDS)
     assert {name: getattr(again, name) for name in options} == options
     done = subprocess.run([sys.executable, "repeat.py"], cwd=tmp_path / "out", capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

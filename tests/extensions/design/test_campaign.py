@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -34,7 +34,7 @@ from greybox.extensions.design.campaign import (
 )
 from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
-from greybox.show.pages.report import build_page
+from greybox.show.report import describe_page
 from tests.support.result_schema import strict_offences
 
 PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
@@ -96,7 +96,7 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
         assert np.abs(signals.outputs["x"]).max() < 0.3 + 5e-3 and np.abs(signals.inputs["F"]).max() <= 3
     page = gb.report(finished, finished.folder / "report.html").read_text(encoding="utf-8")
     assert "one explanation is left: cubic_stiffness" in page.replace("One", "one")
-    steps, _, _ = build_page(finished).sections
+    steps, _, _ = describe_page(finished).sections
     widths = next(block for block in steps.blocks if block.caption.startswith("Half width of the 95 % interval"))
     (value,) = [row[-1] for row in widths.rows if row[0] == "K3"]
     discovered = read_json(finished.folder / f"{len(finished.steps):02d}" / "discovery.json", ResultKind.DISCOVERY)

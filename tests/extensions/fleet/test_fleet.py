@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.signal import lfilter
 from statsmodels.stats.meta_analysis import combine_effects
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
@@ -282,9 +282,9 @@ def test_the_page_and_the_text_say_the_same() -> None:
     assert text.startswith("first_order: 8 of 10 records were fitted\n")
     assert "2 of 10 records were not begun" in text
     assert str(fleet).splitlines()[0] == "first_order: all 8 records were fitted"
-    from greybox.extensions.fleet.page import build_fleet_page
+    from greybox.extensions.fleet.document import describe_fleet
 
-    page = build_fleet_page(fleet)
+    page = describe_fleet(fleet)
     assert page.question == "What are the constants of first_order in each of 8 records?"
     (figure,) = (block.figure for block in page.sections[0].blocks if hasattr(block, "figure"))
     assert [panel.name for panel in figure.panels] == ["gain", "lag", "misfit of y"]

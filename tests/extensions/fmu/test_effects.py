@@ -7,16 +7,15 @@ import shutil
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.signal import lsim
-from typer.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
-from greybox.extensions.fmu.description import read_fmu
-from greybox.extensions.fmu.effects import FmuEffectFit, discover_fmu, fit_fmu_effects, prepare_fmu
-from greybox.extensions.fmu.fit_fmu import fit_fmu
+from greybox.extensions.fmu.effects import FmuWithEffects, discover_fmu, fit_fmu_effects, prepare_fmu
+from greybox.extensions.fmu.plant import read_fmu
 from greybox.shell.commands import app
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
@@ -51,7 +50,7 @@ def plants(tmp_path_factory):
 @pytest.fixture(scope="module")
 def prepared(plants):
     records = mass_record(0), mass_record(1)
-    fit = fit_fmu(plants["CoSimulation"], records[0], free=["K"], noise=NOISE, validation=records[1])
+    fit = gb.fit(plants["CoSimulation"].with_values(["K"]), records[0], noise=NOISE, validation=records[1])
     return prepare_fmu(fit, *records)
 
 
@@ -65,7 +64,7 @@ def test_the_response_to_the_input_has_the_poles_of_the_plant(prepared):
 
 def test_the_local_model_is_the_fmu_where_it_was_run(prepared):
     run = gb.simulate(prepared.local.model, prepared.estimation[0])
-    for name, values in prepared.fit.simulated["r0"].items():
+    for name, values in prepared.fit.traces[0].simulated.items():
         np.testing.assert_allclose(run.outputs[name], values, atol=1e-9)
 
 
@@ -78,7 +77,7 @@ def test_effects_at_every_input_and_output_are_candidates(prepared):
 @pytest.mark.parametrize("kind", ["CoSimulation", pytest.param("ModelExchange", marks=pytest.mark.slow)])
 def test_an_effect_is_fitted_with_the_fmu_itself(plants, kind):
     records = mass_record(0), mass_record(1)
-    fit = fit_fmu(plants[kind], records[0], free=["K"], noise=NOISE, validation=records[1])
+    fit = gb.fit(plants[kind].with_values(["K"]), records[0], noise=NOISE, validation=records[1])
     about = prepare_fmu(fit, *records)
     zone = next(e for e in about.local.candidates if e.name == "input_dead_zone")
     result = fit_fmu_effects(about, [zone], start={"d": 0.2}, noise=NOISE)
@@ -89,8 +88,8 @@ def test_an_effect_is_fitted_with_the_fmu_itself(plants, kind):
     for name in NOISE:
         assert result.misfits[name].noise_ratio == pytest.approx(1, abs=0.1)
         assert result.validation[name].noise_ratio == pytest.approx(1, abs=0.1)
-    assert fit.equivalents + about.runs + result.runs < 50
-    assert strict_offences(json.loads(json.dumps(result.as_dict())), FmuEffectFit) == []
+    assert fit.solver.statistics["simulation_equivalents"] + about.runs + result.runs < 50
+    assert strict_offences(json.loads(json.dumps(result.as_dict())), FmuWithEffects) == []
 
 
 @pytest.mark.slow
@@ -105,7 +104,7 @@ def test_an_effect_with_memory_is_fitted_within_its_intervals(plants):
         y = lsim(system, u, time, interp=False)[1]
         noisy = {name: y[:, j] + NOISE[name] * rng.standard_normal(300) for j, name in enumerate(NOISE)}
         records.append(Experiment(f"r{seed}", time, {"F": u}, noisy))
-    fit = fit_fmu(plants["ModelExchange"], records[0], free=["K"], noise=NOISE, validation=records[1])
+    fit = gb.fit(plants["ModelExchange"].with_values(["K"]), records[0], noise=NOISE, validation=records[1])
     about = prepare_fmu(fit, *records)
     candidate = next(e for e in about.local.candidates if e.name == "drive_lag")
     result = fit_fmu_effects(about, [candidate], start={"tau_u": 0.05}, noise=NOISE)
@@ -131,7 +130,7 @@ def test_without_inputs_effects_at_outputs_remain(tmp_path):
     plant = read_fmu(build_reference_fmu(VAN_DER_POL, tmp_path, "2.0", "CoSimulation"))
     time = 0.05 * np.arange(150)
     record = Experiment("r", time, {}, {"x0": 2 * np.cos(time)})
-    about = prepare_fmu(fit_fmu(plant, record), record)
+    about = prepare_fmu(gb.fit(plant, record), record)
     assert about.local.response is None
     assert {"sensor_lag", "sensor_drift"} <= {e.name for e in about.local.candidates}
 
@@ -142,7 +141,7 @@ def test_the_commands_take_an_fmu(plants, tmp_path):
         rows = np.column_stack([record.time, record.inputs["F"], record.outputs["x"], record.outputs["v"]])
         text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
         (tmp_path / f"{name}.csv").write_text(f"time [s],F,x,v\n{text}\n")
-    plant, run, other = str(plants["CoSimulation"].path), str(tmp_path / "run.csv"), str(tmp_path / "other.csv")
+    plant, run, other = str(plants["CoSimulation"].fmu.path), str(tmp_path / "run.csv"), str(tmp_path / "other.csv")
     common = ["--free", "K", "--noise", "x=2e-4", "--noise", "v=2e-3", "--no-report"]
     invoke = CliRunner().invoke
     out = tmp_path / "out"

@@ -7,7 +7,7 @@ import runpy
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from greybox import GreyboxError
 from greybox.shell.commands import app

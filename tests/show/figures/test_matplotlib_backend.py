@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Area,
     Axis,
     Band,

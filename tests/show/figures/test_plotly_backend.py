@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from greybox.show.figures.figure import (
+from greybox.base.figure import (
     Area,
     Axis,
     Band,
@@ -23,9 +23,8 @@ from greybox.show.figures.figure import (
     SampledSignal,
     Scale,
     Thinning,
-    draw_sizes,
-    size_axis,
 )
+from greybox.show.figures.figure import draw_sizes, size_axis
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.figures.sheet import PAGE, PALETTE
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from scipy.signal import periodogram
 
+from greybox.base.figure import Band, Curve, Role, Scale, Thinning
 from greybox.estimation.optimum import compute_record_misfits
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace, Validation
-from greybox.show.figures.figure import Band, Curve, Role, Scale, Thinning
 from greybox.show.figures.pictures import fit_sheets
 from greybox.show.figures.plotly_backend import to_plotly
 from greybox.show.figures.records import (
@@ -114,9 +114,9 @@ def test_the_closer_look_is_where_the_record_lies_furthest_from_its_mean() -> No
 
 def judged(validation: list[Trace], pooled: dict[str, Misfit]) -> Fit:
     """A fit of the displacement alone, with records for validation that have the current too."""
-    fields = dict.fromkeys(Fit.__dataclass_fields__, None)
+    empty = dict.fromkeys((f.name for f in fields(Fit)), None)
     known = {"model": micro_actuator, "traces": [trace("train", x=1e-7)], "noise": FitNoise({"x": 1e-7})}
-    return Fit(**(fields | known | {"validation": Validation(pooled, validation)}))
+    return Fit(**(empty | known | {"validation": Validation(pooled, validation)}))
 
 
 def test_each_record_has_its_own_misfit() -> None:

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from greybox.base.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
 from greybox.discovery.curve_shape import rank_dependences
 from greybox.discovery.disturbance_sites import SiteKind
@@ -16,7 +17,6 @@ from greybox.discovery.localisation import RankedSite, ResidualLocalisation, Res
 from greybox.estimation.linear.linearise import linearise
 from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
-from greybox.show.figures.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
 from greybox.show.figures.linear import plot_bode, plot_poles, response_frequencies
 from greybox.show.figures.parameters import plot_intervals
 from greybox.show.figures.pictures import comparison_sheet

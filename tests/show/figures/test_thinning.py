@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from greybox.show.figures.figure import Thinning, choose_evenly, min_max_envelope, thin_curve, thin_spectrum
+from greybox.base.figure import Thinning
+from greybox.show.figures.figure import choose_evenly, min_max_envelope, thin_curve, thin_spectrum
 
 
 def test_an_envelope_keeps_every_peak() -> None:

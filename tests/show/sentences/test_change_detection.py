@@ -7,17 +7,9 @@ from types import SimpleNamespace
 import pytest
 
 from greybox.base.findings import Check, Finding, Severity
+from greybox.extensions.changes.document import change_tables, constant_row
 from greybox.extensions.changes.result import ChangeCode, ChangeRule, ConstantChange, PopulationConstant
-from greybox.extensions.changes.sentences import (
-    constant_row,
-    is_determined,
-    machine_head,
-    machine_row,
-    merge_not_seen,
-    p_text,
-    population_rows,
-    spread_text,
-)
+from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, spread_text
 from greybox.show.sentences.registry import sentence
 
 C = ChangeCode
@@ -240,9 +232,13 @@ def test_machines_are_told_to_as_many_digits_as_their_records_tell() -> None:
         "K": {"value": 1.0, "std": None},
     }
     machine = SimpleNamespace(name="no1", constants=constants, outlying=("Kf",))
-    row = ["no1", "1.39309 +- 0.00018", "5.005e-04 +- 1.4e-06", "open", "Kf"]
-    assert machine_row(machine, ["Kf", "La", "K"]) == row
-    kf = PopulationConstant(1.393121, (1.392891, 1.393349), "N/A", 1.2e-4, True)
-    survey = SimpleNamespace(population={"Kf": kf})
-    assert population_rows(survey) == [["Kf", "1.39312 N/A", "1.39289 to 1.39335", "0.012 %"]]
-    assert machine_head(survey) == ["machine", "Kf [N/A]", "falls out in"]
+    known = {
+        "Kf": PopulationConstant(1.393121, (1.392891, 1.393349), "N/A", 1.2e-4, True),
+        "La": PopulationConstant(5e-4, (4.99e-4, 5.01e-4), "H", 0.0, True),
+        "K": PopulationConstant(1.0, (0.9, 1.1), "N/m", 0.0, True),
+    }
+    survey = SimpleNamespace(constants={}, population=known, machines=(machine,), change_points=())
+    population, machines = change_tables(survey)
+    assert population.rows[0] == ["Kf", "1.39312 N/A", "1.39289 to 1.39335", "0.012 %"]
+    assert machines.head == ["machine", "Kf [N/A]", "La [H]", "K [N/m]", "falls out in"]
+    assert machines.rows == [["no1", "1.39309 +- 0.00018", "5.005e-04 +- 1.4e-06", "open", "Kf"]]

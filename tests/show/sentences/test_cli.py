@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from greybox.base.document import Document, Paragraphs
 from greybox.base.findings import Finding
 from greybox.estimation.result_parts import Misfit
 from greybox.shell.answers import CodeAnswer, FitAnswer, LinearAnswer, RecordMisfit, SimulationAnswer
@@ -57,14 +58,18 @@ def test_one_record_is_written_in_the_singular() -> None:
 
 
 class Text(SimpleNamespace):
-    """A value that prints as its ``text``."""
+    """A value that says its ``text``."""
 
     def __str__(self) -> str:
         return str(self.text)
 
+    def describe(self) -> Document:
+        return Document(self.text, [Paragraphs([self.text])])
+
 
 def answer(**more: Any) -> FitAnswer:
-    return FitAnswer(Text(text="the fit", provenance=SimpleNamespace(equations="dx/dt = v")), **more)  # type: ignore[arg-type]
+    fit = Text(text="the fit", provenance=SimpleNamespace(equations="dx/dt = v"), model=SimpleNamespace(title="rig"))
+    return FitAnswer(fit, **more)  # type: ignore[arg-type]
 
 
 def test_a_fit_prints_what_was_asked_for_in_order() -> None:
@@ -79,14 +84,14 @@ def test_a_fit_prints_what_was_asked_for_in_order() -> None:
             zero_noise=("noise_v",),
             bootstrap=bootstrap,
             refusal="no intervals",
-            scores="table",
-            validation_scores="other table",
+            scores=Text(text="table"),
+            validation_scores=Text(text="other table"),
             tests=Text(text="white"),
             misfits=[RecordMisfit("a", "x", misfit), RecordMisfit("b", "x", misfit)],
         )
     )
     lines = text.splitlines()
-    assert lines[:4] == ["dx/dt = v", "", "the fit", "remedy: measure i"]
+    assert lines[:5] == ["dx/dt = v", "", "the fit", "", "remedy: measure i"]
     order = [
         "or: fix M",
         "profile likelihood",
@@ -99,7 +104,7 @@ def test_a_fit_prints_what_was_asked_for_in_order() -> None:
         "  table",
         "free run and prediction, validation records",
         "residual tests (p below 0.01 is an alarm; each test has a false-alarm rate of 1 %)",
-        "white",
+        "  white",
     ]
     places = [lines.index(line) for line in order]
     assert places == sorted(places)
@@ -121,7 +126,7 @@ def test_an_export_prints_what_was_written() -> None:
         "rig as C, one step of 0.001 s\nwritten: plant.h, plant.c"
     )
     assert str(CodeAnswer("rig", "Modelica", None, "", files[:1])) == "rig as Modelica\nwritten: plant.h"
-    linear = LinearAnswer("matrices", "family", (Path("plant.mat"),))  # type: ignore[arg-type]
+    linear = LinearAnswer(Text(text="matrices", name="rig"), Text(text="family"), (Path("plant.mat"),))  # type: ignore[arg-type]
     assert str(linear) == "matrices\n\nfamily\n\nwritten: plant.mat"
 
 

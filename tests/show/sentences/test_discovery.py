@@ -378,6 +378,24 @@ FINDINGS = [
         "0.31 mV is left in y, 4 times the sensor noise: it grows with the amplitude.",
     ),
     (
+        Code.CLAIM_ESTABLISHED,
+        *(
+            "x",
+            {
+                **{
+                    "depth": 2,
+                    "output": "x",
+                    "site": "balance force",
+                    "variables": ["v"],
+                    "form": "static",
+                    "family": [],
+                },
+                **{"name": "", "probability": 0.98, "grade": "established", "share": 0.93, "rival": "sensor_lag"},
+            },
+        ),
+        "A static function of v acts at the force balance: 93 % of the error in x (98 % certain). The name is open.",
+    ),
+    (
         Code.SEPARATE_FROM_RIVAL,
         *("input_offset", {"rival": "constant_load"}),
         "record an experiment in which input offset and constant load differ (another amplitude, speed or direction): these records do not"

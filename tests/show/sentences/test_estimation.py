@@ -91,6 +91,13 @@ GOLDEN = [
         " slope, as sqrt has at 0; set a bound on the state in this term, or rewrite the term with a finite slope",
     ),
     (
+        "plant_run_failed",
+        "pump",
+        {"experiment": 2, "reason": "the run failed (division by zero)"},
+        "pump does not run over experiment 2 from its start values (the run failed (division by zero)): give others"
+        " (model.start(...), shell: --start)",
+    ),
+    (
         "model_does_not_follow",
         "",
         {"best_fit": {"x": 12.0, "i": 0.0}},

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from greybox.base.findings import Finding
+from greybox.extensions.design.document import name_alternative
 from greybox.extensions.design.problem import CampaignCode, DesignCode
 from greybox.extensions.design.result import Alternative, AlternativeKind
-from greybox.extensions.design.sentences import gain_text, name_alternative
 from greybox.show.sentences.registry import sentence
 
 GOLDEN = [
@@ -88,4 +88,3 @@ def test_alternatives_are_named() -> None:
         "a row every 7 s",
         "with a sensor for 7",
     ]
-    assert gain_text(Alternative(AlternativeKind.REPEAT, "2", 1.234)) == "1.23 times as much"

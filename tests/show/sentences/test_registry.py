@@ -10,7 +10,8 @@ import pytest
 
 import greybox
 from greybox.base.findings import Check, Finding, Severity, with_code
-from greybox.show.sentences.registry import register, sentence, templates, text
+from greybox.show.describe import text
+from greybox.show.sentences.registry import register, sentence, templates
 
 
 def codes() -> dict[str, str]:

@@ -39,8 +39,9 @@ def test_each_test_has_its_name_and_its_sentence(kind, alarm):
 def test_tests_are_printed_as_a_table():
     tests = ResidualTests((ResidualTest("x", ResidualTestKind.NORMALITY, 12.345, 0.0021, True),), ("x",))
     assert str(tests).splitlines() == [
-        "output  test       statistic  p",
-        "x       normality  12.35      0.0021  not normal: look for outliers, quantisation or two regimes",
+        "  output  test       statistic  p",
+        "  x       normality  12.35      0.0021  not normal: look for outliers, quantisation or two regimes",
+        "",
         "the residual of x was whitened with the noise model before the tests",
     ]
 
@@ -48,7 +49,8 @@ def test_tests_are_printed_as_a_table():
 def test_scores_are_printed_as_a_table():
     scores = PredictionScores({"x": OutputScore("m", 2e-6, {1: 1e-6, 10: 1.5e-6}, 3e-4, "a filter")})
     assert str(scores).splitlines() == [
-        "rmse  free run  1 step ahead  10 steps ahead  movement  unit",
-        "x     2e-06     1e-06         1.5e-06         0.0003    m",
+        "  rmse  free run  1 step ahead  10 steps ahead  movement  unit",
+        "  x     2e-06     1e-06         1.5e-06         0.0003    m",
+        "",
         "corrected by: a filter",
     ]

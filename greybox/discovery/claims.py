@@ -1,0 +1,483 @@
+"""What a discovery says, as a tree: where something is missing, as a function of what, of which family, which effect.
+
+Every resample of the records has a winner on the table of fitted sets (`greybox.discovery.table`). A claim holds in a resample if it holds
+in the winner, so its raw weight is how often it would be made again if the records were drawn again; sets that win by nothing share
+the resample. A curve in the winner beside an effect at the same place says that the effect has not the right form: it supports the
+place and the variable, and denies the name. A map of six numbers a depth, fitted to a study of cases with known answers, turns that
+weight, the share of the error that is claimed, what is left, whether only sensors are accused and whether a lag is, into a
+probability (`certainty.json`): a sensor can imitate whatever the plant does, and a lag a delay, so where the true effect is not in the
+catalogue these are accused in vain.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from greybox.base.numerics import TINY
+from greybox.base.values import Printable, ReadOnly
+from greybox.discovery.candidates import family_of
+from greybox.discovery.certainty import Grade
+from greybox.discovery.curve_shape import TIME
+from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
+from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
+from greybox.discovery.surrogate_effects import CLOCK, CURVE, TONE
+from greybox.discovery.table import Draws, FittedSet
+from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import all_effects
+from greybox.model.effects.placement import AT
+from greybox.model.model import Model
+from greybox.model.system import BoundEffect
+
+
+class Depth(IntEnum):
+    """How much a claim says."""
+
+    MISSING = 0
+    """Something is missing in an output."""
+    PLACE = 1
+    """Where: at a balance, an input, a sensor."""
+    VARIABLES = 2
+    """As a function of which variables."""
+    FAMILY = 3
+    """Which family of effects."""
+    NAME = 4
+    """Which effect."""
+
+
+@dataclass(frozen=True)
+class Claim(Printable, ReadOnly):
+    """One statement about what the plain model lacks.
+
+    Parameters
+    ----------
+    depth
+        How much it says.
+    output
+        The output of whose error what is claimed takes the largest share.
+    sites
+        Labels of the places that the sensors cannot tell apart; empty at depth 0.
+    variables
+        States and inputs on which it depends; empty above that depth, and where only the time is left.
+    form
+        ``static``, ``with memory``, ``timing`` (a lag or a delay), or "" where that is open.
+    family
+        Names of the effects of the catalogue that belong together.
+    name
+        The effect.
+    probability, grade
+        How probable it is that the claim holds, and what may be said because of that.
+    share
+        Share of the rms error that what is claimed takes away on the records that judge, 0 to 1.
+    rival
+        What wins most often where the claim does not hold: "" where it always does.
+    frequency, left
+        What the probability was computed from, beside the share, the sites and the form: the share of the resamples in which the claim
+        holds; and of the set that won most often, the share of the rms error that is no noise.
+    """
+
+    depth: Depth
+    output: str
+    sites: tuple[str, ...] = ()
+    variables: tuple[str, ...] = ()
+    form: str = ""
+    family: tuple[str, ...] = ()
+    name: str = ""
+    probability: float = 0.0
+    grade: Grade = Grade.STAND_IN
+    share: float = 0.0
+    rival: str = ""
+    frequency: float = 0.0
+    left: float = 0.0
+
+    @property
+    def is_established(self) -> bool:
+        """Whether it may be said."""
+        return self.grade is Grade.ESTABLISHED
+
+
+# Probability from which a claim is established, and from which it is probable; below it is a stand-in.
+ESTABLISHED_FROM = 0.75
+PROBABLE_FROM = 0.5
+# Share of the resamples from which a claim is listed.
+LEAST_FREQUENCY = 0.2
+# Share of the error that what is claimed must take: less is no answer to what is missing.
+LEAST_SHARE = 0.05
+# Difference of the logarithms of two errors below which two sets win together.
+SAME_LOG_ERROR = 1e-3
+# Forms of a claim.
+STATIC, WITH_MEMORY, TIMING = "static", "with memory", "timing"
+# Share of the resamples in which the form must be the same for a claim to say it.
+AGREED = 0.8
+
+
+@dataclass(frozen=True)
+class EffectForm:
+    """What an effect in a model says at each depth.
+
+    Parameters
+    ----------
+    name
+        Its name; "" for a curve or a tone, which stand for any.
+    site
+        Label of the balance, input or sensor at which it acts.
+    variables
+        States and inputs that what it adds depends on.
+    form
+        ``static``, ``with memory`` (it has states of its own, or moves a signal in time), or ``timing``.
+    family
+        Names of its relatives and its own.
+    """
+
+    name: str
+    site: str
+    variables: tuple[str, ...]
+    form: str
+    family: tuple[str, ...]
+
+
+def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
+    """The form of one effect of ``model``."""
+    effect = bound.effect
+    sites = list_disturbance_sites(model, [o.name for o in model.outputs])
+    label = next((s.label for s in sites if s.name == bound.site), bound.site)
+    variables = _find_variables(model, bound)
+    if effect.name in (CURVE, TONE):
+        is_over_time = effect.name == TONE or any(s.name == CLOCK for s in effect.states)
+        return EffectForm("", label, (TIME,) if is_over_time else variables, STATIC, ())
+    name = effect.name.removesuffix(SECOND_BRANCH)
+    base = name.partition(AT)[0]
+    if _is_timing(effect):
+        return EffectForm(name, label, variables, TIMING, tuple(e.name for e in all_effects() if _is_timing(e)))
+    form = WITH_MEMORY if has_memory(effect) else STATIC
+    return EffectForm(name, label, variables, form, family_of(base) or (base,))
+
+
+def _is_timing(effect: Effect) -> bool:
+    """Whether an effect only moves a signal in time: a lag, a delay, another hold. To the first order in its time each does the same,
+    1 / (1 + s tau) = 1 - s tau + ... = exp(-s tau).
+    """
+    return has_memory(effect) and effect.parity == "linear" and len(effect.parameters) <= 1
+
+
+def _find_variables(model: Model, bound: BoundEffect) -> tuple[str, ...]:
+    """The states of the plant and the inputs that what an effect adds depends on: those of its slopes along its own constants."""
+    system, own_states = model.system, {s.name for s in bound.states}
+    dry = [system.state_names[d.state] for d in system.dry if d.effect == bound.effect.name]
+    if dry:
+        return tuple(dry)
+    index = [system.parameter_names.index(n) for n in bound.model_names.values() if n in system.parameter_names]
+    updates = [u for u in system.updates if system.state_names[u.state] in own_states]
+    # d (rates, outputs, states that are set) / d constants.
+    equations = ca.vertcat(system.rhs, system.outputs, *(u.value for u in system.updates))
+    slopes = ca.jacobian(equations, system.p)[:, index]
+    # What drives the effect's own states drives the effect.
+    rows = [k for k, name in enumerate(system.state_names) if name in own_states]
+    used = {s.name() for s in ca.symvar(ca.vertcat(ca.vec(slopes), system.rhs[rows], *(u.value for u in updates)))}
+    names = [*(name for name in system.state_names if name not in own_states), *system.input_names]
+    # A delay, or a signal between its samples, is of the input at which it acts.
+    return tuple(n for n in names if n in used) or tuple(n for n in system.input_names if n == bound.site)
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """How often each set of a table won: ``weight`` (R, S), rows that add up to one; sets that win by nothing share a resample."""
+
+    draws: Draws
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, draws: Draws) -> Weights:
+        """Of the winners of a table's resamples."""
+        rounds = np.arange(len(draws.winner))
+        free = np.array([s.candidate.free for s in draws.sets])
+        behind = draws.errors - draws.errors[rounds, draws.winner][:, None]
+        alike = draws.good & (free[None] == free[draws.winner][:, None]) & (np.abs(behind) < SAME_LOG_ERROR)
+        alike[rounds, draws.winner] = True
+        return cls(draws, alike / alike.sum(axis=1, keepdims=True))
+
+    @property
+    def totals(self) -> np.ndarray:
+        """Share of the resamples that each set won (S,)."""
+        return np.asarray(self.weight.mean(axis=0))
+
+    @property
+    def leading(self) -> int:
+        """The number of the set that won most often."""
+        return int(self.totals.argmax())
+
+    def share(self, holds: Sequence[bool]) -> float:
+        """Share of the resamples won by sets of which something ``holds`` (S,)."""
+        return float(self.totals @ np.array(holds, float))
+
+
+def weigh_claims(
+    draws: Draws, alike_sites: Sequence[Sequence[str]], given: Collection[str], left: float
+) -> tuple[Claim, ...]:
+    """The tree of claims, depth by depth, most frequent first; empty where no set could be run.
+
+    Parameters
+    ----------
+    draws
+        What resampling says of the table of fitted sets.
+    alike_sites
+        Labels of sites in groups that the sensors cannot tell apart.
+    given
+        Names of the effects that the user's model holds: they are claimed by nobody.
+    left
+        Share of the rms error that is no noise of the set that won most often (`measure_structure`).
+    """
+    if not draws.sets:
+        return ()
+    weights = Weights.of(draws)
+    forms = [
+        [describe_effect(s.candidate.model, b) for b in s.candidate.model.bound_effects if b.effect.name not in given]
+        for s in draws.sets
+    ]
+    groups = {label: tuple(group) for group in alike_sites for label in group}
+    leading = draws.sets[weights.leading]
+    names = [o.name for o in leading.candidate.model.outputs]
+    context = _Context(draws, weights, forms, groups, names, left)
+    missing = context.claim(Depth.MISSING, (), lambda f: ())
+    claims = [missing] if missing else []
+    for depth, key in KEYS.items():
+        keys = Counter(
+            {k: context.frequency(depth, k) for set_ in forms for f in set_ for k in [key(context.group(f), f)]}
+        )
+        for value, frequency in keys.most_common():
+            if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
+                claims.append(_hold_below(made, claims))
+    return tuple(claims)
+
+
+def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
+    """The claim no likelier than the ones that it implies: its variables, its place, that something is missing."""
+    implied = [
+        c.probability
+        for c in claims
+        if c.depth < claim.depth
+        and (c.depth < Depth.PLACE or c.sites == claim.sites)
+        and (c.depth < Depth.VARIABLES or c.variables == claim.variables)
+        and (c.depth < Depth.FAMILY or c.family == claim.family)
+    ]
+    probability = min([claim.probability, *implied])
+    return replace(claim, probability=probability, grade=to_grade(probability))
+
+
+Key = Callable[[tuple[str, ...], EffectForm], Hashable]
+
+# What a form says at each depth.
+KEYS: Mapping[Depth, Key] = {
+    Depth.PLACE: lambda sites, f: (sites,),
+    Depth.VARIABLES: lambda sites, f: (sites, f.variables),
+    Depth.FAMILY: lambda sites, f: (sites, f.variables, f.family),
+    Depth.NAME: lambda sites, f: (sites, f.variables, f.family, f.name),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class _Context:
+    """A table's draws with the forms of each set, from which claims are made."""
+
+    draws: Draws
+    weights: Weights
+    forms: Sequence[Sequence[EffectForm]]
+    groups: Mapping[str, tuple[str, ...]]
+    outputs: Sequence[str]
+    left: float
+
+    def group(self, form: EffectForm) -> tuple[str, ...]:
+        return self.groups.get(form.site, (form.site,))
+
+    def holds(self, depth: Depth, value: Hashable) -> list[bool]:
+        """In which sets a claim holds."""
+        if depth is Depth.MISSING:
+            return [bool(forms) for forms in self.forms]
+        return [any(self._says(forms, f, depth, value) for f in forms) for forms in self.forms]
+
+    def _says(self, forms: Sequence[EffectForm], form: EffectForm, depth: Depth, value: Hashable) -> bool:
+        if KEYS[depth](self.group(form), form) != value:
+            return False
+        if depth < Depth.FAMILY:
+            return True
+        # A curve beside it at the same place: its form is not right. A curve has no name.
+        curves = [f for f in forms if not f.name and self.group(f) == self.group(form)]
+        return bool(form.name) and not curves
+
+    def frequency(self, depth: Depth, value: Hashable) -> float:
+        return self.weights.share(self.holds(depth, value))
+
+    def claim(self, depth: Depth, value: Hashable, key: Key | Callable[[EffectForm], Hashable]) -> Claim | None:
+        """The claim with this content; None where no winner makes it."""
+        holds = self.holds(depth, value)
+        frequency = self.weights.share(holds)
+        if not frequency:
+            return None
+        totals = self.weights.totals
+        best = int(np.argmax(np.where(holds, totals, -1.0)))
+        shown = next((f for f in self.forms[best] if depth and self._says(self.forms[best], f, depth, value)), None)
+        removed = {f.name for f in self.forms[best] if not depth or KEYS[depth](self.group(f), f) == value}
+        share, output = self._share(best, removed)
+        if depth and share < LEAST_SHARE:
+            return None
+        others = [k for k in range(len(holds)) if not holds[k] and totals[k] > 0]
+        rival = max(others, key=lambda k: totals[k], default=None)
+        claim = Claim(
+            depth,
+            output,
+            sites=() if shown is None else self.group(shown),
+            variables=shown.variables if shown is not None and depth >= Depth.VARIABLES else (),
+            form=self._form(value, depth) if shown is not None and depth >= Depth.VARIABLES else "",
+            family=shown.family if shown is not None and depth >= Depth.FAMILY else (),
+            name=shown.name if shown is not None and depth >= Depth.NAME else "",
+            share=share,
+            rival="" if rival is None else _title(self.forms[rival]),
+            frequency=frequency,
+            left=self.left,
+        )
+        # What would be said again in so many of the resamples is no likelier than that.
+        probability = min(to_probability(depth, to_features(claim)), frequency)
+        return replace(claim, probability=probability, grade=to_grade(probability))
+
+    def _form(self, value: Hashable, depth: Depth) -> str:
+        """The form of what makes the claim, where the winners agree."""
+        shares: dict[str, float] = defaultdict(float)
+        for total, forms in zip(self.weights.totals, self.forms, strict=True):
+            made = next((f.form for f in forms if KEYS[depth](self.group(f), f) == value), None)
+            if made is not None:
+                shares[made] += float(total)
+        form = max(shares, key=lambda made: shares[made])
+        return form if shares[form] >= AGREED * sum(shares.values()) else ""
+
+    def _share(self, best: int, removed: Collection[str]) -> tuple[float, str]:
+        """Share of the error that effects of a set take, and in which output most: beside the largest set on the table without them."""
+        sets = self.draws.sets
+        kept = [k for k, s in enumerate(sets) if not {f.name for f in self.forms[k]} & set(removed)]
+        rest = frozenset(f.name for f in self.forms[best]) - set(removed)
+        nested = [k for k in kept if {f.name for f in self.forms[k]} <= rest]
+        if not nested:
+            return 0.0, self.outputs[0]
+        without = max(nested, key=lambda k: (len(self.forms[k]), -float(np.median(self.draws.errors[:, k]))))
+        before, after = (_judged_rms(sets[k]) for k in (without, best))
+        shares = 1 - after / np.maximum(before, TINY)
+        output = int(np.nanargmax(np.where(before > 0, shares, -np.inf)))
+        return float(np.clip(shares[output], 0.0, 1.0)), self.outputs[output]
+
+
+def _judged_rms(fitted: FittedSet) -> np.ndarray:
+    """Rms error of the free run by output (ny,) on the records that judge, over the noise."""
+    sums = fitted.sums
+    squares, counts = (each[sums.is_judging].sum(axis=0) for each in (sums.square, sums.count))
+    return np.asarray(np.sqrt(squares / np.maximum(counts, 1)))
+
+
+def _title(forms: Sequence[EffectForm]) -> str:
+    """The effects of a rival, in words that a text can use: names, and ``fitted_curve`` for a curve."""
+    return " + ".join(f.name or CURVE for f in forms)
+
+
+# From the raw weight to a probability
+
+# Weights closer to 0 and 1 than this are as good as these: of two hundred resamples none says more.
+LEAST_WEIGHT = 0.005
+
+
+@cache
+def read_certainty() -> Mapping[int, tuple[float, ...]]:
+    """By depth, the constants of the map: intercept, then the slopes along `to_features`."""
+    data = json.loads((files("greybox.discovery") / "certainty.json").read_text(encoding="utf-8"))
+    return {int(depth): tuple(row) for depth, row in data["depths"].items()}
+
+
+class Features(NamedTuple):
+    """What the map multiplies."""
+
+    weight: float
+    """Log odds of the share of the resamples."""
+
+    left: float
+    """Root of the share of the rms error that is no noise, 0 to 1."""
+
+    share: float
+    """Share of the error that is claimed."""
+
+    sensors: float
+    """Whether the claim is about sensors alone."""
+
+    timing: float
+    """Whether it is about a lag or a delay."""
+
+
+def to_features(claim: Claim) -> Features:
+    """The features of a claim."""
+    weight = min(max(claim.frequency, LEAST_WEIGHT), 1 - LEAST_WEIGHT)
+    sensor = site_label(SiteKind.SENSOR, "")
+    return Features(
+        math.log(weight / (1 - weight)),
+        math.sqrt(min(max(claim.left, 0.0), 1.0)),
+        claim.share,
+        float(bool(claim.sites) and all(label.startswith(sensor) for label in claim.sites)),
+        float(claim.form == TIMING),
+    )
+
+
+def to_probability(depth: Depth, features: Features) -> float:
+    """The probability that a claim holds: a logistic function of its features."""
+    intercept, *slopes = read_certainty()[int(depth)]
+    score = intercept + sum(s * f for s, f in zip(slopes, features, strict=True))
+    return 1 / (1 + math.exp(-min(max(score, -30.0), 30.0)))
+
+
+def to_grade(probability: float) -> Grade:
+    """What may be said at a probability."""
+    if probability >= ESTABLISHED_FROM:
+        return Grade.ESTABLISHED
+    return Grade.PROBABLE if probability >= PROBABLE_FROM else Grade.STAND_IN
+
+
+def lower_grade(claim: Claim) -> Claim:
+    """The same claim where the answer as a whole is open: what was established is only probable."""
+    return replace(claim, grade=Grade.PROBABLE) if claim.is_established else claim
+
+
+def name_claim(claims: Sequence[Claim], effect: str) -> Claim | None:
+    """What is claimed of one effect by name; None where it is not."""
+    return next((c for c in claims if c.depth is Depth.NAME and c.name == effect), None)
+
+
+def deepest_established(claims: Sequence[Claim]) -> Claim | None:
+    """The claim that says most of those that are established; of several the one that takes most."""
+    established = [c for c in claims if c.is_established and c.depth > Depth.MISSING]
+    return max(established, key=lambda c: (c.depth, c.share), default=None)
+
+
+def name_by_evidence(claims: Sequence[Claim], established: Collection[str]) -> tuple[Claim, ...]:
+    """The claims, of which a name is certain only where the evidence for the effect says so, by form and not by weight alone."""
+    return tuple(lower_grade(c) if c.depth is Depth.NAME and c.name not in established else c for c in claims)
+
+
+def claim_values(claim: Claim) -> dict[str, Any]:
+    """A claim as a row of plain values: for a finding, and for JSON."""
+    return {
+        "depth": int(claim.depth),
+        "output": claim.output,
+        "site": " or ".join(claim.sites),
+        "variables": list(claim.variables),
+        "form": claim.form,
+        "family": list(claim.family),
+        "name": claim.name,
+        "probability": claim.probability,
+        "grade": str(claim.grade),
+        "share": claim.share,
+        "rival": claim.rival,
+    }

@@ -1,0 +1,291 @@
+"""Every set of effects that was fitted, on one table, and how each would do if the records were drawn again.
+
+A set keeps its residual and Jacobian block by block, on the records that it was fitted to and on those that judge it. A resample draws
+blocks of all of them with replacement: one small solve refits every set to what was drawn, and the blocks that were not drawn score it
+(the out-of-bag error of the bootstrap: L. Breiman 1996, Out-of-bag estimation). No run is simulated for that. What wins how often is
+the raw weight of a claim (stability selection: N. Meinshausen, P. Buehlmann 2010, J. R. Stat. Soc. B 72).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from greybox.base.numerics import SAME_ERROR, TINY
+from greybox.discovery.execution import SearchStage
+from greybox.discovery.holdout import HoldoutScores
+from greybox.discovery.problem import CandidateFit
+
+# Blocks into which the records that were fitted, and those that judge, are divided: so many are long beside the memory of a residual and
+# still enough to draw from.
+BLOCKS = 24
+# Fewest rows of a block.
+LEAST_BLOCK_ROWS = 2
+# Draws: a frequency is known to 3 %.
+RESAMPLES = 200
+# Standard errors, over the blocks that were not drawn, within which a set does as well as the best of a resample: of many sets the best
+# is partly lucky.
+GOOD_DEVIATIONS = 2.0
+# Mean square error over the noise, and difference relative to what the best leaves, beyond which more of it says nothing more.
+ASTRAY, FAR_BEHIND = 1e100, 1e6
+# Seed of the draws: the same records give the same answer.
+SEED = 1
+# Size of the step of a constant that costs as much as one sample at the level of the noise: beyond its own size a linear step is not to be
+# trusted, and a constant that the drawn blocks leave open would go to its bound.
+RIDGE = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class BlockSums:
+    """The sums of squares of one set of effects as a quadratic of its unknowns, by block and output.
+
+    Parameters
+    ----------
+    square, count
+        Sum of the squared residuals over the noise, and how many (B, ny).
+    gradient, curvature
+        ``J'r`` (B, ny, n) and ``J'J`` (B, ny, n, n) along the n unknowns: constants, then the first states of every record.
+    low, high
+        How far the unknowns may move (n,).
+    constants
+        How many of the unknowns are constants.
+    is_judging
+        Which blocks are of the records that judge (B,).
+    """
+
+    square: np.ndarray
+    count: np.ndarray
+    gradient: np.ndarray
+    curvature: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    constants: int
+    is_judging: np.ndarray
+
+    def refit(self, drawn: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """The steps (R, n) to the optimum of each resample: ``drawn`` (R, B) counts its blocks, ``weight`` (ny,) its outputs."""
+        n = len(self.low)
+        if not n:
+            return np.zeros((len(drawn), 0))
+        # sum_b w_b (J'J, J'r), outputs in units of what is left in them.
+        curvature = np.einsum("rb,bij->rij", drawn, np.einsum("boij,o->bij", self.curvature, weight))
+        gradient = np.einsum("rb,bi->ri", drawn, np.einsum("boi,o->bi", self.gradient, weight))
+        steps = -np.linalg.solve(curvature + RIDGE * np.eye(n), gradient[:, :, None])[:, :, 0]
+        return np.clip(steps, self.low, self.high)
+
+    def mean_squares(self, steps: np.ndarray) -> np.ndarray:
+        """Mean square errors (R, B, ny) over the noise after ``steps`` (R, n): |r + J s|^2 = r'r + 2 s'J'r + s'J'J s."""
+        linear = np.einsum("boi,ri->rbo", self.gradient, steps)
+        moved = np.einsum("boij,ri,rj->rbo", self.curvature, steps, steps, optimize=True)
+        return np.maximum(self.square + 2 * linear + moved, 0.0) / np.maximum(self.count, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedSet:
+    """One set of effects on the table: the candidate and its sums by block."""
+
+    candidate: CandidateFit
+    sums: BlockSums
+
+    @property
+    def effects(self) -> frozenset[str]:
+        """Names of its effects."""
+        return frozenset(self.candidate.effects)
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """What resampling says of a table.
+
+    Parameters
+    ----------
+    sets
+        The sets that took part.
+    errors
+        Out-of-bag error of each set in each resample, all outputs together (R, S): the logarithm of the rms over what the best leaves.
+    good
+        Which sets are within one standard error of the best of the resample (R, S).
+    winner
+        The simplest good one (R,).
+    """
+
+    sets: tuple[FittedSet, ...]
+    errors: np.ndarray
+    good: np.ndarray
+    winner: np.ndarray
+
+    @property
+    def leading(self) -> int:
+        """The number of the set that won most often."""
+        return int(np.bincount(self.winner, minlength=len(self.sets)).argmax())
+
+
+SetKey = frozenset[tuple[str, str, str]]
+
+
+def _key_of(candidate: CandidateFit) -> SetKey:
+    """What makes a set: names, places and equations of its effects; two curves have the same name."""
+    added = [b for b in candidate.model.bound_effects if b.effect.name not in candidate.given]
+    return frozenset((b.effect.name, b.site, b.effect.equation) for b in added)
+
+
+# Sets that take part in the draws: those that leave least on the records that were fitted.
+MOST_SETS = 60
+
+
+@dataclass
+class FitTable:
+    """All sets that were fitted to the records of one problem.
+
+    Parameters
+    ----------
+    scores
+        The records that judge, with the problem that the sets were fitted for.
+    """
+
+    scores: HoldoutScores
+    _sets: dict[SetKey, CandidateFit] = field(init=False, default_factory=dict)
+    _sums: dict[int, tuple[CandidateFit, BlockSums | None]] = field(init=False, default_factory=dict)
+
+    def add(self, *candidates: CandidateFit | None) -> None:
+        """Put sets on the table; of two fits of the same set the one that leaves less stays, whatever noise they were weighed with."""
+        records = [e.fingerprint for e in self.scores.problem.experiments]
+        for candidate in candidates:
+            if candidate is None or not np.isfinite(candidate.cost):
+                continue
+            if [e.fingerprint for e in candidate.problem.experiments] != records:
+                continue
+            known = self._sets.get(_key_of(candidate))
+            if known is None or candidate.noise_ratio < known.noise_ratio:
+                self._sets[_key_of(candidate)] = candidate
+
+    def get(self, effects: Iterable[str]) -> CandidateFit | None:
+        """The fit of one set of effects of the catalogue, if it is there."""
+        wanted = frozenset(effects)
+        return next((fit for fit in self._sets.values() if frozenset(fit.effects) == wanted), None)
+
+    @property
+    def candidates(self) -> tuple[CandidateFit, ...]:
+        """The fits, those that leave least first."""
+        return tuple(sorted(self._sets.values(), key=lambda fit: fit.noise_ratio))
+
+    def leading(self, always: Iterable[CandidateFit]) -> list[CandidateFit]:
+        """Those that take part in the draws; some ``always`` do."""
+        kept = {_key_of(fit) for fit in (*self.candidates[:MOST_SETS], *always)}
+        return [fit for key, fit in self._sets.items() if key in kept]
+
+    def sums(self, candidate: CandidateFit) -> BlockSums | None:
+        """The sums of a candidate by block; None where it cannot be run."""
+        if id(candidate) not in self._sums:
+            compute = partial(_sum_blocks, self.scores, candidate)
+            sums = self.scores.problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, compute, None)
+            self._sums[id(candidate)] = candidate, sums
+        return self._sums[id(candidate)][1]
+
+    def draw(self, candidates: Sequence[CandidateFit], resamples: int = RESAMPLES) -> Draws:
+        """Resample the records and see which of ``candidates`` wins."""
+        sets = [FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None]
+        if not sets:
+            return Draws((), np.zeros((0, 0)), np.zeros((0, 0), bool), np.zeros(0, int))
+        blocks = len(sets[0].sums.count)
+        draws = np.random.default_rng(SEED).integers(0, blocks, (resamples, blocks))
+        drawn = np.zeros((resamples, blocks))
+        np.add.at(drawn, (np.arange(resamples)[:, None], draws), 1.0)
+        left = drawn == 0
+        count = sets[0].sums.count
+        # Outputs count relative to the least that any set leaves in them: no level of noise is needed.
+        level = np.min([s.sums.square.sum(axis=0) / np.maximum(count.sum(axis=0), 1) for s in sets], axis=0)
+        measured = count.sum(axis=0) > 0
+        weight = np.where(measured, 1 / np.maximum(level, TINY), 0.0)
+        squares = np.stack([s.sums.mean_squares(s.sums.refit(drawn, weight)) for s in sets])[..., measured]
+        # Each output of the records that were fitted, and of those that judge, counts alike, however long they are.
+        judging = sets[0].sums.is_judging[:, None]
+        counts = np.concatenate([count[:, measured] * ~judging, count[:, measured] * judging], axis=1)
+        return _judge_draws(tuple(sets), np.concatenate([squares, squares], axis=-1), left, counts)
+
+
+def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndarray, count: np.ndarray) -> Draws:
+    """The winners, from mean squares (S, R, B, n) of n outputs, the blocks ``left`` out of each resample (R, B), and samples (B, n)."""
+    # A set that goes astray is out, however far it goes: nothing may overflow on the way.
+    squares = np.minimum(np.nan_to_num(squares, nan=ASTRAY, posinf=ASTRAY), ASTRAY)
+    weight = left[:, :, None] * count  # (R, B, n)
+    total = weight.sum(axis=1)
+    seen = total > 0
+    mean = np.einsum("srbo,rbo->sro", squares, weight) / np.maximum(total, 1)
+    # Outputs together: the mean of the logarithms of their rms.
+    logs = np.where(seen, 0.5 * np.log(np.maximum(mean, TINY)), 0.0)
+    errors = (logs.sum(axis=2) / np.maximum(seen.sum(axis=1), 1)).T  # (R, S)
+    best = errors.argmin(axis=1)
+    rounds = np.arange(len(best))
+    # By how much each set is worse than the best, block by block: relative to what the best leaves in that output, and as the logarithm.
+    # The one tells an effect that acts in a few blocks (a stop), the other is not deceived by a few blocks in which a set goes astray.
+    reference, chosen = np.maximum(mean[best, rounds], TINY), squares[best, rounds]
+    share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1)
+    behind = np.minimum((squares - chosen[None]) / reference[None, :, None, :], FAR_BEHIND)
+    relative = (behind * share[None]).sum(axis=3)
+    logarithm = ((np.log(np.maximum(squares, TINY)) - np.log(np.maximum(chosen, TINY))) * share[None]).sum(axis=3)
+    # The simplest of those within some standard errors (L. Breiman et al. 1984, Classification and regression trees, section 3.4.3).
+    good = np.ones(errors.shape, bool)
+    for behind in (relative, logarithm):
+        good &= (_standard_errors(behind, left) <= GOOD_DEVIATIONS).T
+    good[rounds, best] = True
+    free = np.array([s.candidate.free for s in sets], float)
+    # Fewest constants; of as many, the one that leaves least.
+    ranked = np.where(good, free[None] + errors / (1 + np.abs(errors).max()) / 2, np.inf)
+    return Draws(sets, errors, good, ranked.argmin(axis=1))
+
+
+def _standard_errors(behind: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """The means (S, R) over the blocks ``left`` (R, B) of ``behind`` (S, R, B), in standard errors."""
+    blocks = np.maximum(left.sum(axis=1), 2)
+    average = (behind * left[None]).sum(axis=2) / blocks
+    spread = np.sqrt((((behind - average[:, :, None]) ** 2) * left[None]).sum(axis=2) / (blocks - 1))
+    return np.asarray(average / np.maximum(spread / np.sqrt(blocks), SAME_ERROR))
+
+
+def _sum_blocks(scores: HoldoutScores, candidate: CandidateFit) -> BlockSums | None:
+    """Residuals and their slopes on all records, summed by block."""
+    run = scores.run(candidate)
+    if run is None:
+        return None
+    judging, problem = scores.validation.records, scores.problem
+    fitted = problem.experiments
+    prepared = problem.prepare(candidate.model, (*fitted, *judging)).with_plain_squares()
+    if candidate.problem.step.substeps and not prepared.step.per_interval:
+        prepared = prepared.with_substeps(candidate.problem.step.substeps)
+    names = prepared.model.system.state_names
+    begun = [[trace.initial_state[name] for name in names] for trace in run.traces]
+    guess = np.vstack([candidate.variables.initial.guess, np.array(begun).reshape(len(judging), len(names))])
+    variables = prepared.variables.start_at(candidate.model.values)
+    variables = replace(variables, initial=replace(variables.initial, guess=guess))
+    shooting = prepared.shooting(variables)
+    rows = sum(e.rows for e in fitted), sum(e.rows for e in judging)
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
+    for e, (residual, jacobian) in enumerate(shooting.residuals(variables.here)):
+        is_judging = e >= len(fitted)
+        first = scores.validation.uncounted if is_judging else 0
+        present = np.isfinite(residual)
+        present[:first] = False
+        if not np.isfinite(jacobian[present]).all():
+            return None
+        residual = np.where(present, residual, 0.0)
+        jacobian = np.where(present[:, :, None], jacobian, 0.0)
+        length = max(math.ceil(rows[is_judging] / BLOCKS), LEAST_BLOCK_ROWS)
+        pieces = max(round((len(residual) - first) / length), 1)
+        columns = variables.columns(e)
+        for part in np.array_split(np.arange(first, len(residual)), pieces):
+            slopes = np.zeros((residual.shape[1], variables.size))
+            curvature = np.zeros((residual.shape[1], variables.size, variables.size))
+            slopes[:, columns] = np.einsum("no,noi->oi", residual[part], jacobian[part])
+            curvature[np.ix_(np.arange(residual.shape[1]), columns, columns)] = np.einsum(
+                "noi,noj->oij", jacobian[part], jacobian[part], optimize=True
+            )
+            square = (residual[part] ** 2).sum(axis=0)
+            parts.append((square, present[part].sum(axis=0), slopes, curvature, is_judging))
+    square, count, gradient, curvature, judges = (np.array(each) for each in zip(*parts, strict=True))
+    low, high = variables.bounds()
+    return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges)

@@ -1,0 +1,249 @@
+"""A design: the input to play, what it should bring, the limits, and what would bring more; and a campaign of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf, isinf
+
+from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, TableBlock, Tone
+from greybox.base.findings import Severity
+from greybox.base.json_file import ResultKind, read_json
+from greybox.estimation.result import Fit
+from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
+from greybox.extensions.design.result import Alternative, Design
+from greybox.extensions.design.sentences import name_explanation
+from greybox.model.effects.catalogue import effect
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.simulation import run_figures
+from greybox.show.sentences.wording import change_text, count_noun, format_number, join_names, quantity_text
+from greybox.simulation.simulate import simulate
+
+GOALS = {
+    "precision": "narrow intervals",
+    "discrimination": "telling explanations apart",
+    "detection": "effects that may hide",
+}
+
+
+def describe_design(design: Design, *, command: str = "") -> Document:
+    """What is said of a design; ``command`` is what was typed."""
+    title = design.model.title
+    return Document(
+        f"The next record of {title}",
+        Later(_brief, design),
+        f"Which record of {title} should be taken next, within what the rig allows?",
+        _verdict(design),
+        Later(_sections, design, command),
+        "design",
+    )
+
+
+def _brief(design: Design) -> Iterator[Block]:
+    """The record, what it should bring, the limits, the alternatives, the findings."""
+    rows, duration = design.experiment.rows, design.experiment.rows * (design.experiment.sampling_time or 0.0)
+    record = f"{format_number(duration)} s, {count_noun(rows, 'row')}"
+    yield Paragraphs([f"{design.model.title}: {design.kind} input for {GOALS[design.goal]}, {record}"])
+    yield from (*_gains(design), _limits(design), _alternatives(design))
+    yield Facts([(str(f.severity), f) for f in design.findings])
+
+
+def _sections(design: Design, command: str) -> Iterator[Section]:
+    run = simulate(design.model, design.experiment)
+    yield Section("input", "The input", list(run_figures(run, design.model, ("inputs", "outputs", "states"))))
+    yield Section("brings", "What it brings", list(_gains(design)))
+    yield Section("limits", "Limits", [_limits(design)])
+    yield Section("alternatives", "Alternatives", [_alternatives(design)])
+    yield Section("model", "The model", [typeset_equations(design.model)])
+    yield provenance_section(command)
+
+
+def _verdict(design: Design) -> Paragraphs:
+    record = design.experiment
+    step = record.sampling_time or 0.0
+    play = f"Play the {design.kind} input of input.csv: {step * record.rows:g} s, a row every {step:g} s. It begins and ends at rest."
+    doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
+    return Paragraphs([play, *_brings(design), *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
+
+
+def _brings(design: Design) -> Iterator[str]:
+    """The one number that convinces: how far the explanations come apart, or how narrow the intervals become."""
+    pair = min(design.separation, key=design.separation.__getitem__, default="")
+    cost = design.separation.get(pair)
+    known = {name: c for name, c in design.predicted.items() if c.std_after is not None}
+    shares = {name: c.std_after / c.std_before for name, c in known.items() if c.std_after and c.std_before}
+    relative = {name: c.std_after / abs(c.value) for name, c in known.items() if c.std_after and c.value}
+    if len(relative) < len(design.predicted) and not shares:  # one of them stays open, as a finding says
+        relative = {}
+    least = max(relative, key=relative.__getitem__, default="")
+    if pair:
+        yield f"With it, the wrong explanation of the pair hardest to tell apart, {pair}, loses by {cost:.3g} in the cost."
+    elif shares:
+        sizes = sorted(shares.values())
+        size = f"{sizes[0]:.2g}" if len(sizes) == 1 else f"{sizes[0]:.2g} to {sizes[-1]:.2g}"
+        yield f"With it, the intervals of {join_names(list(shares))} shrink to {size} of what they are."
+    elif least:
+        known_to = f"With it, every constant is known to {100 * relative[least]:.2g} % or better"
+        yield f"{known_to} (standard deviation); {least} is the least certain."
+
+
+def _gains(design: Design) -> Iterator[TableBlock]:
+    """What the record tells: of effects that may hide, of explanations, of parameters."""
+    if design.detection:
+        rows = [
+            [
+                name,
+                d.parameter,
+                *("nothing" if a is None else f"{a:.2g} {d.unit}".rstrip() for a in (d.before, d.after)),
+            ]
+            for name, d in design.detection.items()
+        ]
+        caption = "Smallest amount of each effect that is seen now, and with this record"
+        yield TableBlock(caption, ["effect", "amount", "seen now from", "seen then from"], rows)
+    if design.separation:
+        rows = [[pair, f"{cost:.3g}"] for pair, cost in design.separation.items()]
+        caption = "Cost by which the wrong explanation of each pair would lose, after a refit"
+        yield TableBlock(caption, ["explanations", "cost by which the wrong one loses"], rows)
+    rows = [
+        [
+            name,
+            f"{format_number(c.value)} {c.unit}".rstrip(),
+            *("open" if s is None else f"{s:.2g}" for s in (c.std_before, c.std_after)),
+        ]
+        for name, c in design.predicted.items()
+    ]
+    caption = "Standard deviation of each parameter now, and with this record"
+    yield TableBlock(caption, ["parameter", "value", "std now", "std then"], rows)
+
+
+def _limits(design: Design) -> TableBlock:
+    """Signal, limits, and the range that is predicted."""
+    rows = []
+    for name, limit in design.limits.items():
+        predicted = change_text(limit.predicted_low, limit.predicted_high, limit.unit)
+        rows.append([name, change_text(limit.low, limit.high, limit.unit), predicted])
+        if limit.rate < inf:
+            rate = f"{limit.unit}/s"
+            rows.append([f"rate of {name}", quantity_text(limit.rate, rate), quantity_text(limit.predicted_rate, rate)])
+    caption = "Limits, and what is predicted under every explanation with a margin for what is not known"
+    return TableBlock(caption, ["signal", "limits", "predicted"], rows)
+
+
+def _alternatives(design: Design) -> TableBlock:
+    rows = [[name_alternative(a), f"{a.gain:.3g} times as much"] for a in design.alternatives]
+    note = "Twice as much means intervals half as wide, explanations twice as far apart, or half the amount seen."
+    return TableBlock("What could be done instead", ["instead", "brings"], rows, note)
+
+
+def name_alternative(alternative: Alternative) -> str:
+    """What the alternative is, in words."""
+    return {
+        "input": f"{alternative.name} input",
+        "repeat": f"this record {alternative.name} times",
+        "longer": f"{alternative.name} s instead",
+        "sample_faster": f"a row every {alternative.name} s",
+        "sensor": f"with a sensor for {alternative.name}",
+    }[alternative.kind]
+
+
+# A campaign: how it stands, and its experiments in their order.
+
+FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
+"""What a folder of an experiment may hold for a reader, in the order in which it comes there."""
+TONES = {
+    CampaignStatus.MEASURING: Tone.PLAIN,
+    CampaignStatus.DONE: Tone.GOOD,
+    CampaignStatus.BUDGET_SPENT: Tone.CAUTION,
+    CampaignStatus.LIMIT_BROKEN: Tone.BAD,
+}
+
+
+def describe_campaign(campaign: Campaign, *, command: str = "") -> Document:
+    """What is said of a campaign; ``command`` is what was typed."""
+    machine = campaign.plan.model.title
+    head = f"{machine}: campaign in {campaign.folder}, {campaign.status.replace('_', ' ')}"
+    return Document(
+        f"Campaign on {machine}",
+        [Paragraphs([head]), _experiments(campaign), Paragraphs(campaign.findings)],
+        f"Which effects does the rig of {machine} have, and how precisely are its parameters known?",
+        Paragraphs(campaign.findings, TONES[campaign.status]),
+        Later(_campaign_sections, campaign, command),
+        "campaign",
+    )
+
+
+def _campaign_sections(campaign: Campaign, command: str) -> Iterator[Section]:
+    model = campaign.plan.model
+    for name in campaign.steps[-1].effects if campaign.steps else ():
+        model = model + effect(name)
+    yield Section("steps", "Experiments", [_experiments(campaign), *_widths(campaign), _files(campaign)])
+    yield Section("model", "The model", [typeset_equations(model)])
+    yield provenance_section(command)
+
+
+def _experiments(campaign: Campaign) -> TableBlock:
+    head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
+    return TableBlock("The experiments, in their order", head, [_step_row(step) for step in campaign.steps])
+
+
+def _step_row(step: CampaignStep) -> list[str]:
+    others = ", ".join(map(name_explanation, step.alternatives))
+    known = bool(step.widths)
+    width = max(step.widths.values(), default=0.0)
+    return [
+        str(step.number),
+        step.goal,
+        step.kind,
+        step.verdict or "none",
+        name_explanation(step.effects) if known else "not measured",
+        others or "none",
+        f"{step.misfit:.3g} x noise" if known else "",
+        ("open" if isinf(width) else f"{100 * width:.2g} %") if known else "",
+    ]
+
+
+def _widths(campaign: Campaign) -> Iterator[TableBlock]:
+    """How the interval of each parameter became narrower; none before the first record."""
+    measured = [step for step in campaign.steps if step.widths]
+    names = list(dict.fromkeys(name for step in measured for name in step.widths))
+    values = _last_values(campaign, measured[-1]) if measured else {}
+    rows: list[list[str]] = []
+    for name in names:
+        widths = [step.widths.get(name) for step in measured]
+        shares = ("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)
+        rows.append([name, *shares, values.get(name, "")])
+    head = ["parameter", *(f"experiment {step.number}" for step in measured), "value"]
+    caption = (
+        "Half width of the 95 % interval of each parameter after each experiment, over its value, and the value now"
+    )
+    if rows:
+        yield TableBlock(caption, head, rows)
+
+
+def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
+    """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
+    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (Fit, "fit.json")
+    path = campaign.folder / f"{step.number:02d}" / name
+    if not path.exists():
+        return {}
+    parameters = read_json(path, kind)["parameters"]
+    return {
+        name: f"{format_number(entry['value'])} {entry.get('unit') or ''}".rstrip()
+        for name, entry in parameters.items()
+        if entry["value"] is not None
+    }
+
+
+def _files(campaign: Campaign) -> TableBlock:
+    """What each folder holds."""
+    rows = []
+    for step in campaign.steps:
+        folder = f"{step.number:02d}"
+        present = [name for name in FILES if (campaign.folder / folder / name).exists()]
+        rows.append([folder, ", ".join(present)])
+    caption = "What the folder of each experiment holds: the input and why, the record, what was learnt from it"
+    return TableBlock(caption, ["folder", "files"], rows)
+
+
+DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}
+"""Class of a result -> the function that describes it."""

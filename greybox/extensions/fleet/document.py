@@ -1,0 +1,206 @@
+"""A fleet: how many records have a result, the population of the constants, the records that need a look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.base.document import (
+    Block,
+    BulletList,
+    Document,
+    Facts,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    TableBlock,
+    Text,
+    Tone,
+)
+from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
+from greybox.base.findings import Severity
+from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.sentences.registry import sentence
+from greybox.show.sentences.wording import count_noun, format_number, format_with_std, make_formatter
+
+# Records that a table of the page holds: those that need a look first; the file has all.
+LISTED_RECORDS = 200
+# Records without a result that print names; the page and the table have all.
+NAMED_RECORDS = 10
+
+
+def describe_fleet(fleet: FleetResult, *, command: str = "") -> Document:
+    """What is said of a fleet; ``command`` is what was typed."""
+    records = count_noun(fleet.total, "record")
+    summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
+    tone = Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else Tone.CAUTION
+    return Document(
+        f"{fleet.model.title}: {records}",
+        Later(_brief, fleet),
+        f"What are the constants of {fleet.model.title} in each of {records}?",
+        Paragraphs(summary, tone),
+        Later(_sections, fleet, command),
+        "fleet",
+    )
+
+
+def _brief(fleet: FleetResult) -> Iterator[Block]:
+    """How many records have a result, the population of the constants, what is said of how many records."""
+    first, *others = fleet.findings
+    yield Paragraphs([f"{fleet.model.title}: {sentence(first)}"])
+    yield from _tables(fleet)
+    failed = [f for f in others if f.code == FleetCode.RECORD_WITHOUT_RESULT]
+    notes: list[tuple[str, Text]] = [(str(f.severity), f) for f in others if f not in failed[NAMED_RECORDS:]]
+    if len(failed) > NAMED_RECORDS:
+        more = count_noun(len(failed) - NAMED_RECORDS, "more record")
+        notes.append(("warning", f"{more} without a result; the table names them"))
+    yield Facts(notes)
+
+
+def _sections(fleet: FleetResult, command: str) -> Iterator[Section]:
+    figure = plot_population_of_fleet(fleet)
+    figures = [] if figure is None else [FigureBlock(figure)]
+    yield Section("population", "The constants over the records", [*figures, *_tables(fleet)])
+    if fleet.without_result:
+        yield Section("without", "Records without a result", [_table_without_result(fleet)])
+    counts = [f for f in fleet.findings if f.code == FleetCode.FINDING_COUNT]
+    if counts:
+        yield Section("findings", "What is counts of how many records", [BulletList(counts)])
+    if fleet.usable:
+        yield Section("records", "Record by record", [_table_of_records(fleet)])
+    yield provenance_section(command)
+
+
+def _tables(fleet: FleetResult) -> Iterator[TableBlock]:
+    """The population of each constant, and of the misfit of each output."""
+    if fleet.population:
+        head = [
+            "parameter",
+            "median",
+            "90 % of the records",
+            "from record to record",
+            "left open by a record",
+            "records",
+        ]
+        rows = [_distribution_row(name, constant) for name, constant in fleet.population.items()]
+        note = "From record to record: the standard deviation beyond what the records leave open. A share is one of the value."
+        yield TableBlock("The constants of the records that the model follows", head, rows, note)
+    rows = [
+        [name, format_number(median, 3), f"{format_number(low, 3)} to {format_number(high, 3)}"]
+        for name, (low, median, high) in fleet.noise_ratios.items()
+    ]
+    if rows:
+        head = ["misfit over noise", "median", "90 % of the records"]
+        yield TableBlock("Misfit over noise; 1 is nothing but noise", head, rows)
+
+
+def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
+    notes = [
+        f"{count} {what}"
+        for count, what in ((constant.undetermined, "open"), (constant.at_bound, "at a bound"))
+        if count
+    ]
+    records = ", ".join([str(constant.count), *notes])
+    if not constant.count:
+        return [name, "", "", "", "", records]
+    unit = "" if constant.unit == "1" else constant.unit
+    write = make_formatter(constant.median, (constant.high - constant.low) / 10)
+    spread = (
+        "not visible"
+        if not constant.spread
+        else f"{100 * constant.spread:.2g} %"
+        if constant.relative
+        else f"{constant.spread:.2g} {unit}".rstrip()
+    )
+    left_open = f"{100 * constant.std / constant.median:.2g} %" if constant.relative else f"{constant.std:.2g}"
+    return [
+        name,
+        f"{write(constant.median)} {unit}".rstrip(),
+        f"{write(constant.low)} to {write(constant.high)}",
+        spread,
+        left_open,
+        records,
+    ]
+
+
+def plot_population_of_fleet(fleet: FleetResult) -> Figure | None:
+    """How often each value of a constant was found, and each misfit over noise; None where nothing was fitted."""
+    panels = []
+    for q in fleet.model.free_parameters:
+        constant = fleet.population.get(q.name)
+        if constant is None or not constant.count:
+            continue
+        estimates = [r.parameters[q.name] for r in fleet.usable]
+        values = [e.value for e in estimates if e.std is not None and e.determined and not e.at_bound]
+        panels.append(_histogram(q.name, Axis(q.name, typeset_unit(q.unit)), values, constant.median))
+    for name, (_, median, _) in fleet.noise_ratios.items():
+        ratios = [r.misfit[name].noise_ratio for r in fleet.records if r.success and name in r.misfit]
+        panels.append(_histogram(f"misfit of {name}", Axis(f"misfit of {name} over noise"), ratios, median))
+    caption = "How many records have each value. The line is the median; what lies beyond is in the outermost bars."
+    return Figure("population", tuple(panels), caption) if panels else None
+
+
+# A histogram shows the range of this share of the records on either side in full; a few wild ones would squeeze the others into one bar.
+TAIL_SHARE = 0.005
+# The range is wider than these records by this share.
+MARGIN = 0.05
+
+
+def _histogram(name: str, axis: Axis, values: Sequence[float], median: float) -> Panel:
+    finite = np.array([v for v in values if np.isfinite(v)])
+    low, high = np.quantile(finite, (TAIL_SHARE, 1 - TAIL_SHARE)).tolist()
+    margin = MARGIN * (high - low) or MARGIN * abs(low) or MARGIN
+    # Sturges: log2(N) + 1 bars show the shape of N values.
+    edges = np.linspace(low - margin, high + margin, int(np.ceil(np.log2(max(len(finite), 2)))) + 2)
+    counts, _ = np.histogram(np.clip(finite, edges[0], edges[-1]), edges)
+    bars = Bars((edges[:-1] + edges[1:]) / 2, counts.astype(float), [Role.RESIDUAL] * len(counts), width=np.diff(edges))
+    series: tuple[Series, ...] = (bars, Reference(median, upright=True))
+    return Panel(name, series, axis, Axis("records"))
+
+
+def _table_without_result(fleet: FleetResult) -> TableBlock:
+    records = fleet.without_result
+    rows = [[r.name, r.status.replace("_", " "), r.reason] for r in records[:LISTED_RECORDS]]
+    note = (
+        f"{len(records) - LISTED_RECORDS} more are in the table beside this page."
+        if len(records) > LISTED_RECORDS
+        else ""
+    )
+    return TableBlock("They were left out, the others are done", ["record", "status", "reason"], rows, note)
+
+
+def _table_of_records(fleet: FleetResult) -> TableBlock:
+    """The records with the largest misfit over noise first: those that need a look."""
+    done = sorted((r for r in fleet.records if r.success), key=_worst_ratio, reverse=True)
+    names = [q.name for q in fleet.model.free_parameters]
+    units = {q.name: q.unit for q in fleet.model.free_parameters}
+    rows = [
+        [
+            r.name,
+            *(_cell(r, name) for name in names),
+            format_number(_worst_ratio(r), 3),
+            str(sum(f.severity is not Severity.NOTE for f in r.findings) or ""),
+        ]
+        for r in done[:LISTED_RECORDS]
+    ]
+    head = ["record", *(f"{n} [{units[n]}]" if units[n] else n for n in names), "misfit over noise", "warnings"]
+    left = len(done) - LISTED_RECORDS
+    note = "The largest misfit first." + (f" {left} more are in the table beside this page." if left > 0 else "")
+    return TableBlock("Each record with the standard deviation that it leaves", head, rows, note)
+
+
+def _worst_ratio(record: RecordEstimate) -> float:
+    return max((m.noise_ratio for m in record.misfit.values() if np.isfinite(m.noise_ratio)), default=0.0)
+
+
+def _cell(record: RecordEstimate, name: str) -> str:
+    estimate = record.parameters[name]
+    return "open" if estimate.std is None else format_with_std(estimate.value, estimate.std)
+
+
+DOCUMENTS = {"FleetResult": describe_fleet}
+"""Class of a result -> the function that describes it."""

@@ -1,0 +1,76 @@
+"""What is said of a result: its document, found by its class."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+from greybox.base.document import Block, Document, Paragraphs
+from greybox.base.findings import Check, Finding
+from greybox.show.printers.text import print_text
+from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
+
+Describer = Callable[..., Document]
+
+# Class -> the function of `greybox.show.documents` that describes it. Loaded when needed: a check does not load what a fit needs.
+DOCUMENTS = {
+    "Fit": "fit.describe_fit",
+    "ModelCheck": "check.describe_check",
+    "Comparison": "comparison.describe_comparison",
+    "Demo": "demo.describe_demo",
+    "Discovery": "discovery.describe_discovery",
+    "Linearisation": "linearisation.describe_linearisation",
+    "Simulation": "simulation.describe_simulation",
+    "FitAnswer": "answers.describe_fit_answer",
+    "SimulationAnswer": "answers.describe_simulation_answer",
+    "LinearAnswer": "answers.describe_linear_answer",
+    "CodeAnswer": "answers.describe_code_answer",
+}
+
+
+def describe(value: Any, **options: Any) -> Document:
+    """The document of a result.
+
+    Parameters
+    ----------
+    value
+        A result.
+    **options
+        Of its describer: ``command`` that was typed, ``model`` of a simulation.
+
+    Raises
+    ------
+    TypeError
+        For a value that nothing describes.
+    """
+    for kind in type(value).__mro__:
+        describer = _find_describer(kind)
+        if describer is not None:
+            return describer(value, **options)
+    written: Any = find_writer(value)(value)
+    brief: Sequence[Block] = [Paragraphs([written])] if isinstance(written, str) else written
+    return Document(type(value).__name__, brief)
+
+
+def text(value: Any) -> str:
+    """A result in plain text: what ``print(value)`` shows."""
+    return sentence(value) if isinstance(value, (Finding, Check)) else print_text(describe(value))
+
+
+@cache
+def _find_describer(kind: type) -> Describer | None:
+    """The function in the table above; an extension has a module ``document`` beside the class, with a table ``DOCUMENTS`` of its own."""
+    place = DOCUMENTS.get(kind.__name__)
+    if place is not None and kind.__module__.startswith("greybox."):
+        module, name = place.split(".")
+        describer: Describer = getattr(import_module(f"greybox.show.documents.{module}"), name)
+        return describer
+    package = kind.__module__.rpartition(".")[0]
+    is_core = package.startswith("greybox.") and not package.startswith(f"{EXTENSIONS}.")
+    if not package or is_core or find_spec(f"{package}.document") is None:
+        return None
+    table: Mapping[str, Describer] = getattr(import_module(f"{package}.document"), "DOCUMENTS", {})
+    return table.get(kind.__name__)

@@ -1,0 +1,269 @@
+"""A check: what can be learnt of a model's parameters, before anything is fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from greybox.base.document import (
+    REMARK,
+    Block,
+    BulletList,
+    Details,
+    Document,
+    Facts,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    TableBlock,
+    Text,
+    Tone,
+)
+from greybox.base.findings import Finding
+from greybox.data.experiment import Experiment, collect_record_findings
+from greybox.data.findings import is_sensor_fault
+from greybox.estimation.check import ModelCheck
+from greybox.estimation.identifiability.practical import ExpectedPrecision
+from greybox.model.equations import equations_text
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import OPEN_RECORDS
+from greybox.show.documents.provenance import format_sampling_time, provenance_section, signal_units
+from greybox.show.figures.parameters import plot_intervals
+from greybox.show.figures.records import plot_inputs, plot_outputs
+from greybox.show.figures.sheet import PAGE
+from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
+from greybox.show.sentences.model import write_places
+from greybox.show.sentences.wording import capitalise, format_number, join_names, record_text
+
+
+def describe_check(check: ModelCheck, *, command: str = "") -> Document:
+    """What is said of a check; ``command`` is what was typed."""
+    names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
+    return Document(
+        f"Check of {check.model.title}",
+        Later(_brief, check),
+        f"Can {names} be determined? This is checked before the fit.",
+        _verdict(check),
+        Later(_sections, check, command),
+        "check",
+    )
+
+
+# Letters from the beginning of a line to what is said, in the lists of a check.
+WIDTH = 16
+
+
+def _brief(check: ModelCheck) -> Iterator[Block]:
+    """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
+    yield Paragraphs([check.model.title, equations_text(check.model)])
+    facts = _computation(check)
+    if check.assumed:
+        facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])
+    else:
+        inputs = dict.fromkeys(line for e in check.practical.excitation for line in describe_inputs(e))
+        facts += _listed("records", [line for e in check.experiments for line in str(e).splitlines()])
+        facts += [("noise", _noise(check)), *_listed("input", inputs)]
+    yield Facts(facts, width=WIDTH)
+    yield from _roles(check)
+    no_parameters = Facts([("parameters", check.failure or "")], width=WIDTH)
+    if check.failure and not check.model.free_parameters:
+        yield no_parameters
+        return
+    verdict = check.doubt if check.structure is None else describe_verdict(check.structure)
+    yield Details(f"identifiability from any record: {verdict}", [_structure_facts(check)])
+    if check.failure:
+        yield no_parameters
+        return
+    records = "such a record" if check.assumed else "these records, near the start values"
+    yield Details(f"expected precision from {records}:", [_precision_table(check), *_combinations(check)])
+    yield Facts([("note", finding) for finding in check.practical.findings])
+    if check.complete:
+        yield Paragraphs(["every free parameter is determined"])
+
+
+def _listed(name: str, lines: Iterable[str]) -> list[tuple[str, str]]:
+    return [("" if k else name, line) for k, line in enumerate(lines)]
+
+
+def _computation(check: ModelCheck) -> list[tuple[str, str]]:
+    facts = [
+        ("units", "every term has the unit of its balance"),
+        (
+            "equations",
+            f"{'linear in states and inputs' if check.linear else 'nonlinear'}; integrated by {check.discretisation}",
+        ),
+        ("runs as", f"{check.kernel} ({check.kernel_reason})"),
+    ]
+    remedy = "for the fast kernel, install a C compiler (gcc, clang) or set the environment variable CC"
+    return facts if check.compiled else [*facts, ("", remedy)]
+
+
+def _roles(check: ModelCheck) -> Iterator[Block]:
+    """The role of each signal, the effects that find a place, and what would open the others."""
+    named = {
+        group: [f"{n} {role}" for n, role in check.roles[group].items()] for group in ("states", "inputs", "parameters")
+    }
+    lines = [", ".join(named["states"]) or "no state has one"]
+    lines += [", ".join(named[group]) for group in ("inputs", "parameters") if named[group]]
+    without = [s.name for s in check.model.states if s.name not in check.roles["states"]]
+    lines += [f"without one: {', '.join(without)}"] if without else []
+    count = sum(p.effect is not None for p in check.placements)
+    effects = "\n".join([f"{count} find a place", *write_places(check.placements)])
+    yield Facts([*_listed("roles", lines), ("effects", effects)], width=WIDTH)
+
+
+def _sections(check: ModelCheck, command: str) -> Iterator[Section]:
+    yield Section("expected", "What the records can determine", list(_precision(check)))
+    yield Section("structure", "What any record could determine", list(_structure(check)))
+    computed = Facts(_computation(check), "How it was computed")
+    yield Section("model", "The model", [computed, typeset_equations(check.model)])
+    yield Section("data", "Data", list(_data(check)))
+    yield provenance_section(command)
+
+
+def _verdict(check: ModelCheck) -> Paragraphs:
+    findings = collect_record_findings(check.experiments)
+    faults = [_about_record(finding) for finding in findings if is_sensor_fault(finding)]
+    answer = _answer(check)
+    tone = Tone.CAUTION if faults and answer.tone is Tone.GOOD else answer.tone
+    return Paragraphs([*faults, *answer.items], tone)
+
+
+def _answer(check: ModelCheck) -> Paragraphs:
+    if check.doubt:
+        return Paragraphs([f"The check has no answer: {check.doubt}"], Tone.BAD)
+    if check.failure:
+        return Paragraphs([check.failure], Tone.CAUTION)
+    assumed = bool(check.assumed)
+    if check.complete:
+        return Paragraphs(
+            [
+                f"{'A record such as this one determines' if assumed else 'These records determine'} every free parameter, if the"
+                " model is right."
+            ],
+            Tone.GOOD,
+        )
+    answer: list[Text] = []
+    if check.structure is not None and not check.structure.complete:
+        answer += [describe_verdict(check.structure)]
+    undetermined = [name for name, c in check.constants.items() if not c.determined]
+    if undetermined:
+        answer.append(
+            f"{'A record such as this one does' if assumed else 'These records do'} not determine {join_names(undetermined)}."
+        )
+    if check.structure is not None and check.structure.recommendations:
+        answer.append(f"Remedy: {check.structure.recommendations[0]}")
+    return Paragraphs(answer, Tone.CAUTION)
+
+
+def _precision(check: ModelCheck) -> Iterator[Block]:
+    if check.failure:
+        yield Paragraphs([check.failure], Tone.CAUTION)
+        return
+    yield _precision_table(check)
+    percent = {name: 196 * c.std / abs(c.value) for name, c in check.constants.items() if c.std and c.value}
+    figure = plot_intervals(percent, "Expected half width of each 95 % interval: smaller is better.")
+    if figure is not None:
+        yield FigureBlock(figure)
+    yield from _combinations(check)
+    if check.practical.findings:
+        yield BulletList(check.practical.findings)
+
+
+def _precision_table(check: ModelCheck) -> TableBlock:
+    caption = "Expected standard deviations of a fit near the start values, if the model is right"
+    rows = [[name, *_expected(c)] for name, c in check.constants.items()]
+    return TableBlock(caption, ["parameter", "start value", "expected std", "unit", REMARK], rows)
+
+
+def _expected(c: ExpectedPrecision) -> list[str]:
+    if c.std is None:
+        return [format_number(c.value), "", c.unit, "not determined"]
+    share = f" ({100 * c.std / abs(c.value):.2g} %)" if c.value else ""
+    remark = "not determined" if not c.determined else "only by averaging" if c.averaged else ""
+    return [format_number(c.value), f"{format_number(c.std, 2)}{share}", c.unit, remark]
+
+
+def _combinations(check: ModelCheck) -> Iterator[Facts]:
+    """Combinations of parameters that the records determine, where they do not determine each of them."""
+    practical = check.practical
+    facts = [
+        ("combinations above the noise", _formulas(practical.combinations)),
+        ("only by averaging the noise", _formulas(practical.by_averaging)),
+        (
+            "least precise combination",
+            f"{', '.join(practical.weakest)} ({100 * practical.weakest_std:.2g} %)" if practical.weakest else "",
+        ),
+    ]
+    if not check.complete and any(text for _, text in facts):
+        yield Facts(
+            [fact for fact in facts if fact[1]], "Combinations of parameters, with their expected standard deviations"
+        )
+
+
+def _formulas(combinations: Mapping[str, float]) -> str:
+    return ", ".join(f"{text} ({100 * std:.2g} %)" for text, std in combinations.items())
+
+
+def _structure(check: ModelCheck) -> Iterator[Block]:
+    structure = check.structure
+    if structure is None:
+        yield Paragraphs([check.doubt], Tone.BAD)
+        return
+    yield Paragraphs([describe_verdict(structure)], Tone.GOOD if structure.complete else Tone.CAUTION)
+    if not structure.complete:
+        yield _structure_facts(check)
+
+
+def _structure_facts(check: ModelCheck) -> Facts:
+    """Combinations that any record determines, what stays open, and what would close it."""
+    structure = check.structure
+    facts: list[tuple[str, Text]] = []
+    if structure is not None and not structure.complete:
+        more = structure.rank - len(structure.determined)
+        formulas = [*structure.determined, *([f"{more} more"] if more else [])]
+        facts = [("determined", ", ".join(formulas))] if formulas else []
+        facts += [("not determined", str(direction)) for direction in structure.directions]
+        facts += [("or" if k else "remedy", remedy) for k, remedy in enumerate(structure.recommendations)]
+    return Facts(facts, "What stays open")
+
+
+# The same of a check.
+RECORDS_OF_CHECK = 10
+
+
+def _data(check: ModelCheck) -> Iterator[Block]:
+    if check.assumed:
+        yield Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
+    head = ["record", "rows", "duration", "sampling time", "fingerprint"]
+    rows = [_record(e) for e in check.experiments]
+    yield TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
+    # Sensor faults stand in the verdict.
+    findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
+    if findings:
+        yield BulletList(list(map(_about_record, findings)))
+    if not check.assumed:
+        lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
+        yield BulletList(list(lines))
+    units = signal_units(check.model)
+    drawn = check.experiments[:RECORDS_OF_CHECK]
+    stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
+    for k, e in enumerate(drawn):
+        figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
+        blocks = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
+        yield from blocks if k < OPEN_RECORDS else [Details(capitalise(record_text(e.name)), blocks)]
+
+
+def _about_record(finding: Finding) -> str:
+    return f"Record {finding}"
+
+
+def _record(e: Experiment) -> list[str]:
+    return [e.name, str(e.rows), f"{e.duration:.6g} s", format_sampling_time(e.time), e.fingerprint[:12]]
+
+
+def _noise(check: ModelCheck) -> str:
+    """How large the noise is, where it is known from, and which outputs are left out."""
+    units = {o.name: o.unit for o in check.model.outputs}
+    sizes = ", ".join(f"{name} {format_number(std, 3)} {units[name]}".rstrip() for name, std in check.noise.items())
+    return "; ".join([sizes, *map(str, (check.noise_model, *check.excluded))])

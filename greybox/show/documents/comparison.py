@@ -1,0 +1,280 @@
+"""A comparison: grey and black boxes on the same rows of the same records."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+from greybox.base.document import (
+    Block,
+    BulletList,
+    Details,
+    Document,
+    Facts,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    Subheading,
+    TableBlock,
+    Tone,
+)
+from greybox.base.findings import Finding, with_code
+from greybox.base.units import format_unit
+from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.estimation.result import Fit
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.tables import parameters_table
+from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
+from greybox.show.figures.sheet import PAGE
+from greybox.show.sentences.registry import sentence, sentences
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text, shorten
+
+
+def describe_comparison(
+    comparison: Comparison,
+    *,
+    command: str = "",
+    fits: Mapping[str, Fit] | None = None,
+    data: Mapping[str, str] | None = None,
+    known: Sequence[Finding | str] = (),
+) -> Document:
+    """What is said of a comparison.
+
+    Parameters
+    ----------
+    comparison
+        The result of `greybox.compare`.
+    command
+        What was typed, for repeating it.
+    fits
+        The grey boxes' fits by the name of their entry, for their equations and parameters.
+    data
+        Fingerprint of each record.
+    known
+        What is to be known of the records.
+    """
+    records = "records that no model was fitted to" if comparison.validation else "the records that they were fitted to"
+    question = (
+        f"Which model of {join_names(list(comparison.outputs))} is best? {count_noun(len(comparison.entries), 'model')},"
+        f" compared on the same rows of {records}."
+    )
+    return Document(
+        "Comparison of grey-box and black-box models",
+        Later(_brief, comparison),
+        question,
+        comparison_verdict(comparison),
+        Later(_sections, comparison, fits or {}, data or {}, known, command),
+        "comparison",
+        Later(lambda: [FigureBlock(plot_model_errors(comparison))]),
+    )
+
+
+def _sections(
+    comparison: Comparison,
+    fits: Mapping[str, Fit],
+    data: Mapping[str, str],
+    known: Sequence[Finding | str],
+    command: str,
+) -> Iterator[Section]:
+    yield Section("errors", "Errors", list(error_blocks(comparison)))
+    yield Section("runs", "Runs", list(_runs(comparison)))
+    yield Section("models", "Models", list(_models(comparison)))
+    if fits:
+        yield Section("physics", "The physical models", list(_physics(fits)))
+    yield _data(comparison, data, known)
+    yield provenance_section(command)
+
+
+# Columns of a terminal, and letters of a name in a table on it.
+LINE_WIDTH, NAME_WIDTH = 100, 42
+
+
+def _brief(comparison: Comparison) -> Iterator[Block]:
+    """Errors by output, best first, on validation and estimation records; what each model is; the verdict."""
+    tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
+    for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
+        yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
+    yield structures(comparison)
+    texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
+    yield Paragraphs(
+        [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
+    )
+
+
+def comparison_verdict(comparison: Comparison) -> Paragraphs:
+    """The verdict: good where a grey box has the smallest free-run error of every output."""
+    best = [_best(comparison, output) for output in comparison.outputs]
+    physics_is_best = bool(best) and all(e is not None and e.kind == "grey" for e in best)
+    failed = with_code(comparison.verdict, ComparisonFinding.FAILED_FITS)
+    return Paragraphs(comparison.verdict, Tone.GOOD if physics_is_best and not failed else Tone.CAUTION)
+
+
+def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
+    scores = [
+        (comparison.deciding_scores(e)[output].rmse, k)
+        for k, e in enumerate(comparison.entries)
+        if output in comparison.deciding_scores(e)
+    ]
+    finite = [pair for pair in scores if math.isfinite(pair[0])]
+    return comparison.entries[min(finite)[1]] if finite else None
+
+
+def error_blocks(comparison: Comparison) -> Iterator[Block]:
+    """Tables of the errors on the judging records, and on the estimation records where there are others."""
+    training = _error_tables(comparison, "training")
+    if not comparison.validation:
+        yield from training
+        return
+    yield from _error_tables(comparison, "validation")
+    yield from _record_tables(comparison)
+    if comparison.training:
+        yield Details("On the estimation records", list(training))
+
+
+def _error_tables(comparison: Comparison, group: str) -> Iterator[TableBlock]:
+    """Errors on the validation or the training records, an output a table, the best model first."""
+    if getattr(comparison, group):
+        yield from (_error_table(comparison, group, output) for output in comparison.outputs)
+
+
+def _error_table(comparison: Comparison, group: str, output: str) -> TableBlock:
+    of_group: dict[str, Mapping[str, ComparisonScore]] = {e.name: getattr(e, group) for e in comparison.entries}
+    scores = {name: by_output[output] for name, by_output in of_group.items() if output in by_output}
+    steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
+    rows = [
+        [
+            name,
+            str(comparison[name].kind),
+            _error(s.rmse),
+            f"{s.best_fit_percent:.2f} %" if math.isfinite(s.best_fit_percent) else "-",
+            _error(s.one_step_rmse),
+            *(_error(s.ahead_rmse.get(k, math.nan)) for k in steps),
+        ]
+        for name, s in sorted(scores.items(), key=lambda item: _finite_or_last(item[1].rmse))
+    ]
+    counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
+    unequal = ": not the same for every model" if len(counts) != 1 else ""
+    unit = format_unit(comparison.outputs[output])
+    return TableBlock(
+        f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
+        ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
+        rows,
+        f"Free run, one step and {'several steps ' * bool(steps)}ahead: rms errors{f' in {unit}' if unit else ''}.",
+        f"{group}: {output}" + (f" [{unit}]" if unit else ""),
+    )
+
+
+def _record_tables(comparison: Comparison) -> Iterator[TableBlock]:
+    """Best fit of each validation record, where there are several."""
+    shown = comparison.validation[:5]
+    left_out = len(comparison.validation) - len(shown)
+    for output in comparison.outputs if len(comparison.validation) > 1 else ():
+        rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.entries]
+        title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
+        yield TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
+
+
+def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
+    scores = entry.records.get(record, {})
+    return f"{scores[output].best_fit_percent:.2f}" if output in scores else "-"
+
+
+def _finite_or_last(value: float) -> float:
+    return value if math.isfinite(value) else math.inf
+
+
+def _error(value: float) -> str:
+    if math.isnan(value):
+        return "-"
+    return format_number(value, 4) if math.isfinite(value) else "diverges"
+
+
+# The same of a comparison.
+RECORDS_OF_COMPARISON = 8
+
+
+def _runs(comparison: Comparison) -> Iterator[Block]:
+    """The curves of every model over each judging record."""
+    records = judging_records(comparison)
+    drawn = records[:RECORDS_OF_COMPARISON]
+    curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
+    stretches = PAGE.stretches(len(drawn) * curves)
+    yield Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
+    for k, record in enumerate(drawn):
+        figures: list[Block] = [
+            FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
+            for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
+        ]
+        title = capitalise(record_text(record))
+        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
+    if len(records) > len(drawn):
+        yield Paragraphs([not_drawn(len(records) - len(drawn))])
+
+
+def models_table(comparison: Comparison) -> TableBlock:
+    """Numbers, BIC, stability, feed-through and time of each model."""
+    rows = [
+        [
+            e.name,
+            str(e.kind),
+            str(e.parameters),
+            f"{e.bic:.0f}" if math.isfinite(e.bic) else "-",
+            "yes" if e.stable else "no",
+            ", ".join(format_number(v, 3) for v in e.feedthrough.values()) or "none",
+            f"{e.seconds:.1f} s" if e.seconds else "-",
+        ]
+        for e in comparison.entries
+    ]
+    return TableBlock(
+        "Models",
+        ["model", "box", "parameters", "BIC", "stable", "feed-through", "time"],
+        rows,
+        "Parameters: fitted ones, or coefficients. BIC: of the free run on the estimation records; lower is better.",
+    )
+
+
+def structures(comparison: Comparison) -> Facts:
+    """What each model is."""
+    return Facts([(e.name, ", ".join(dict.fromkeys(e.structure.values()))) for e in comparison.entries], "Structures")
+
+
+def _notes(comparison: Comparison) -> list[str]:
+    """What is to be known of the comparison and of its models."""
+    of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
+    return [*sentences(comparison.findings), *of_models]
+
+
+def _models(comparison: Comparison) -> Iterator[Block]:
+    yield models_table(comparison)
+    yield structures(comparison)
+    if notes := _notes(comparison):
+        yield BulletList(notes)
+
+
+def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
+    for k, (name, fit) in enumerate(fits.items()):
+        blocks: list[Block] = [parameters_table(fit), typeset_equations(fit.model)]
+        yield from [Subheading(name), *blocks] if k == 0 else [Details(name, blocks)]
+
+
+def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequence[Finding | str]) -> Section:
+    rows = []
+    for use, records in (("fitted", comparison.training), ("validation", comparison.validation)):
+        for record in records:
+            runs = (r for e in comparison.entries for r in (*e.training_runs, *e.validation_runs))
+            run = next((r for r in runs if r.record == record), None)
+            length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
+            rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
+    note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
+    table = TableBlock("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
+    return Section(
+        "data",
+        "Data",
+        [table, *([BulletList([f"Record {text}" for text in known])] if known else [])],
+    )

@@ -1,0 +1,107 @@
+"""The demonstration: the whole way from the first fit to the controller's matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from greybox.base.document import Block, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
+from greybox.base.units import format_unit
+from greybox.estimation.result_parts import Estimate
+from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
+from greybox.show.documents.discovery import discovery_sections, discovery_verdict
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import fit_verdict
+from greybox.show.documents.linearisation import linear_sections
+from greybox.show.documents.provenance import fit_provenance_section, records_section
+from greybox.show.documents.tables import misfit_table
+from greybox.show.figures.discovery import plot_holdout_error
+from greybox.show.sentences.discovery import conclusion_text
+from greybox.show.sentences.wording import format_with_std, join_names
+
+if TYPE_CHECKING:
+    from greybox.shell.demonstration import Demo
+
+
+def describe_demo(demo: Demo, *, command: str = "") -> Document:
+    """What is said of the demonstration; ``command`` is what was typed."""
+    return Document(
+        "Demonstration: from the first fit to the controller",
+        Later(_brief, demo),
+        "A simulated micro-motion actuator has an effect that its model lacks. Does the program detect and identify the effect, and"
+        " does the extended model have smaller errors?",
+        _verdict(demo),
+        Later(_sections, demo, command),
+        "demonstration",
+        Later(lambda: [FigureBlock(plot_holdout_error(demo.discovery))]),
+    )
+
+
+def _brief(demo: Demo) -> Iterator[Block]:
+    """Parameters and true values, the missing effect, the errors before and after, the best model, the state space."""
+    yield _parameters(demo)
+    gaps = [
+        f"  {output}: rms error on the validation record {gap.before:.3g} -> {gap.after:.3g} {format_unit(gap.unit)}"
+        + (f" (noise {gap.floor:.3g})" if gap.is_floor_known else "")
+        for output, gap in demo.discovery.holdout.items()
+    ]
+    yield Paragraphs([conclusion_text(demo.discovery), *gaps])
+    yield Paragraphs(demo.comparison.verdict[:1])
+    yield from demo.plant.describe().brief
+
+
+def _sections(demo: Demo, command: str) -> Iterator[Section]:
+    best, plain = demo.discovery.best, demo.plain
+    misfit = misfit_table("Free run on the estimation records", plain.misfit, plain.noise)
+    yield Section("plain", "The plain model", [fit_verdict(plain), misfit])
+    yield from discovery_sections(demo.discovery, beside_verdict=True)
+    yield Section("truth", "Parameters and true values", [_parameters(demo)])
+    yield Section("extended", "The extended model", [typeset_equations(best.model)])
+    yield Section("errors", "Errors", list(_comparison(demo)))
+    yield from linear_sections(demo.plant, None)
+    yield records_section(best)
+    yield fit_provenance_section(best, command)
+
+
+def _verdict(demo: Demo) -> Paragraphs:
+    answer = discovery_verdict(demo.discovery)
+    output, worst = max(demo.plain.misfit.items(), key=lambda item: item[1].noise_ratio)
+    names = [name for name in demo.truth if name in demo.deviations]
+    deviation = max((abs(demo.deviations[name]) for name in names), default=0.0)
+    items = [
+        f"In {output}, the residual of the plain model is {worst.noise_ratio:.3g} times the noise.",
+        *answer.items,
+        f"Every fitted parameter is within {deviation:.1f} standard deviations of its true value: {join_names(names)}.",
+        *demo.comparison.verdict[:1],
+    ]
+    return Paragraphs(items, answer.tone)
+
+
+def _comparison(demo: Demo) -> Iterator[Block]:
+    yield comparison_verdict(demo.comparison)
+    yield from error_blocks(demo.comparison)
+    yield models_table(demo.comparison)
+
+
+def _parameters(demo: Demo) -> TableBlock:
+    """Each parameter with its true value: of the plain model, and of the extended model."""
+    rows = []
+    for name, truth in demo.truth.items():
+        estimate, before = demo.fit.parameters.get(name), demo.plain.parameters.get(name)
+        rows.append(
+            [
+                name,
+                f"{truth:.5g}",
+                f"{demo.start[name]:.4g}" if name in demo.start else "",
+                _value(before),
+                _value(estimate),
+                f"{abs(demo.deviations[name]):.1f} std" if estimate else "",
+                format_unit(estimate.unit) if estimate else "",
+            ]
+        )
+    head = ["parameter", "true", "start", "plain model", "extended model", "deviation", "unit"]
+    return TableBlock("Start values, estimates and true values", head, rows)
+
+
+def _value(estimate: Estimate | None) -> str:
+    return "" if estimate is None else format_with_std(estimate.value, estimate.std or 0.0)

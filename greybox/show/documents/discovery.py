@@ -1,0 +1,294 @@
+"""A discovery: the missing effect, its certainty, and the error before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from greybox.base.document import (
+    Block,
+    BulletList,
+    Details,
+    Document,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    Subheading,
+    TableBlock,
+    Text,
+    Tone,
+)
+from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import claim_values
+from greybox.discovery.decision import Verdict
+from greybox.discovery.holdout import HoldoutError
+from greybox.discovery.refinement import Refinement
+from greybox.discovery.result import Discovery
+from greybox.estimation.result import Fit
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.fit import OPEN_RECORDS
+from greybox.show.documents.provenance import fit_provenance_section, records_section, signal_units
+from greybox.show.documents.tables import estimate_cells, parameters_table
+from greybox.show.figures.discovery import (
+    errors_to_judge,
+    explained_share,
+    plot_candidates,
+    plot_effect_signal,
+    plot_holdout_error,
+    plot_misfit_windows,
+    plot_surrogate,
+    plot_unexplained_signal,
+)
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
+from greybox.show.figures.sheet import PAGE
+from greybox.show.sentences.discovery import (
+    GRADES,
+    claim_text,
+    probability_text,
+    refinement_text,
+    rival_text,
+    surrogate_title,
+    write_discovery,
+)
+from greybox.show.sentences.registry import sentences
+from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
+
+TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
+"""How the answer is marked; every other verdict asks for caution."""
+
+
+def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
+    """What is said of a discovery; ``command`` is what was typed."""
+    plain = discovery.base.model.title
+    return Document(
+        f"Effects that {plain} lacks",
+        Later(lambda: [Paragraphs([write_discovery(discovery)])]),
+        f"Which effect, if any, does {plain} lack?",
+        discovery_verdict(discovery),
+        Later(_sections, discovery, command),
+        "discovery",
+        Later(lambda: [FigureBlock(plot_holdout_error(discovery))]),
+    )
+
+
+def _sections(discovery: Discovery, command: str) -> Iterator[Section]:
+    best = discovery.best
+    yield from discovery_sections(discovery, beside_verdict=True)
+    yield Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)])
+    names = ("extended", "The extended model") if best.model.effects else ("model", "The model")
+    yield Section(*names, [typeset_equations(best.model)])
+    yield records_section(best)
+    yield fit_provenance_section(best, command)
+
+
+def discovery_verdict(discovery: Discovery) -> Paragraphs:
+    """The answer, the summary, the effects with their parameters, the next steps and the findings."""
+    items: list[Text] = [*sentences(discovery.conclusion)]
+    for effect in discovery.effects if discovery.verdict != "complete" else []:
+        values = [
+            f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
+            for name, c in effect["parameters"].items()
+        ]
+        look_alike = "The nearest look-alike is " if effect["grade"] == Grade.STAND_IN else ""
+        items.append(f"{look_alike}{effect['name']} ({effect['site']}): {join_names(values)}.")
+        items += (str(e) for e in discovery.evidence if e.effect == effect["name"])
+    items += [f"Next step: {step}" for step in discovery.next_steps]
+    tone = TONES.get(discovery.verdict, Tone.CAUTION)
+    return Paragraphs([*items, *discovery.findings], tone)
+
+
+def _std(std: float | None) -> str:
+    return f" +- {std:.2g}" if std else ""
+
+
+def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
+    """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
+    figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
+    yield Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
+    if discovery.claims:
+        yield Section("claims", "Claims", [_claims(discovery)])
+    signals: list[Block] = [
+        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
+    ]
+    if discovery.surrogate is not None:
+        signals += [
+            Paragraphs([str(discovery.surrogate)]),
+            FigureBlock(plot_surrogate(discovery.surrogate)),
+        ]
+    if signals:
+        yield Section("missing", "The missing signal", signals)
+    if discovery.refinement is not None:
+        yield Section("further", "Further effects", list(_refinement(discovery.refinement)))
+    if discovery.localisation.is_missing:
+        yield Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
+    if discovery.ranking:
+        yield Section("candidates", "Candidates", list(_candidates(discovery)))
+
+
+def _claims(discovery: Discovery) -> TableBlock:
+    """What is said of the plain model, from what is missing to its name."""
+    rows = [
+        [
+            capitalise(claim_text(claim_values(claim))),
+            f"{GRADES[claim.grade]} ({probability_text(claim.probability)})",
+            f"{100 * claim.share:.0f} % in {claim.output}",
+            rival_text(claim.rival) or "none",
+        ]
+        for claim in discovery.claims
+    ]
+    head = ["claim", "certainty", "share of the error", "best rival"]
+    return TableBlock("What the plain model lacks, from something to its name", head, rows)
+
+
+# The same of a discovery, on its validation records.
+RECORDS_OF_DISCOVERY = 8
+
+
+def _holdout(discovery: Discovery) -> Iterator[Block]:
+    name, extended, errors = extended_model(discovery)
+    rows = [
+        [
+            output,
+            *(f"{v:.4g} {typeset_unit(e.unit)}".rstrip() for v in (e.before, e.after)),
+            f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip() if e.is_floor_known else "not known",
+            _explained(e),
+        ]
+        for output, e in errors.items()
+    ]
+    head = ["output", "plain model", name, "noise", "error taken away"]
+    yield TableBlock("Rms error of the free run on the validation records", head, rows)
+    path = selection_path(discovery)
+    if len(path) > 2:
+        steps = [[name, f"{misfit:.4g} × noise"] for name, misfit in path]
+        yield TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
+    pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
+    pairs = pairs[:RECORDS_OF_DISCOVERY]
+    stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
+    for k, (before, after) in enumerate(pairs):
+        shared = before, after, signal_units(discovery.base.model), extended.noise.levels
+        residuals = plot_residuals_before_after(*shared, f"left-{k}", name)
+        spectra = plot_spectra_before_after(*shared, f"spectra-{k}", name, follows=residuals.name)
+        together = f"judged-{k}"
+        figures: list[Block] = [
+            FigureBlock(residuals, stretches, group=together, switch=together),
+            FigureBlock(spectra, stretches, switch=together),
+        ]
+        title = capitalise(record_text(before.name))
+        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
+
+
+def _explained(error: HoldoutError) -> str:
+    share = explained_share(error)
+    if share is None:
+        return "only noise"
+    return f"{100 * share:.0f} %" if share >= 0 else "error grew"
+
+
+def selection_path(discovery: Discovery) -> list[tuple[str, float]]:
+    """The models on the way to the best one, one effect after the other, with their misfit over noise where they were fitted."""
+    wanted = {e.name for e in discovery.best.model.effects}
+    path = [("plain model", discovery.localisation.misfit)]
+    held: set[str] = set()
+    while held != wanted:
+        nearer = [r for r in discovery.ranking if held < set(r.effects) <= wanted and len(r.effects) == len(held) + 1]
+        if not nearer:
+            break
+        step = min(nearer, key=lambda r: r.misfit)
+        added = set(step.effects) - held
+        held |= added
+        path.append((f"+ {', '.join(sorted(added))}", step.misfit))
+    return path
+
+
+def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, HoldoutError]]:
+    """What stands beside the plain model: its name, its fit and its errors; where no effect came near, the surrogate."""
+    surrogate = discovery.surrogate
+    if surrogate is not None and not discovery.best.model.effects:
+        return f"with {surrogate_title(surrogate)}", surrogate.fit, errors_to_judge(discovery)
+    return extended_name(discovery), discovery.best, discovery.holdout
+
+
+def extended_name(discovery: Discovery) -> str:
+    """What to call the best model of the catalogue."""
+    is_look_alike = all(e["grade"] == Grade.STAND_IN for e in discovery.effects)
+    is_open = discovery.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
+    return "nearest look-alike" if is_open and is_look_alike else "extended model"
+
+
+def _refinement(refinement: Refinement) -> Iterator[Block]:
+    """The effects beyond the answer, and what they leave."""
+    yield Paragraphs([refinement_text(refinement)])
+    if not refinement.steps:
+        return
+    rows = [
+        [
+            s.name,
+            _percent(s.estimation_share),
+            _percent(s.validation_share),
+            ", ".join(f"{n} {_percent(v)}" for n, v in s.alike.items()),
+        ]
+        for s in refinement.steps
+    ]
+    head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
+    yield TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
+    yield parameters_table(refinement.fit)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _localisation(discovery: Discovery) -> Iterator[Block]:
+    localisation = discovery.localisation
+    yield BulletList([line.strip() for line in str(localisation).splitlines()])
+    unexplained = plot_unexplained_signal(localisation)
+    if unexplained is not None:
+        yield FigureBlock(unexplained)
+    sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
+    rows = [
+        [
+            s.label,
+            str(sets[s.label]),
+            f"{s.gain:.4g}",
+            f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip(),
+        ]
+        for s in localisation.sites
+    ]
+    if rows:
+        head = ["site", "set", "gain", "signal (rms)"]
+        yield TableBlock(
+            "Sites, likeliest first",
+            head,
+            rows,
+            "These sensors cannot distinguish the sites of one set. Gain: how much the signal raises the log-likelihood.",
+        )
+    windows = plot_misfit_windows(localisation)
+    if windows is not None:
+        yield FigureBlock(windows)
+
+
+def _candidates(discovery: Discovery) -> Iterator[Block]:
+    figure = plot_candidates(discovery)
+    if figure is not None:
+        yield FigureBlock(figure)
+    if discovery.alternatives:
+        yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
+    rows = [[" + ".join(r.effects), f"{r.misfit:.4g} × noise", f"{r.behind:.4g}"] for r in discovery.ranking]
+    note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
+    table = TableBlock("Candidates", ["effects", "misfit", "behind"], rows, note)
+    yield Details(f"All {count_noun(len(rows), 'candidate')}", [table])
+
+
+def _parameters_before_after(discovery: Discovery) -> TableBlock:
+    """Each parameter with the plain model and with the extended one."""
+    if not discovery.best.model.effects:
+        return parameters_table(discovery.best)
+    rows = []
+    for name, e in discovery.best.parameters.items():
+        plain = discovery.base.parameters.get(name)
+        _, after, limits, _, remark = estimate_cells(name, e)
+        before = estimate_cells(name, plain)[1] if plain is not None else "–"
+        rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
+    head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
+    return TableBlock("Parameters: those of the plain model absorb part of the missing effect", head, rows)

@@ -1,0 +1,182 @@
+"""A linear model for a controller design: matrices, poles, frequency response, and how sure they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.base.document import (
+    Block,
+    BulletList,
+    CodeBlock,
+    Details,
+    Document,
+    Facts,
+    FigureBlock,
+    Later,
+    Paragraphs,
+    Section,
+    TableBlock,
+    Tone,
+)
+from greybox.base.units import format_unit
+from greybox.estimation.linear.linearisation import Linearisation
+from greybox.estimation.linear.model_family import ModelFamily
+from greybox.estimation.linear.plant import format_signals
+from greybox.estimation.linear.transfer_channel import describe_behaviour
+from greybox.show.documents.provenance import provenance_section
+from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.linear import plot_bode, plot_poles
+from greybox.show.sentences.linear import channel_lines, poles_table
+from greybox.show.sentences.wording import count_noun, join_names
+
+
+def describe_linearisation(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Document:
+    """What is said of a linear model.
+
+    Parameters
+    ----------
+    linear
+        The result of `greybox.linearise`.
+    family
+        Models drawn from the covariance of its parameters, shown around it.
+    command
+        What was typed, for repeating it.
+    """
+    return Document(
+        f"{linear.name} as a linear model",
+        Later(_brief, linear),
+        linear_question(linear),
+        linear_verdict(linear),
+        Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
+        "export",
+    )
+
+
+def _brief(linear: Linearisation) -> Iterator[Block]:
+    """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
+    timing = f"sampled every {linear.dt:g} s ({linear.method})" if linear.dt else "continuous"
+    yield Paragraphs([f"{linear.name}: linear model, {timing}"])
+    yield Paragraphs(_point_lines(linear))
+    yield Paragraphs(_matrix_lines(linear))
+    yield from describe_behaviour(linear).describe().brief
+    yield Facts([("note", finding) for finding in linear.findings])
+
+
+def linear_question(linear: Linearisation) -> str:
+    """What a linear model is for."""
+    inputs, outputs = (join_names(names) or "the states" for names in (linear.input_names, linear.output_names))
+    return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
+
+
+def linear_verdict(linear: Linearisation) -> Paragraphs:
+    """Whether it is stable, where it holds, and what to know before using it."""
+    size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
+    stability = "stable" if (size < 1).all() else "marginally stable" if (size <= 1).all() else "unstable"
+    states = count_noun(len(linear.A), "state")
+    items = [
+        f"A linear model with {states}, sampled every {linear.dt:g} s ({linear.method}); it is {stability}."
+        if linear.dt
+        else f"A continuous linear model with {states}; it is {stability}.",
+        f"It holds for small deviations from {join_names(_point(linear))}.",
+    ]
+    cautious = bool(linear.findings) or stability != "stable"
+    return Paragraphs([*items, *linear.findings], Tone.CAUTION if cautious else Tone.GOOD)
+
+
+def _point(linear: Linearisation) -> list[str]:
+    names = (*linear.state_names, *linear.input_names)
+    values, units = (*linear.x0, *linear.u0), (*linear.state_units, *linear.input_units)
+    return [
+        f"{name} = {value:.4g} {typeset_unit(unit) if unit else ''}".rstrip()
+        for name, value, unit in zip(names, values, units, strict=True)
+    ]
+
+
+def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[Section]:
+    """Behaviour and matrices, with the family's spread where there is one."""
+    return [
+        Section("behaviour", "Behaviour", list(_behaviour(linear, family))),
+        Section("matrices", "Matrices", list(_matrices(linear))),
+        Section("point", "Operating point and parameters", list(_basis(linear))),
+    ]
+
+
+def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[Block]:
+    yield poles_table(linear.poles, linear.dt)
+    yield from (FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family))
+    poles = plot_poles(linear, family)
+    if poles is not None:
+        yield FigureBlock(poles)
+    lines = [line.strip() for channel in describe_behaviour(linear).channels for line in channel_lines(channel)]
+    yield CodeBlock("\n".join(lines), "Channels")
+    if family is not None:
+        models = f"{count_noun(len(family.members), 'model')} drawn from the covariance of the parameters (seed {family.seed})"
+        yield Paragraphs([f"{models} show the uncertainty."])
+        if family.findings:
+            yield BulletList(family.findings)
+
+
+def _matrices(linear: Linearisation) -> Iterator[Block]:
+    """A, B, C and D with the names of their rows and columns; every digit in text to copy."""
+    states, inputs, outputs = linear.state_names, linear.input_names, linear.output_names
+    rates = [f"{name}[k+1]" if linear.dt else f"d{name}/dt" for name in states]
+    named = {
+        "A": (linear.A, rates, states),
+        "B": (linear.B, rates, inputs),
+        "C": (linear.C, outputs, states),
+        "D": (linear.D, outputs, inputs),
+    }
+    for name, (matrix, rows, columns) in named.items():
+        if matrix.size:
+            yield _matrix(name, matrix, rows, columns)
+    yield Details("Matrices with all digits", [CodeBlock("\n".join(_matrix_lines(linear)))])
+
+
+def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> TableBlock:
+    cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
+    return TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
+
+
+def _basis(linear: Linearisation) -> Iterator[Block]:
+    names = (*linear.state_names, *linear.input_names, *linear.output_names)
+    kinds = ["state"] * len(linear.x0) + ["input"] * len(linear.u0) + ["output"] * len(linear.y0)
+    values = (*linear.x0, *linear.u0, *linear.y0)
+    units = (*linear.state_units, *linear.input_units, *linear.output_units)
+    rows = [
+        [name, kind, f"{value:.6g}", format_unit(unit) if unit else ""]
+        for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
+    ]
+    yield TableBlock("Operating point", ["signal", "kind", "value", "unit"], rows)
+    delays = [[n, f"{s:.6g} s"] for n, s in zip(linear.input_names, linear.delay, strict=True) if s]
+    if delays:
+        yield TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
+    parameters = [[name, f"{value:.7g}"] for name, value in linear.parameters.items()]
+    yield TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
+
+
+def _point_lines(model: Linearisation) -> list[str]:
+    """The operating point, and what the matrices leave out."""
+    lines = [f"  at   {format_signals(model.state_names, model.x0, model.state_units)}"]
+    if model.input_names:
+        lines += [f"       {format_signals(model.input_names, model.u0, model.input_units)}"]
+    lines += [f"       outputs {format_signals(model.output_names, model.y0, model.output_units)}"]
+    lines += [
+        f"  delay of {name} {seconds:.6g} s, not in the matrices"
+        for name, seconds in zip(model.input_names, model.delay, strict=True)
+        if seconds
+    ]
+    return lines
+
+
+def _matrix_lines(model: Linearisation) -> list[str]:
+    """A, B, C and D to the last digit."""
+    lines = []
+    for name, matrix in (("A", model.A), ("B", model.B), ("C", model.C), ("D", model.D)):
+        rows = [[repr(float(v)) for v in row] for row in matrix]
+        widths = [max((len(row[k]) for row in rows), default=0) for k in range(matrix.shape[1])]
+        for k, row in enumerate(rows):
+            head = f"  {name} = " if k == 0 else "      "
+            lines.append(head + "  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)))
+    return lines

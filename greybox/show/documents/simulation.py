@@ -1,0 +1,107 @@
+"""A simulation: what the model did, and what it was driven by."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
+from greybox.base.errors import ModelError
+from greybox.base.figure import Role
+from greybox.base.units import format_unit
+from greybox.model.model import Model
+from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.provenance import (
+    format_range,
+    format_sampling_time,
+    hidden_states,
+    provenance_section,
+    signal_units,
+)
+from greybox.show.figures.figure import scale_to_prefix
+from greybox.show.figures.records import plot_signals
+from greybox.show.figures.sheet import PAGE
+from greybox.show.sentences.wording import count_noun, format_number, join_names
+from greybox.simulation.simulate import Simulation
+
+
+def describe_simulation(run: Simulation, *, model: Model | None = None, command: str = "", noise: str = "") -> Document:
+    """What is said of a simulation.
+
+    Parameters
+    ----------
+    run
+        The result of `greybox.simulate`.
+    model
+        What ran.
+    command
+        What was typed, for repeating it.
+    noise
+        The standard deviations of the noise that was added to the outputs that were written.
+
+    Raises
+    ------
+    ModelError
+        Without the model.
+    """
+    if model is None:
+        raise ModelError("report of a simulation: no model; give model=")
+    verdict = _verdict(run, noise)
+    return Document(
+        f"Simulation of {model.title}",
+        [verdict],
+        f"How does {model.title} respond to {join_names(list(run.inputs)) or 'no input'}?",
+        verdict,
+        [
+            Section("run", "The run", [*run_figures(run, model), _ranges(run, model)]),
+            Section("model", "The model", [_parameters(model), typeset_equations(model)]),
+            provenance_section(command),
+        ],
+        "simulation",
+    )
+
+
+def run_figures(
+    run: Simulation, model: Model, order: Sequence[str] = ("outputs", "inputs", "states")
+) -> Iterator[FigureBlock]:
+    """What a model did: outputs, inputs, and the states that no output shows, in this ``order``."""
+    units = signal_units(model)
+    groups = {
+        "outputs": (run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
+        "inputs": (run.inputs, "Inputs.", Role.INPUT),
+        "states": (hidden_states(run), "States.", Role.STATE),
+    }
+    stretches = PAGE.stretches(sum(len(signals) for signals, _, _ in groups.values()))
+    for name in order:
+        signals, caption, role = groups[name]
+        if signals:
+            held = role is Role.INPUT and run.source.hold == "zero"
+            figure = plot_signals(name, run.time, signals, units, role, caption, held=held)
+            yield FigureBlock(figure, stretches, group="run")
+
+
+def _verdict(run: Simulation, noise: str) -> Paragraphs:
+    if run.overflow is not None:
+        return Paragraphs([f"The run overflows {run.overflow:.4g} s after its start and ends there."], Tone.BAD)
+    free_run = (
+        f"Free run over {count_noun(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, sampled every"
+        f" {format_sampling_time(run.time)}; integrated by {run.discretisation}."
+    )
+    return Paragraphs(
+        [free_run, *([f"The written outputs contain added white noise: {noise}."] if noise else [])], Tone.GOOD
+    )
+
+
+def _ranges(run: Simulation, model: Model) -> TableBlock:
+    units, rows = signal_units(model), []
+    for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
+        for name, values in group.items():
+            factor, unit = scale_to_prefix(units[name], np.asarray(values))
+            rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
+    return TableBlock("Ranges of the signals", ["signal", "kind", "from … to"], rows)
+
+
+def _parameters(model: Model) -> TableBlock:
+    rows = [[q.name, format_number(q.value, 7), format_unit(q.unit)] for q in model.all_parameters]
+    return TableBlock("Parameters of this run", ["parameter", "value", "unit"], rows)

@@ -1,0 +1,1 @@
+"""What prints a document: HTML for a page, plain text for a terminal."""

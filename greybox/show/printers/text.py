@@ -1,0 +1,78 @@
+"""A document as plain text: what ``print(result)`` and a command show."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from greybox.base.document import (
+    REMARK,
+    Block,
+    BulletList,
+    CodeBlock,
+    Details,
+    Document,
+    EquationList,
+    Facts,
+    FigureBlock,
+    Paragraphs,
+    Subheading,
+    TableBlock,
+    Text,
+)
+from greybox.base.findings import Finding
+from greybox.show.sentences.registry import sentence
+
+
+def print_text(document: Document) -> str:
+    """The brief of a document."""
+    return print_blocks(document.brief)
+
+
+def print_blocks(blocks: Iterable[Block]) -> str:
+    """Blocks as lines of text, an empty line between two of them."""
+    return "\n\n".join("\n".join(lines) for block in blocks if (lines := block_lines(block)))
+
+
+def block_lines(block: Block) -> list[str]:
+    """The lines of one block; a figure has none."""
+    match block:
+        case Paragraphs():
+            return [_say(item) for item in block.items]
+        case BulletList():
+            return [f"  {_say(item)}" for item in block.items]
+        case Facts():
+            return [_name(name, block.width) + _say(text) for name, text in block.items]
+        case TableBlock():
+            head = [block.corner or block.head[0], *block.head[1:]]
+            return table_lines([*head[:-1], "" if head[-1] == REMARK else head[-1]], block.rows)
+        case EquationList() | CodeBlock():
+            return [block.text]
+        case Subheading():
+            return [_say(block.title)]
+        case Details():
+            inside = [line for inner in block.blocks for line in _indented(inner)]
+            return [_say(block.summary), *inside]
+        case FigureBlock():
+            return []
+
+
+def _indented(block: Block) -> list[str]:
+    """The lines of a block within another one; tables and lists are indented already."""
+    lines = "\n".join(block_lines(block)).splitlines()
+    return lines if isinstance(block, (TableBlock, BulletList)) else [f"  {line}" for line in lines]
+
+
+def _say(text: Text) -> str:
+    return sentence(text) if isinstance(text, Finding) else text
+
+
+def _name(name: str, width: int) -> str:
+    return f"{name:<{width}}" if width else f"{name}: " if name else ""
+
+
+def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of a table, indented by two; each column as wide as it must be."""
+    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
+    return [
+        "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
+    ]

@@ -1,0 +1,185 @@
+"""From the winners of resampled records to claims, grades and a verdict. Nothing is simulated."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import (
+    ESTABLISHED_FROM,
+    Claim,
+    Depth,
+    deepest_established,
+    describe_effect,
+    name_by_evidence,
+    name_claim,
+    read_certainty,
+    to_features,
+    to_grade,
+    to_probability,
+    weigh_claims,
+)
+from greybox.discovery.surrogate_effects import CURVE
+from greybox.discovery.table import BlockSums, Draws, FittedSet
+from models.micro_actuator import micro_actuator
+from models.pneumatic_cylinder import pneumatic_cylinder
+
+RESAMPLES = 10
+
+
+@pytest.mark.parametrize(
+    ("rig", "name", "site", "variables", "expected"),
+    [
+        (micro_actuator, "coulomb_friction", "balance force", {"v"}, "static"),
+        (micro_actuator, "cubic_stiffness", "balance force", {"x"}, "static"),
+        (micro_actuator, "viscoelastic_creep", "balance force", {"x"}, "with memory"),
+        (micro_actuator, "lugre_friction", "balance force", {"v"}, "with memory"),
+        (micro_actuator, "input_saturation", "input u", {"u"}, "static"),
+        (micro_actuator, "transport_delay", "input u", {"u"}, "timing"),
+        (micro_actuator, "sensor_drift", "sensor of x", set(), "with memory"),
+        (pneumatic_cylinder, "chamber_leakage", "balance pressure_a", {"p_a", "p_b"}, "static"),
+    ],
+)
+def test_an_effect_says_where_it_acts_and_of_what(rig, name, site, variables, expected):
+    model = rig + gb.effect(name)
+    form = describe_effect(model, model.bound_effects[-1])
+    assert (form.site, set(form.variables), form.name) == (site, variables, name)
+    assert form.form == expected
+    assert name in form.family
+
+
+def test_lags_and_delays_are_one_family():
+    model = micro_actuator + gb.effect("transport_delay")
+    assert {"transport_delay", "drive_lag", "sensor_lag", "valve_lag"} <= set(
+        describe_effect(model, model.bound_effects[-1]).family
+    )
+
+
+def fitted(*names, left=1.0, free=5, curve=False):
+    """A set on a table: the actuator with these effects, whose run leaves ``left`` times the noise on the records that judge."""
+    model = micro_actuator
+    for name in names:
+        model = model + gb.effect(name)
+    if curve:
+        model = model + CURVE_EFFECT
+    candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects))
+    square = np.full((2, 2), left**2)
+    none = np.zeros((2, 2, 0))
+    sums = BlockSums(square, np.ones((2, 2)), none, np.zeros((2, 2, 0, 0)), none, none, 0, np.array([False, True]))
+    return FittedSet(candidate, sums)
+
+
+CURVE_EFFECT = gb.Effect(
+    CURVE,
+    "force",
+    [gb.Parameter("c0", "{force}/{velocity}**2", 0.0)],
+    terms=lambda x, u, p: p.c0 * x.velocity**2,
+    amplitudes=("c0",),
+)
+
+
+PLAIN = fitted(left=20.0), 0
+
+
+def draws(*won):
+    """Resamples of which each set won so many: ``(set, times)``."""
+    sets = tuple(each for each, _ in won)
+    winner = np.repeat(np.arange(len(won)), [times for _, times in won])
+    errors = np.ones((len(winner), len(sets)))
+    errors[np.arange(len(winner)), winner] = 0.0
+    return Draws(sets, errors, errors == 0, winner)
+
+
+def claims_of(*won, alike=(), left=0.0):
+    return weigh_claims(draws(*won, PLAIN), alike, (), left)
+
+
+def frequencies(claims, depth):
+    return {(c.sites, c.variables, c.family[:1], c.name): c.frequency for c in claims if c.depth is depth}
+
+
+def test_what_always_wins_is_claimed_to_its_name():
+    claims = claims_of((fitted("coulomb_friction", left=1.0), 10))
+    assert [c.depth for c in claims] == list(Depth)
+    assert all(c.frequency == 1.0 and c.rival == "" for c in claims)
+    assert claims[-1].share == pytest.approx(0.95)
+    assert deepest_established(claims).name == "coulomb_friction"
+
+
+def test_names_that_take_turns_share_their_place_and_variable():
+    claims = claims_of((fitted("coulomb_friction"), 6), (fitted("quadratic_damping"), 4))
+    assert frequencies(claims, Depth.VARIABLES) == {(("balance force",), ("v",), (), ""): 1.0}
+    assert {c.name: c.frequency for c in claims if c.depth is Depth.NAME} == {
+        "coulomb_friction": 0.6,
+        "quadratic_damping": pytest.approx(0.4),
+    }
+    assert name_claim(claims, "coulomb_friction").rival == "quadratic_damping"
+
+
+def test_rivals_are_not_both_certain_and_nothing_is_likelier_than_what_it_implies():
+    claims = claims_of((fitted("coulomb_friction"), 5), (fitted("cubic_stiffness"), 4), (fitted("input_saturation"), 1))
+    assert all(c.probability <= c.frequency for c in claims)
+    by_depth = [max(c.probability for c in claims if c.depth is depth) for depth in Depth]
+    assert by_depth == sorted(by_depth, reverse=True)
+    assert all(c.grade is not Grade.ESTABLISHED for c in claims if c.depth >= Depth.VARIABLES)
+
+
+def test_sites_that_the_sensors_cannot_tell_apart_are_one_place():
+    alike = (("balance force", "input u"),)
+    claims = claims_of((fitted("constant_load"), 5), (fitted("input_offset"), 5), alike=alike)
+    assert frequencies(claims, Depth.PLACE) == {(("balance force", "input u"), (), (), ""): 1.0}
+
+
+def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
+    claims = claims_of((fitted("coulomb_friction", curve=True), 9), (fitted("coulomb_friction"), 1))
+    assert next(c for c in claims if c.depth is Depth.PLACE).frequency == 1.0
+    assert name_claim(claims, "coulomb_friction") is None  # a tenth of the resamples is too little to be listed
+
+
+def test_the_effects_of_the_user_are_claimed_by_nobody():
+    one = fitted("coulomb_friction", "cubic_stiffness")
+    claims = weigh_claims(draws((one, 10), PLAIN), (), ("cubic_stiffness",), 0.0)
+    assert {c.name for c in claims if c.name} == {"coulomb_friction"}
+
+
+def test_sets_that_differ_by_nothing_win_together():
+    both = draws((fitted("constant_load"), 10), (fitted("input_offset"), 0), PLAIN)
+    errors = np.where([True, True, False], 0.0, np.ones_like(both.errors))
+    claims = weigh_claims(Draws(both.sets, errors, errors == 0, both.winner), (), (), 0.0)
+    assert {c.name: c.frequency for c in claims if c.name} == {"constant_load": 0.5, "input_offset": 0.5}
+
+
+@pytest.mark.parametrize("depth", list(Depth))
+def test_a_probability_rises_with_the_weight_and_falls_with_what_is_left(depth):
+    assert set(read_certainty()) == {int(d) for d in Depth}
+
+    def probability(frequency=0.9, left=0.0, sites=("balance force",), form="static", share=0.9):
+        made = Claim(depth, "x", sites, form=form, share=share, frequency=frequency, left=left)
+        return to_probability(depth, to_features(made))
+
+    weights = [probability(frequency=f) for f in (0.2, 0.5, 0.9, 1.0)]
+    assert weights == sorted(weights)
+    doubtful = {"left": 0.8, "sites": ("sensor of x", "sensor of i"), "form": "timing", "share": 0.1}
+    assert all(probability(**{name: value}) <= probability() for name, value in doubtful.items())
+    # A place in the plant that is one of several keeps its odds.
+    assert probability(sites=("balance force", "sensor of x")) == probability()
+
+
+def test_grades_follow_the_probability():
+    assert to_grade(ESTABLISHED_FROM) is Grade.ESTABLISHED
+    assert to_grade(0.6) is Grade.PROBABLE and to_grade(0.4) is Grade.STAND_IN
+
+
+def claim(name="coulomb_friction", depth=Depth.NAME):
+    return Claim(
+        depth, "x", ("balance force",), ("v",), name=name, probability=0.95, grade=Grade.ESTABLISHED, share=0.9
+    )
+
+
+def test_a_name_is_certain_only_by_its_evidence():
+    claims = (claim("", Depth.PLACE), claim(), claim("quadratic_damping"))
+    grades = [c.grade for c in name_by_evidence(claims, {"coulomb_friction"})]
+    assert grades == [Grade.ESTABLISHED, Grade.ESTABLISHED, Grade.PROBABLE]
+    assert deepest_established(name_by_evidence(claims, ())).depth is Depth.PLACE

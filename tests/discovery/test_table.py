@@ -1,0 +1,115 @@
+"""Sets of effects whose records are drawn again: against least squares that are solved anew, and where the right set is known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.discovery.holdout import HoldoutScores, ValidationSet
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws
+from models.micro_actuator import micro_actuator
+from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+
+
+def sums_of(jacobian, residual, blocks):
+    """The sums of a linear model with one output: rows (N, n) and residuals (N,) cut into blocks."""
+    rows = np.array_split(np.arange(len(residual)), blocks)
+    square = np.array([[residual[r] @ residual[r]] for r in rows])
+    gradient = np.array([[jacobian[r].T @ residual[r]] for r in rows])
+    curvature = np.array([[jacobian[r].T @ jacobian[r]] for r in rows])
+    count = np.array([[len(r)] for r in rows])
+    wide = np.full(jacobian.shape[1], np.inf)
+    return BlockSums(square, count, gradient, curvature, -wide, wide, len(wide), np.zeros(blocks, bool))
+
+
+def test_a_resample_is_refitted_as_least_squares_are():
+    rng = np.random.default_rng(3)
+    jacobian, residual = rng.standard_normal((120, 3)), rng.standard_normal(120)
+    sums = sums_of(jacobian, residual, 6)
+    drawn = np.array([[2.0, 0, 1, 0, 3, 0]])
+    rows = np.repeat(np.arange(120), np.repeat([2, 0, 1, 0, 3, 0], 20))
+    # |r + J s|^2 + |s|^2 by a solver that knows nothing of blocks.
+    full = np.vstack([jacobian[rows], np.sqrt(RIDGE) * np.eye(3)])
+    expected = np.linalg.lstsq(full, -np.concatenate([residual[rows], np.zeros(3)]), rcond=None)[0]
+    (step,) = sums.refit(drawn, np.ones(1))
+    assert step == pytest.approx(expected, rel=1e-10)
+    left = residual + jacobian @ step
+    expected = [np.mean(part**2) for part in np.array_split(left, 6)]
+    assert sums.mean_squares(step[None])[0, :, 0] == pytest.approx(expected, rel=1e-10)
+
+
+def test_a_step_stays_within_the_bounds():
+    sums = sums_of(np.ones((10, 1)), -5 * np.ones(10), 2)
+    bounded = BlockSums(**{**vars(sums), "low": np.array([-1.0]), "high": np.array([0.5])})
+    assert bounded.refit(np.ones((1, 2)), np.ones(1)) == pytest.approx(0.5)
+
+
+def sets(*free):
+    return tuple(FittedSet(SimpleNamespace(free=n, effects=()), None) for n in free)
+
+
+def judge(squares, free):
+    """Winner and good sets of one resample that left every block out; ``squares`` (S, B)."""
+    squares = np.asarray(squares, float)[:, None, :, None]
+    count = np.ones((squares.shape[2], 1))
+    return _judge_draws(sets(*free), squares, np.ones((1, squares.shape[2]), bool), count)
+
+
+def test_of_equal_sets_the_one_with_fewest_constants_wins():
+    rng = np.random.default_rng(1)
+    noise = 1 + 0.1 * rng.standard_normal((3, 24))
+    draws = judge([noise[0], noise[1], 4 * noise[2]], (7, 5, 4))
+    assert draws.winner.tolist() == [1] and draws.good.tolist() == [[True, True, False]]
+
+
+def test_a_set_that_helps_in_a_few_blocks_is_not_given_up():
+    rest = np.ones(24) + 0.01 * np.random.default_rng(2).standard_normal(24)
+    stop = rest.copy()
+    stop[[3, 9, 10, 15, 20]] = 0.05
+    assert judge([rest, stop], (5, 6)).winner.tolist() == [1]
+
+
+def test_a_set_that_goes_astray_in_one_block_is_not_good_for_its_large_spread():
+    rest = np.ones(24) + 0.01 * np.random.default_rng(2).standard_normal(24)
+    astray = 3 * rest
+    astray[5] = 1000.0
+    assert judge([rest, astray], (6, 5)).winner.tolist() == [0]
+
+
+@pytest.fixture(scope="module")
+def table():
+    """Fits of a rig with dry friction: the plain model, the friction, quadratic damping."""
+    first, second = simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, (2e-7, 5e-3), rows=800)
+    problem = DiscoveryProblem(plain_model(micro_actuator), (first,), {"x": 2e-7, "i": 5e-3}, (), AT_REST)
+    table = FitTable(HoldoutScores(problem, ValidationSet((second,))))
+    plain = problem.baseline.model
+    table.add(problem.baseline)
+    for name, start in (("coulomb_friction", {"Fc": 0.02}), ("quadratic_damping", {"B2": 1.0})):
+        table.add(problem.refit_best(plain + gb.effect(name), [{**plain.values, **start}]))
+    return table
+
+
+def test_the_effect_that_is_there_wins_when_records_are_drawn_again(table):
+    draws = table.draw(table.leading(()))
+    assert draws.sets[draws.leading].candidate.effects == ("coulomb_friction",)
+    assert np.mean(draws.winner == draws.leading) > 0.95
+    assert np.array_equal(draws.winner, table.draw(table.leading(())).winner)  # the same each time
+
+
+def test_of_two_fits_of_a_set_the_better_one_stays(table):
+    best = table.get(["coulomb_friction"])
+    worse = table.scores.problem.refit_best(best.model, [{**best.model.values, "Fc": 0.2}], 1, 1)
+    assert worse.cost > best.cost
+    table.add(worse)
+    assert table.get(["coulomb_friction"]) is best
+
+
+def test_sums_are_those_of_a_run_of_the_kernel(table):
+    fit = table.get(["coulomb_friction"])
+    sums = table.sums(fit)
+    run = table.scores.run(fit)
+    for k, output in enumerate(("x", "i")):
+        of_run = np.nansum((run.traces[0].residual(output) / table.scores.problem.noise_std[output]) ** 2)
+        assert sums.square[sums.is_judging, k].sum() == pytest.approx(of_run, rel=1e-6)

@@ -1,0 +1,138 @@
+"""Reports as a reader sees them: opened as files in a real browser, without a network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.comparison.compare import compare
+from greybox.estimation.check import check
+from greybox.show.printers.html import write_page
+from greybox.show.report import describe_page
+from models.micro_actuator import micro_actuator
+from tests.support.browser import opened, wait_until
+
+REST = gb.FitOptions(at_rest=True)
+HOSTILE = """<script>window.hurt=1</script></script>"><img src=x onerror="window.hurt=1">&amp;'`${1}"""
+
+
+@pytest.fixture(scope="module")
+def good_fit():
+    t = 5e-4 * np.arange(1500)
+    u = np.sign(np.sin(40 * t)) + np.sin(300 * t)
+    made = gb.simulate(micro_actuator, gb.Experiment("bench", t, {"u": u}, {})).outputs
+    noise = np.random.default_rng(4)
+    y = {"x": made["x"] + noise.normal(0, 2e-7, len(t)), "i": made["i"] + noise.normal(0, 5e-3, len(t))}
+    y["x"][300:420] = np.nan
+    return gb.fit(micro_actuator.fix("M", "Ra"), gb.Experiment(HOSTILE, t, {"u": u}, y))
+
+
+@pytest.fixture(scope="module")
+def report(good_fit, tmp_path_factory) -> Path:
+    return write_page(
+        describe_page(good_fit, command=f"greybox fit {HOSTILE}"), tmp_path_factory.mktemp("report") / "fit.html"
+    )
+
+
+@pytest.fixture(scope="module")
+def page(browser, report):
+    """The page of the fit on a wide screen, opened once: what one test zooms or switches, the next does not mind."""
+    with opened(browser, report) as one:
+        yield one
+
+
+def test_the_page_draws_every_figure_and_stays_small(page, report):
+    assert report.stat().st_size < 6_000_000
+    drawn = page.locator("figure.drawn")
+    assert drawn.count() >= 8
+    for k in range(drawn.count()):
+        assert drawn.nth(k).locator("svg.main-svg").count() > 0
+        assert len(drawn.nth(k).locator(".plot").get_attribute("aria-label")) > 20
+
+
+def test_text_from_files_is_text(page):
+    assert page.evaluate("window.hurt") is None
+    assert page.locator("img").count() == 0
+    assert HOSTILE in page.locator("body").inner_text()
+
+
+def test_a_button_switches_the_output_in_every_figure_of_the_record(page):
+    title = "document.querySelector('#{} .plot').layout.yaxis.title.text"
+    assert page.evaluate(title.format("spectrum-0")).startswith("x")
+    page.focus("#run-0 .choices button:nth-child(2)")
+    page.keyboard.press("Enter")
+    for figure, text in (("run-0", "i ["), ("residual-0", "residual of i"), ("spectrum-0", "i [")):
+        assert page.evaluate(title.format(figure)).startswith(text)
+        assert page.get_attribute(f"#{figure} .choices button:nth-child(2)", "aria-pressed") == "true"
+    page.click("#spectrum-0 .choices button:nth-child(1)")
+    assert page.evaluate(title.format("run-0")).startswith("x")
+
+
+def test_zooming_the_residual_zooms_the_run_and_renews_the_spectrum(page):
+    points = "document.querySelector('#spectrum-0 .plot').data[0].x.length"
+    before = page.evaluate(points)
+    page.evaluate("Plotly.relayout(document.querySelector('#residual-0 .plot'), {'xaxis.range': [0.3, 0.5]})")
+    wait_until(page, "document.querySelector('#run-0 .plot').layout.xaxis.range[1] === 0.5")
+    wait_until(page, f"{points} !== {before}")
+    page.evaluate("Plotly.relayout(document.querySelector('#run-0 .plot'), {'xaxis.autorange': true})")
+    wait_until(page, f"{points} === {before}")
+
+
+def test_the_page_prints(page):
+    assert len(page.pdf(format="A4")) > 20_000
+
+
+def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page):
+    names = "[...document.querySelectorAll('#run-0 .name.printed')].map(e => e.textContent)"
+    axes = "[...document.querySelectorAll('#run-0 .plot')].map(e => e.layout.yaxis.title.text[0])"
+    page.evaluate("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.evaluate(names) == page.evaluate(axes) == ["x", "i"]
+    page.evaluate("window.dispatchEvent(new Event('afterprint'))")
+    assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
+
+
+def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(browser, report):
+    with opened(browser, report, color_scheme="dark", viewport={"width": 390, "height": 800}) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        tests = page.locator(".wide[aria-label='Tests of the residual']")
+        assert tests.evaluate("e => e.scrollWidth <= e.clientWidth")
+        paper = "getComputedStyle(document.body).backgroundColor"
+        dark = page.evaluate(paper)
+        page.click("#theme")
+        assert page.evaluate(paper) == "rgb(255, 255, 255)" != dark
+        assert page.get_attribute("#theme", "aria-pressed") == "false"
+
+
+def test_every_kind_of_page_opens_and_is_drawn(browser, good_fit, tmp_path):
+    """Nothing in the console, nothing fetched, every figure drawn; one page after the other."""
+    t = 5e-4 * np.arange(400)
+    rig = (micro_actuator + gb.effect("cubic_stiffness")).start(K3=5e9)
+    records = [
+        gb.simulate(rig, gb.Experiment(n, t, {"u": s * np.sin((40 + 600 * t) * t)}, {}))
+        for n, s in (("a", 4), ("b", 3))
+    ]
+    noise = {"x": 2e-7, "i": 5e-3}
+    made = [r.record(noise, np.random.default_rng(k)) for k, r in enumerate(records)]
+    known = micro_actuator.fix("M", "Ra", "Kf", "Kv", "La")
+    found = gb.discover(
+        known, made[0], validation=made[1], noise=noise, effects=[gb.effect("cubic_stiffness")], options=REST
+    )
+    black = gb.blackbox.arx(made[0], output="x", inputs=["u"], na=3, nb=3, nk=1)
+    compared = compare({HOSTILE: found.base, "with it": found.best, "arx": [black]}, made[1], training=made[0])
+    values = {
+        "check": (check(micro_actuator), {}),
+        "discovery": (found, {}),
+        "linear": (gb.linearise(found.best), {}),
+        "comparison": (compared, {"fits": {HOSTILE: found.base}}),
+        "simulation": (records[0], {"model": rig}),
+    }
+    for name, (value, more) in values.items():
+        with opened(browser, gb.report(value, tmp_path / f"{name}.html", **more)) as page:
+            undrawn = [f.get_attribute("id") for f in page.locator("figure.drawn:not(:has(svg.main-svg))").all()]
+            assert page.locator("figure.drawn").count() > 0
+            assert not undrawn
+            assert page.evaluate("window.hurt") is None
+            assert page.evaluate("document.documentElement.scrollWidth") <= 1280

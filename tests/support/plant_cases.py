@@ -1,0 +1,204 @@
+"""Plants of every kind with records of known constants, for the contract that all of them keep."""
+
+from __future__ import annotations
+
+import atexit
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from math import sin
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import odeint
+
+from greybox.data.experiment import Experiment
+from greybox.model.balance import Balance
+from greybox.model.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.plant import Plant, PlantRunError, as_model
+
+
+@dataclass(frozen=True, eq=False)
+class PlantCase:
+    """A plant whose start values are off, two records, and the constants that made them.
+
+    ``noise`` is what was added to them; ``reach`` (ratio of the two) how far the plant may be from these constants by its own error.
+    ``can_be_tied``: two constants and a formula. ``states``: whether records begin where they want.
+    """
+
+    name: str
+    plant: Model | Plant
+    truth: Mapping[str, float]
+    records: tuple[Experiment, ...]
+    noise: Mapping[str, float]
+    tie: tuple[str, str] = ("", "")
+    abilities: frozenset[str] = field(default_factory=frozenset)
+
+    @property
+    def model(self) -> Model:
+        """Its model."""
+        return as_model(self.plant)
+
+
+class Pendulum:
+    """A damped pendulum with a torque, run by scipy: a simulator that is not ours."""
+
+    name = "pendulum"
+    inputs = (Input("T", "N*m"),)
+    outputs = (Output("angle", "rad"),)
+    parameters = (Parameter("L", "m", 0.5, (0.05, 5.0)), Parameter("d", "1/s", 0.1, (0.0, 10.0)))
+    states = (State("angle0", "rad", bounds=(-3.0, 3.0)),)
+
+    def simulate(self, record: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        length, damping = values["L"], values["d"]
+        if damping > 8.0:
+            raise PlantRunError("the bearing is stuck")
+
+        time, torque = record.time - record.time[0], record.inputs["T"] / length**2
+        step = time[1]
+
+        def rates(t, x):
+            # Straight between the rows of the record, which lie evenly.
+            k = min(int(t / step), len(time) - 2)
+            push = torque[k] + (torque[k + 1] - torque[k]) * (t / step - k)
+            return (x[1], -9.81 / length * sin(x[0]) - damping * x[1] + push)
+
+        run = odeint(rates, (values["angle0"], 0.0), time, rtol=1e-9, atol=1e-10, hmax=step, tfirst=True)
+        return {"angle": run[:, 0]}
+
+
+class Reaction:
+    """``A -> B -> C`` in closed form (Box and Lucas 1959), with its own slopes: a plant without an input that costs nothing."""
+
+    name = "reaction"
+    cheap = True
+    inputs = ()
+    outputs = (Output("A", "mol/L"), Output("B", "mol/L"))
+    parameters = (Parameter("k1", "1/s", 1.0, (0.01, 10.0)), Parameter("k2", "1/s", 0.1, (0.01, 10.0)))
+
+    def simulate(self, record: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        k1, k2, t = values["k1"], values["k2"], record.time
+        return {"A": np.exp(-k1 * t), "B": k1 / (k1 - k2) * (np.exp(-k2 * t) - np.exp(-k1 * t))}
+
+    def differentiate(
+        self, record: Experiment, values: Mapping[str, float], names: Sequence[str], outputs: Mapping[str, np.ndarray]
+    ) -> np.ndarray:
+        k1, k2, t = values["k1"], values["k2"], record.time
+        first, second, apart = np.exp(-k1 * t), np.exp(-k2 * t), k1 - k2
+        slopes = {
+            "k1": (-t * first, -k2 / apart**2 * (second - first) + k1 / apart * t * first),
+            "k2": (0 * t, k1 / apart**2 * (second - first) - k1 / apart * t * second),
+        }
+        return np.stack([np.column_stack(slopes[name]) for name in names], axis=2)
+
+
+def move_oscillator(x, u, p):
+    return [
+        Balance("position", "m/s", 1.0, "x", speed=x.v),
+        Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damper=-p.B * x.v),
+    ]
+
+
+def oscillator() -> Model:
+    """A mass on a spring, in equations."""
+    return Model(
+        "oscillator",
+        [State("x", "m"), State("v", "m/s")],
+        [Input("F", "N")],
+        [Output("x", "m")],
+        [
+            Parameter("K", "N/m", 20.0, (0.1, 1e3)),
+            Parameter("B", "N*s/m", 0.4, (0.01, 10.0)),
+            Parameter("M", "kg", 1.0, fixed=True),
+        ],
+        move_oscillator,
+    )
+
+
+def drive(seed: int, rows: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Time and a smooth random input."""
+    rng, time = np.random.default_rng(seed), step * np.arange(rows)
+    return time, sum(rng.standard_normal() * np.sin(w * time + rng.uniform(0, 6)) for w in (0.7, 1.9, 3.3))
+
+
+def add_noise(record: Experiment, noise: Mapping[str, float], seed: int) -> Experiment:
+    """The record with white noise on its outputs."""
+    rng = np.random.default_rng(seed)
+    return record.with_outputs({n: y + noise[n] * rng.standard_normal(record.rows) for n, y in record.outputs.items()})
+
+
+def make_pendulum() -> PlantCase:
+    truth, noise, records = {"L": 0.7, "d": 0.3}, {"angle": 2e-3}, []
+    for seed in (0, 1):
+        time, torque = drive(seed, 80, 0.05)
+        record = Experiment(f"r{seed}", time, {"T": 0.3 * torque}, {"angle": time}, "first")
+        run = Pendulum().simulate(record, {**truth, "angle0": 0.05})
+        records.append(add_noise(record.with_outputs(run), noise, seed))
+    return PlantCase("scipy", Pendulum(), truth, tuple(records), noise, ("L", "2*d+0.1"), frozenset(["states"]))
+
+
+def make_reaction() -> PlantCase:
+    truth, noise, records = {"k1": 0.7, "k2": 0.2}, {"A": 0.01, "B": 0.02}, []
+    for seed in (0, 1):
+        time = 0.1 * np.arange(100 + 20 * seed)
+        record = Experiment(f"r{seed}", time, {}, {"A": time, "B": time})
+        records.append(add_noise(record.with_outputs(Reaction().simulate(record, truth)), noise, seed))
+    return PlantCase("closed_form", Reaction(), truth, tuple(records), noise)
+
+
+def make_oscillator() -> PlantCase:
+    """The exact motion by scipy's `lsim`."""
+    from scipy.signal import lsim
+
+    truth, noise, records = {"K": 30.0, "B": 1.5}, {"x": 1e-3}, []
+    for seed in (0, 1):
+        time, force = drive(seed, 200, 0.05)
+        x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=True)[1]
+        records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}, "first"), noise, seed))
+    return PlantCase("model", oscillator(), truth, tuple(records), noise, abilities=frozenset(["states", "equations"]))
+
+
+def make_filtered() -> PlantCase:
+    """The same with process noise, so that the prediction error is minimised; simulated by many small Euler-Maruyama steps."""
+    truth, noise, records = {"K": 30.0, "B": 1.5}, {"x": 1e-3}, []
+    for seed in (0, 1):
+        rng, parts = np.random.default_rng(seed), 50
+        time, force = drive(seed, 300, 0.05)
+        x, v, h, run = 0.0, 0.0, 0.05 / parts, []
+        for k in range(len(time)):
+            run.append(x)
+            for j in range(parts):
+                share = force[k] + (force[min(k + 1, len(time) - 1)] - force[k]) * j / parts
+                x, v = x + h * v, v + h * (share - 30.0 * x - 1.5 * v) + 0.05 * np.sqrt(h) * rng.standard_normal()
+        records.append(
+            add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": np.array(run)}, "first"), noise, seed)
+        )
+    plant = oscillator().with_process_noise("v")
+    return PlantCase(
+        "filter", plant, truth, tuple(records), noise, abilities=frozenset(["states", "equations", "filter"])
+    )
+
+
+def make_fmu() -> PlantCase:
+    """The oscillator as an FMU for co-simulation, its input held; the exact motion by scipy's `lsim`."""
+    from scipy.signal import lsim
+
+    from greybox.extensions.export import to_fmu
+    from greybox.extensions.fmu.plant import read_fmu
+
+    path = to_fmu(oscillator(), Path(tempfile.mkdtemp()) / "oscillator.fmu", dt=0.05)
+    atexit.register(shutil.rmtree, path.parent, ignore_errors=True)
+    truth, noise, records = {"K": 30.0, "B": 1.5}, {"x": 1e-3}, []
+    for seed in (0, 1):
+        time, force = drive(seed, 200, 0.05)
+        x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=False)[1]
+        records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}), noise, seed))
+    return PlantCase("fmu", read_fmu(path).with_values(["K", "B"]), truth, tuple(records), noise)
+
+
+HAS_FMU = find_spec("fmpy") is not None and any(map(shutil.which, ("cc", "gcc", "clang")))
+CASES = {"model": make_oscillator, "filter": make_filtered, "scipy": make_pendulum, "closed_form": make_reaction}
+CASES |= {"fmu": make_fmu} if HAS_FMU else {}
