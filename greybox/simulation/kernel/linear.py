@@ -146,12 +146,12 @@ class LinearKernel:
         x, dx = arguments.x0, arguments.dx0
         for start in range(0, n, size):
             count = min(size, n - start)
-            here = np.arange(start, start + count)
+            samples = np.arange(start, start + count)
             # A held input is the same at both ends of the interval.
-            after = np.minimum(here + 1, len(record.u) - 1) if record.first_order else here
-            interval = np.minimum(here, max(len(record.h) - 1, 0))
+            after = np.minimum(samples + 1, len(record.u) - 1) if record.first_order else samples
+            interval = np.minimum(samples, max(len(record.h) - 1, 0))
             row = np.zeros(count, int) if arguments.row is None or not len(arguments.row) else arguments.row[interval]
-            inputs = self._evaluate(self._regressors, record.u[here], record.u[after])[0]
+            inputs = self._evaluate(self._regressors, record.u[samples], record.u[after])[0]
             # x+ = Phi x + G r, with G r of all samples at once.
             driven = np.empty((count, nx))
             for k in np.unique(row):
@@ -167,9 +167,9 @@ class LinearKernel:
                     if moves[k]:
                         forced[row == k] = seen[row == k] @ slopes[k]
                 dxs = run_recursion(phi, row, forced.reshape(count, nx, directions), dx)
-            y = self._evaluate(self._outputs, xs[:-1], record.u[here], np.broadcast_to(arguments.p, (count, sizes.np)))[
-                0
-            ]
+            y = self._evaluate(
+                self._outputs, xs[:-1], record.u[samples], np.broadcast_to(arguments.p, (count, sizes.np))
+            )[0]
             yield RecordPart(start, xs[:-1], y, dxs[:-1])
             x, dx = xs[-1].copy(), dxs[-1].copy()
 
@@ -180,7 +180,7 @@ class LinearKernel:
         if key not in self._mapped:
             self._mapped[key] = function.map(rows)
         # CasADi stores column by column, hence row by row of the transposes.
-        return [found.T for found in call_function(self._mapped[key], *(a.T for a in arguments))]
+        return [result.T for result in call_function(self._mapped[key], *(a.T for a in arguments))]
 
     def _linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n, ny) and their Jacobian (n, ny, L)."""
