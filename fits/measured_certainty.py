@@ -126,11 +126,10 @@ def errors_on(fit: gb.Fit, record: gb.Experiment) -> dict[str, float]:
 def round_trip(found: gb.Discovery, learn: gb.Experiment, records: Mapping[str, gb.Experiment]) -> dict[str, Any]:
     """The model that is handed over, written, read back, fitted again: its errors over the answer's; then written again, and in C."""
     with TemporaryDirectory() as folder:
-        file = Path(folder) / "model.py"
         answer = found.extended
-        read = load(gb.export.to_python(answer, file))
+        read = load(gb.export.to_python(answer, Path(folder) / "model.py"))
         refit = gb.fit(read, learn, options=found.options)
-        again = load(gb.export.to_python(refit, file))
+        again = load(gb.export.to_python(refit, Path(folder) / "again.py"))
         said = [str(f) for f in found.findings if f.code is DiscoveryCode.REFIT_ELSEWHERE]
         return {
             "status": refit.solver.status,
