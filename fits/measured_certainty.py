@@ -389,6 +389,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     given.output.mkdir(parents=True, exist_ok=True)
     cases = [case for case in SEARCHES if case.rig in (given.rigs or RIGS)]
+    # One search of every rig, then a second of each, and so on: where the study is stopped it has seen as much as it can.
+    cases.sort(key=lambda case: [other for other in SEARCHES if other.rig == case.rig].index(case))
     if not given.page:
         for rig in dict.fromkeys(case.rig for case in cases):
             if not (given.folder / RIGS[rig].folder).is_dir():
