@@ -83,7 +83,7 @@ _NAMES = {
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
-    "show.report": ("report",),
+    "show.describe": ("report",),
     "simulation.simulate": ("simulate",),
 }
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}

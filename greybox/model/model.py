@@ -491,7 +491,7 @@ class Model(Printable):
         return replace(self, ties=left).start(**{name: self.tied_values[name] for name in names})
 
     def schedule(self, name: str, *, by: str, about: float | None = None, order: int = 1) -> Model:
-        """The model with a parameter that follows an operating condition, as a polynomial (`greybox.model.schedules.schedule_effect`).
+        """The model with a parameter that follows an operating condition, as a polynomial (`greybox.model.ties.schedule_effect`).
 
         Parameters
         ----------

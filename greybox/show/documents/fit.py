@@ -246,10 +246,9 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Bloc
         yield block
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
-    recommendations = list(dict.fromkeys(sentences(recommendations)))
     if recommendations:
         yield Subheading("How to determine the other parameters")
-        yield BulletList(recommendations)
+        yield BulletList(list(dict.fromkeys(sentences(recommendations))))
     intervals = plot_intervals(relative_half_widths(fit), "Half width of each 95 % interval: smaller is better.")
     if intervals is not None:
         yield FigureBlock(intervals)
