@@ -62,18 +62,6 @@ def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
 
 
-def _drooping_gain(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"valve_gain": p.valve_gain * (1 - x.z)}
-
-
-def _droop_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)]
-
-
-def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)}
-
-
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
     return {
@@ -85,10 +73,6 @@ def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
 def _root_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     pressure = x.pressure
     return -p.c * pressure / (pressure**2 + p.laminar**2) ** 0.25
-
-
-def _back_pressure(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.b * x.store * x.driven
 
 
 chamber_leakage = Effect(
@@ -140,8 +124,8 @@ supply_droop = Effect(
         shape_parameter("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
     ],
     states=[State("z", "", relaxing=True, description="share of the flow lost")],
-    on_parameter=_drooping_gain,
-    balances=_droop_balance,
+    on_parameter=lambda x, u, p: {"valve_gain": p.valve_gain * (1 - x.z)},
+    balances=lambda x, u, p: [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)],
     equation="G (1 - z) u, tau_d z' = r abs(u) - z",
     parity="odd",
     tells_apart=(
@@ -150,7 +134,7 @@ supply_droop = Effect(
     source="flow resistance between reservoir and valve, with one time constant",
     amplitudes=("r",),
     probe=lambda s: {"r": 0.03 / s.input},
-    grid=_droop_grid,
+    grid=lambda s: {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)},
 )
 
 position_dependent_volume = Effect(
@@ -204,7 +188,7 @@ pump_back_pressure = Effect(
     "pump_back_pressure",
     site="store",
     parameters=[amplitude_parameter("b", "1/{store}", "share of the driven flow lost per pressure or level", low=0.0)],
-    terms=_back_pressure,
+    terms=lambda x, u, p: -p.b * x.store * x.driven,
     equation="-b p (flow driven by the inputs)",
     parity="even",
     tells_apart=(
@@ -241,36 +225,12 @@ def _upper_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[s
     return {"upper_level": -spilt, "lower_level": p.share * spilt * p.lower_inlet / p.upper_outlet}
 
 
-def _lower_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -_overflow(x.lower_head, p.edge, p.ko)
-
-
-def _own_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -_overflow(x.store, p.edge, p.ko)
-
-
-def _own_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kl * x.store
-
-
 # Largest rate of an overflow, per sampling period: faster than the samples follow, an edge is an edge.
 FASTEST_OVERFLOW = 4.0
 
 
-def _own_overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)}
-
-
 # Edges over which a tank may run, as shares of the highest level of the record, the faintest first.
 OVERFLOW_EDGES: tuple[float, ...] = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25)
-
-
-def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]}
-
-
-def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]}
 
 
 # Rate of an overflow to start from, per sampling period.
@@ -291,10 +251,6 @@ def _bend_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedVal
     return value + (1 - share) * (p.y0 - p.bow * value)
 
 
-def _limit_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return ca.fmin(value, p.y_max)
-
-
 upper_overflow = Effect(
     "upper_overflow",
     site="upper_level",
@@ -313,7 +269,7 @@ upper_overflow = Effect(
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark: part of the overflow reaches the lower tank",
     amplitudes=("ko",),
     probe=_overflow_probe,
-    grid=_upper_grid,
+    grid=lambda s: {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]},
     limits=_overflow_limits,
 )
 
@@ -324,7 +280,7 @@ lower_overflow = Effect(
         amplitude_parameter("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
         shape_parameter("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
     ],
-    terms=_lower_overflow,
+    terms=lambda x, u, p: -_overflow(x.lower_head, p.edge, p.ko),
     equation="-ko max(x2 - edge, 0)",
     parity="even",
     tells_apart=(
@@ -334,7 +290,7 @@ lower_overflow = Effect(
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
     amplitudes=("ko",),
     probe=_overflow_probe,
-    grid=_lower_grid,
+    grid=lambda s: {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]},
     limits=_overflow_limits,
 )
 
@@ -345,7 +301,7 @@ overflow = Effect(
         amplitude_parameter("ko", "{force}/{store}", "what runs over for each unit above the edge", low=0.0),
         shape_parameter("edge", "{store}", 1.0, (1e-9, 1e9), "level of the edge, or pressure at which a valve opens"),
     ],
-    terms=_own_overflow,
+    terms=lambda x, u, p: -_overflow(x.store, p.edge, p.ko),
     equation="-ko max(h - edge, 0)",
     approaches=("linear_leak",),
     parity="even",
@@ -357,14 +313,14 @@ overflow = Effect(
     amplitudes=("ko",),
     probe=lambda s: {"ko": OVERFLOW_RATE * s.storage / s.period},
     grid=lambda s: {"edge": [share * s.store for share in OVERFLOW_EDGES]},
-    limits=_own_overflow_limits,
+    limits=lambda s: {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)},
 )
 
 linear_leak = Effect(
     "linear_leak",
     site="store",
     parameters=[amplitude_parameter("kl", "{force}/{store}", "leak over the level or pressure", low=0.0)],
-    terms=_own_leak,
+    terms=lambda x, u, p: -p.kl * x.store,
     equation="-kl h",
     parity="linear",
     tells_apart=(
@@ -417,7 +373,7 @@ sensor_saturation = Effect(
             "large: absent until fitted",
         )
     ],
-    on_output=_limit_reading,
+    on_output=lambda value, x, u, p: ca.fmin(value, p.y_max),
     equation="min(y, y_max)",
     parity="even",
     tells_apart=(
