@@ -13,7 +13,7 @@ from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, Interval
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
-from greybox.discovery.result import Discovery, FoundEffect
+from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
 
 # What change detection has to say beside its numbers.
@@ -281,15 +281,15 @@ class ChangeDetection(Printable, StoredResult):
         return tuple(name for name, change in self.constants.items() if change.moved)
 
     @property
-    def effects(self) -> list[FoundEffect]:
+    def effects(self) -> list[dict[str, Any]]:
         """Effects that have appeared, as in ``discovery.json``; none where all that was found stands in for something else."""
         return list_appeared_effects(self.discovery)
 
 
-def list_appeared_effects(discovery: Discovery | None) -> list[FoundEffect]:
+def list_appeared_effects(discovery: Discovery | None) -> list[dict[str, Any]]:
     """Effects that a search has found, without those that stand in for something else."""
     effects = [] if discovery is None else discovery.effects
-    return [effect for effect in effects if effect["grade"] != Grade.STAND_IN]
+    return [dict(effect) for effect in effects if effect["grade"] != Grade.STAND_IN]
 
 
 def load_changes(path: str | Path) -> dict[str, Any]:
