@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,8 +20,10 @@ from greybox.model.effect import Effect, InputDelay, StateUpdate
 from greybox.model.expressions.graph import as_scalar, count_operands, nodes
 from greybox.model.expressions.operations import FLAT, OPERATIONS
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
-from greybox.model.sites import Site
-from greybox.model.ties import Tie
+
+if TYPE_CHECKING:
+    from greybox.model.sites import Site
+    from greybox.model.ties import Tie
 
 
 class ParameterSymbol(NamedTuple):

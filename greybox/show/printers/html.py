@@ -150,7 +150,9 @@ def say(texts: Text | Sequence[Text]) -> str:
 
 def label(text: Text) -> str:
     """A text that is no sentence: a title, a caption of a table."""
-    return typeset_number(sentence(text) if isinstance(text, Finding) else text)
+    return typeset_number(sentence(text) if isinstance(text, Finding) else text).replace(
+        " -> ", " \N{RIGHTWARDS ARROW} "
+    )
 
 
 # Spaces at which a line of a cell should not break: around ± and ×, and in front of the unit at its end.

@@ -13,9 +13,8 @@ from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.disturbance_sites import SiteKind
-from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule, InputKind
 from greybox.discovery.laws.terms import LikenessKind
-from greybox.discovery.proposals import InputKind
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import MOST_PERCENT, change_text, join_names, quantity_text, value_with_unit
