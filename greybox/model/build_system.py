@@ -210,9 +210,11 @@ class _Equations:
     def add(self, placed: PlacedEffect, x: NamedValues, u: NamedValues, p: NamedValues) -> None:
         """Apply an effect that comes to see the states ``x`` and the inputs ``u``."""
         effect, outputs = placed.effect, self.outputs
+        # An effect at a sensor sees its reading; one elsewhere that of the first output.
         sensor = outputs[placed.site if placed.site in outputs else self.statement.outputs[0].name]
         seen = placed.sees_states(x.replaced({"sensor": sensor, **self._balance_sums(placed, u)}))
         names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
+        # What changes a term or a storage comes before what adds terms: an added term is not changed by its own effect.
         for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
             self.balances[site] = self._balance(site, effect).with_terms_replaced(changed)
         for site, factor in (effect.on_storage(*names) if effect.on_storage else {}).items():
@@ -224,6 +226,8 @@ class _Equations:
                 term_name = f"{effect.name}_beside" if effect.dry else effect.name
                 self.balances[site] = self._balance(site, effect).with_term(term_name, term)
         if effect.dry:
+            # Kept apart with the level at which the body sticks: the integrators decide between sliding and sticking. The term in the
+            # balance is what a reader sees.
             target = self._balance(placed.site, effect)
             state, friction = self.states.index(target.state), effect.dry(*names)
             self.dry.append(
@@ -254,6 +258,7 @@ class _Equations:
         velocity = self.plant_symbols[balance.state]
         inputs = ca.SX(ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs]))
         symbols = ca.vertcat(*ca.symvar(inputs))
+        # What a bearing carries: friction under load grows with these, and not with losses that depend on the velocity.
         sizes = [ca.fabs(t) for t in terms if not ca.depends_on(t, velocity)]
         driven = [t for t in terms if symbols.numel() and ca.depends_on(t, symbols)]
         return {"transmitted": sum(sizes, ca.SX(0)), "driven": sum(driven, ca.SX(0))}
@@ -321,6 +326,7 @@ def _start(
 ) -> ca.SX:
     """The state at rest: that of the plant, and those of effects, which may speak of the reading and the displacement there at rest."""
     plant = _start_values(dynamic, p)
+    # At rest the inputs are zero, and the reading is that of the plant there.
     at_rest = ca.vertcat(plant, ca.SX.zeros(u.numel()))
     symbols = ca.vertcat(x[: plant.numel()], u)
     numbers = {s.name: k for k, s in enumerate(dynamic)}
@@ -417,6 +423,7 @@ def _sums(ordered: Sequence[Balance], dry: Sequence[DryFrictionTerm], direction:
     rows = []
     for balance in ordered:
         frictions = {d.effect: -d.sliding * direction[k] for k, d in enumerate(dry) if d.balance == balance.name}
+        # -F_sliding * direction in place of -F_sliding * sign(v): a symbol has a derivative, sign(v) has none at v = 0.
         rows.append(sum((frictions.get(name, ca.SX(term)) for name, term in balance.terms.items()), ca.SX(0)))
     return ca.vertcat(*rows)
 
