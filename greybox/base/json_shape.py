@@ -327,6 +327,7 @@ LARGEST_NUMBER = 1.7976931348623157e308
 LARGEST_INTEGER = 10**15
 
 _RANGE = {"minimum": -LARGEST_NUMBER, "maximum": LARGEST_NUMBER}
+# The two definitions that every schema has.
 NUMBERS: dict[str, Any] = {
     "number": {"description": "A finite number.", "type": "number", **_RANGE},
     "number_or_null": {
@@ -335,7 +336,6 @@ NUMBERS: dict[str, Any] = {
         **_RANGE,
     },
 }
-"""The two definitions that every schema has."""
 
 
 def make_definitions(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:

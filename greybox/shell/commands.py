@@ -18,6 +18,7 @@ from greybox.shell.simulate import SIMULATE
 from greybox.shell.study import Command
 from greybox.shell.terminal import CommandGroup
 
+# Every command by its name, in the order of the help: those of the core, then those of extensions.
 COMMANDS: dict[str, Command] = {
     "fit": FIT,
     "compare": COMPARE,
@@ -32,7 +33,6 @@ COMMANDS: dict[str, Command] = {
     "extensions": EXTENSIONS,
     **load_extensions(ExtensionKind.COMMANDS),
 }
-"""Every command by its name, in the order of the help: those of the core, then those of extensions."""
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:

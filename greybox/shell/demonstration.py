@@ -32,8 +32,8 @@ from greybox.show.figures.pictures import draw_fit, draw_gap
 from greybox.simulation.simulate import write_csv
 from greybox.simulation.twin import simulate_twin
 
+# The names of the two physical models in the comparison.
 PLAIN, EXTENDED = "plain model", "extended model"
-"""The names of the two physical models in the comparison."""
 
 Say = Callable[[str], None]
 

@@ -365,8 +365,8 @@ def refuse_broken_limits(run: Simulation, limits: Mapping[str, SignalLimit]) -> 
 
 # Where results go.
 
+# Finished starts of a command that was interrupted, in its output folder.
 STARTS_FILE = "starts.jsonl"
-"""Finished starts of a command that was interrupted, in its output folder."""
 
 
 def result_folder(study: Study, model: str) -> Path:

@@ -14,6 +14,8 @@ from greybox.base.json_shape import DRAFT, FileKind, Interval, make_definitions
 from greybox.comparison.result import Comparison
 from greybox.estimation.result_parts import Estimate
 
+# Command -> types of what it prints with ``--json``; several where it depends on what was given. The module of a command or a plant of an
+# extension has a table of this name for its own.
 PRINTS: Mapping[str, tuple[str, ...]] = {
     "fit": ("greybox.shell.answers:FitAnswer",),
     "compare": ("greybox.shell.printed:ComparisonAnswer",),
@@ -31,8 +33,6 @@ PRINTS: Mapping[str, tuple[str, ...]] = {
     "demo": ("greybox.discovery.result:Discovery",),
     "schema": ("greybox.shell.printed:JsonSchema",),
 }
-"""Command -> types of what it prints with ``--json``; several where it depends on what was given. The module of a command or a plant of an
-extension has a table of this name for its own."""
 
 
 def list_printed() -> dict[str, tuple[str, ...]]:

@@ -20,8 +20,8 @@ from greybox.base.values import Printable
 from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
 
+# The folder of a project with effects of its own.
 EFFECTS = "effects"
-"""The folder of a project with effects of its own."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 

@@ -229,8 +229,8 @@ def with_overrides(study: Study, given: Mapping[str, Any]) -> Study:
 
 # A study as a Python program: the same computation with the verbs of the library, for reading, changing and repeating it.
 
+# What the program calls its own folder.
 FOLDER = "HERE"
-"""What the program calls its own folder."""
 
 
 def study_script(study: Study, path: Path, *, searched: Study | None = None) -> str:

@@ -60,8 +60,8 @@ from greybox.show.sentences.discovery import (
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, record_text
 
+# How the answer is marked; every other verdict asks for caution.
 TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
-"""How the answer is marked; every other verdict asks for caution."""
 
 
 def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
