@@ -108,16 +108,3 @@ class DiscoveryCode(StrEnum):
     SHAPE_CORRECTION_SUFFICES = "shape_correction_suffices"
     LEARNING_FROM_VALIDATION = "learning_from_validation"
     REFINEMENT_STARTED = "refinement_started"
-
-
-class InputKind(StrEnum):
-    """Inputs that could be applied instead of those of the record."""
-
-    FULL_SWEEP = "full_sweep"
-    SMALL_SWEEP = "small_sweep"
-    MULTISINE = "multisine"
-    STEPS = "steps"
-    SLOW_TRIANGLE = "slow_triangle"
-    SAME_INPUT = "same_input"
-    SAME_INPUT_SMALL = "same_input_small"
-    SAME_INPUT_DOUBLED = "same_input_doubled"

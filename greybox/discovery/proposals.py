@@ -13,11 +13,11 @@ from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
-from greybox.data.signals import chirp, multisine
+from greybox.data.signals import InputKind, chirp, multisine
 from greybox.discovery.certainty import LEAST_RIVAL, MOST_CHANGE, to_features
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.evidence import EffectEvidence
-from greybox.discovery.findings import DiscoveryCode, InputKind
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy

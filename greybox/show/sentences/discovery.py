@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 from greybox.base.findings import Check, Finding
 from greybox.base.json_shape import to_values
 from greybox.base.units import format_unit
+from greybox.data.signals import InputKind
 from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.disturbance_sites import SiteKind
-from greybox.discovery.findings import DiscoveryCode, DiscoveryRule, InputKind
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
