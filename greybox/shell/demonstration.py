@@ -29,8 +29,7 @@ from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.shell.project import find_shipped_model
 from greybox.show.figures.pictures import draw_fit, draw_gap
-from greybox.simulation.simulate import write_csv
-from greybox.simulation.twin import simulate_twin
+from greybox.simulation.simulate import simulate_twin, write_csv
 
 PLAIN, EXTENDED = "plain model", "extended model"
 """The names of the two physical models in the comparison."""

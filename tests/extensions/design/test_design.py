@@ -21,8 +21,7 @@ from greybox.extensions.design.goals import (
     make_precision,
 )
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.problem import DesignPolicy, DesignProblem, GoalName
-from greybox.extensions.design.result import Design
+from greybox.extensions.design.problem import Design, DesignPolicy, DesignProblem, GoalName
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
 from tests.support.result_schema import strict_offences
