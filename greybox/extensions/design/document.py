@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import inf, isinf
 
-from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, TableBlock, Tone
+from greybox.base.document import Block, Document, Facts, FileLink, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.estimation.result import Fit
@@ -107,7 +107,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
     rows = [
         [
             name,
-            f"{format_number(c.value)} {c.unit}".rstrip(),
+            f"{format_number(c.value)} {c.unit}".rstrip(" -"),
             *("open" if s is None else f"{s:.2g}" for s in (c.std_before, c.std_after)),
         ]
         for name, c in design.predicted.items()
@@ -158,7 +158,13 @@ def name_alternative(alternative: Alternative) -> str:
 
 # A campaign: how it stands, and its experiments in their order.
 
-FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
+FILES = {
+    "input": "input.csv",
+    "why": "report.html",
+    "record": "record.csv",
+    "fit": "fit.html",
+    "discovery": "discovery.html",
+}
 """What a folder of an experiment may hold for a reader, in the order in which it comes there."""
 TONES = {
     CampaignStatus.MEASURING: Tone.PLAIN,
@@ -241,11 +247,10 @@ def _files(campaign: Campaign) -> TableBlock:
     """What each folder holds."""
     rows = []
     for step in campaign.steps:
-        folder = f"{step.number:02d}"
-        present = [name for name in FILES if (campaign.folder / folder / name).exists()]
-        rows.append([folder, ", ".join(present)])
-    caption = "What the folder of each experiment holds: the input and why, the record, what was learnt from it"
-    return TableBlock(caption, ["folder", "files"], rows)
+        files = [f"{step.number:02d}/{name}" for name in FILES.values()]
+        rows.append([str(step.number), *(FileLink(f) if (campaign.folder / f).exists() else "" for f in files)])
+    caption = "The files of each experiment: the input and why, the record, what was learnt from it"
+    return TableBlock(caption, ["experiment", *FILES], rows)
 
 
 DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}

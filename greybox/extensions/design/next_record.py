@@ -65,7 +65,7 @@ class KnownPlant:
         Standard deviation of each sensor, by output; empty where nothing is known.
     options
         How records are fitted.
-    inflation
+    stds
         By constant, see `DesignProblem`.
     """
 
@@ -73,7 +73,7 @@ class KnownPlant:
     earlier: tuple[Experiment, ...]
     noise: dict[str, float]
     options: FitOptions
-    inflation: dict[str, float]
+    stds: dict[str, float]
 
 
 def read_source(
@@ -131,13 +131,12 @@ def read_source(
         models.append(fit_rival(base, name))
     chosen = options or FitOptions.from_data(best.provenance.options)
     noise = {name: float(std) for name, std in best.noise.std.items()}
-    # A residual with a colour widens intervals; one that is whiter than white by chance narrows none.
-    inflation = {name: max(1.0, float(factor)) for name, factor in best.uncertainty.inflation.items()}
+    stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
     # Each set of effects once, the first of it.
     distinct: dict[str, Model] = {}
     for model in models:
         distinct.setdefault(model.title, model)
-    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, inflation)
+    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, stds)
 
 
 def fit_rival(plain: Fit, text: str) -> Model:
@@ -271,7 +270,7 @@ def design(
         tuple(constants),
         tuple(effects),
         dict(sensors or {}),
-        known.inflation,
+        known.stds,
         hold=hold,
         options=known.options,
         policy=policy,
@@ -369,9 +368,12 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
     constants = {}
     for k, name in enumerate(plant.variables.names):
         variables: DecisionVector = plant.variables
-        # Relative, back into the unit; an earlier fit with a coloured residual says by how much white noise would
-        # flatter.
-        size = abs(float(variables.spans[k])) * question.inflation.get(name, 1.0)
+        # Relative, back into the unit.
+        size = abs(float(variables.spans[k]))
+        if before is not None:
+            # The fit to the earlier records knows more of their residual than the noise of the sensors: its colour, and what the model does
+            # not explain. It will be in the next record as well. A residual that is whiter than white by chance narrows nothing.
+            size *= max(1.0, question.stds.get(name, 0.0) / (size * float(np.sqrt(before[k, k]))))
         stds = []
         for covariance in (before, after):
             std = np.inf if covariance is None else float(np.sqrt(covariance[k, k]))

@@ -143,8 +143,8 @@ class DesignProblem(ReadOnly):
         For detection: names of the effects that may hide.
     sensors
         Standard deviation of sensors that could be added, by output of the model.
-    inflation
-        Constant -> how many times wider its interval is than white noise would make it, as a fit to the earlier records found.
+    stds
+        Constant -> its standard deviation, as a fit to the earlier records found it.
     shares
         Signal -> share of the way from rest to its limit that this record may use; all of it where left out.
     hold
@@ -171,7 +171,7 @@ class DesignProblem(ReadOnly):
     constants: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
     sensors: Mapping[str, float] = field(default_factory=dict)
-    inflation: Mapping[str, float] = field(default_factory=dict)
+    stds: Mapping[str, float] = field(default_factory=dict)
     shares: Mapping[str, float] = field(default_factory=dict)
     hold: Hold = "zero"
     options: FitOptions = field(default_factory=FitOptions)
@@ -282,7 +282,7 @@ class DesignProblem(ReadOnly):
         # NaN: no sensor, hence no row that counts.
         levels = np.array([std.get(name, np.nan) for name in names])
         sources = dict.fromkeys(std, NoiseSource.GIVEN)
-        # White: what a coloured residual adds comes in by ``inflation``, afterwards.
+        # White: what a coloured residual adds comes in by ``stds``, afterwards.
         return NoiseModel(names, levels, sources, tuple(AutoRegression() for _ in names), True)
 
 
