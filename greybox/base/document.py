@@ -67,6 +67,10 @@ class Facts:
 REMARK = "remark"
 
 
+class FileLink(str):
+    """A file in the folder of the page as a cell of a table, by its path from there: a page opens it."""
+
+
 @dataclass(frozen=True)
 class TableBlock:
     """``rows`` of cells as text below ``head``; the first cell of a row names the row.
