@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from greybox.base.document import (
     Block,
@@ -22,9 +23,6 @@ from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import Depth
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.refinement import Refinement
-from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS
 from greybox.show.documents.tables import (
@@ -59,6 +57,11 @@ from greybox.show.sentences.discovery import (
 )
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, record_text
+
+if TYPE_CHECKING:
+    from greybox.discovery.holdout import HoldoutError
+    from greybox.discovery.refinement import Refinement
+    from greybox.discovery.result import Discovery
 
 # How the answer is marked; every other verdict asks for caution.
 TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}

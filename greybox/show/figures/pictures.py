@@ -6,13 +6,12 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
-from greybox.discovery.effect_signal import EffectSignal
-from greybox.discovery.result import Discovery
 from greybox.estimation.optimum import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
 from greybox.estimation.result import Fit
@@ -40,6 +39,10 @@ from greybox.show.figures.records import (
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import record_text
+
+if TYPE_CHECKING:
+    from greybox.discovery.effect_signal import EffectSignal
+    from greybox.discovery.result import Discovery
 
 
 def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:
