@@ -9,16 +9,17 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import SAME_SAMPLING_TIME
+from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smoothing
-from greybox.comparison.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonPolicy
-from greybox.comparison.runs import match_sampling_time
 from greybox.data.experiment import Experiment
+from greybox.estimation.errors import OutputScore
+from greybox.estimation.score import run_by_itself
 
 SMOOTHING = "monte_carlo_smoothing"
 STATE_SPACE = "subspace"
@@ -178,18 +179,14 @@ def _identify_state_space(
     except DataError as error:
         values = {"reason": str(error)}
         return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", values)]
+
+    def measure(model: StateSpaceModel) -> float:
+        """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
+        scores = [OutputScore.of([run for r in records for run in run_by_itself(box, r)]) for box in model.boxes()]
+        return sum((s.rmse / max(s.movement, TINY)) ** 2 for s in scores)
+
     # The free run decides, as it does in the comparison.
-    return min(models, key=lambda model: _measure_error(model, records)).boxes(), []
-
-
-def _measure_error(model: StateSpaceModel, records: Sequence[Experiment]) -> float:
-    """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
-    total = 0.0
-    for box in model.boxes():
-        y = np.concatenate([r.outputs[box.output] for r in records])
-        run = np.concatenate([box.simulate(r)[box.output] for r in records])
-        total += float(np.nanmean((y - run) ** 2) / max(float(np.nanvar(y)), np.finfo(float).tiny))
-    return total if np.isfinite(total) else np.inf
+    return min(models, key=measure).boxes(), []
 
 
 # Seed of Monte-Carlo smoothing, so that a comparison can be repeated.

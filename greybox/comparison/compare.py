@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
+from greybox.base.numerics import INTEGRATING_POLE
+from greybox.comparison.blackbox.resample import match_sampling_time
 from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.result import (
     DEFAULT_COMPARISON,
@@ -17,23 +20,20 @@ from greybox.comparison.result import (
     Comparison,
     ComparisonEntry,
     ComparisonPolicy,
-    ComparisonRun,
     ComparisonScore,
-    compute_score,
-)
-from greybox.comparison.runs import (
-    choose_predictor,
-    compute_feedthrough,
-    is_stable,
-    resolve_options,
-    run_black_box,
-    run_grey_box,
 )
 from greybox.data.experiment import Experiment, name_records
+from greybox.estimation.errors import OutputRun
+from greybox.estimation.optimum import has_free_run
 from greybox.estimation.options import FitOptions
-from greybox.estimation.residuals import check_steps_ahead
+from greybox.estimation.predictor import PredictionCorrection, Predictor, predictor
 from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.estimation.score import check_steps_ahead, colour_correction, run_by_itself, run_model
 from greybox.model.model import Model
+from greybox.simulation.linearise import linearise_along
+from greybox.simulation.plant import PlantModel, as_model
+from greybox.simulation.simulate import declared_initial_state
 
 # What a comparison comes to: the best model of each output, and what to keep in mind of the others.
 
@@ -236,7 +236,11 @@ def compare_named(
     for group in (validation, training):
         check_steps_ahead(steps, group)
     # The same beginning for all models: a difference in it would look like one of the models.
-    at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
+    at_rest = (
+        options.at_rest
+        if options is not None
+        else any(FitOptions.from_data(f.provenance.options).at_rest for f in fits)
+    )
     known_units = _collect_units(models, units or {})
     setup = _Setup(
         tuple(validation),
@@ -284,110 +288,135 @@ class _Setup:
     policy: ComparisonPolicy
 
 
+# Rows of all records up to which the best prediction filter is searched for; the search takes longer with more.
+FILTERED_ROWS = 50000
+
+
 def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> ComparisonEntry:
-    options = resolve_options(model, setup.options)
-    rows = sum(e.rows for e in (*setup.training, *setup.validation))
-    filter_predictor = choose_predictor(model, rows)
-    fitted, validated = (
-        run_grey_box(
-            model,
-            group,
-            training=training,
-            skip=0 if training else setup.skip,
-            beginning=setup.beginning,
-            options=options,
-            filter_predictor=filter_predictor,
-            steps=setup.steps,
-        )
-        for group, training in ((setup.training, True), (setup.validation, False))
-    )
-    plant = model.model if isinstance(model, Fit) else model
-    findings = list(named.findings)
-    if isinstance(model, Fit) and not model.success:
-        values = {"status": str(model.status)}
-        findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
-    if filter_predictor:
-        values = {"filter": str(filter_predictor.correction)}
+    """A physical model: a record that a fit was made of keeps the initial state of that fit, others are run as by `validate`."""
+    plant, findings = as_model(model), list(named.findings)
+    correction: Predictor | PredictionCorrection | None = None
+    known: Sequence[Trace] = ()
+    if isinstance(model, Fit):
+        known = model.traces if has_free_run(model) else ()
+        rows = sum(e.rows for e in (*setup.training, *setup.validation)) + sum(len(t.time) for t in model.traces)
+        # Corrections are learnt on the estimation records: the one judged has no part in it.
+        filtered = model.success and not model.constraints.per_experiment and not isinstance(plant, PlantModel)
+        correction = predictor(model) if filtered and rows <= FILTERED_ROWS else colour_correction(model)
+        if not model.success:
+            values = {"status": str(model.status)}
+            findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
+    if isinstance(correction, Predictor):
+        values = {"filter": str(correction.correction)}
         findings.append(Finding(ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
-    parameters = len(plant.free_parameters)
-    return _assemble_entry(
-        ComparisonEntry(
-            named.name,
-            BoxKind.GREY,
-            structure={o.name: plant.title for o in plant.outputs},
-            parameters=parameters,
-            training={},
-            validation={},
-            records={},
-            bic=np.nan,
-            stable=is_stable(plant, [*fitted, *validated]),
-            feedthrough=compute_feedthrough(plant),
-            seconds=named.seconds,
-            findings=tuple(findings),
-            training_runs=tuple(fitted),
-            validation_runs=tuple(validated),
-        ),
-        setup.units,
+    steps, begin = (1, *setup.steps), setup.beginning
+    fitted = run_model(model, setup.training, steps, correction, known, initial_rows=begin, options=setup.options)
+    validated = run_model(
+        model, setup.validation, steps, correction, skip=setup.skip, initial_rows=begin, options=setup.options
     )
+    stable, feedthrough = all(np.isfinite(run.simulated).all() for run in (*fitted, *validated)), {}
+    if not isinstance(plant, PlantModel):
+        p, u = np.array(list(plant.values.values())), np.zeros((1, len(plant.inputs)))
+        a, _, _, (direct, *_) = linearise_along(plant.system, declared_initial_state(plant)[None], u, p)
+        if plant.system.linear:
+            eigenvalues = np.linalg.eigvals(a[0])
+            # An integrator's eigenvalue is zero but for rounding: it counts as stable.
+            stable = bool((eigenvalues.real <= INTEGRATING_POLE * np.abs(eigenvalues).max(initial=0.0)).all())
+        feedthrough = {
+            f"{o.name}/{i.name}": float(direct[j, k])
+            for j, o in enumerate(plant.outputs)
+            for k, i in enumerate(plant.inputs)
+            if direct[j, k]
+        }
+    return _assemble_entry(
+        named,
+        BoxKind.GREY,
+        structure={o.name: plant.title for o in plant.outputs},
+        parameters=len(plant.free_parameters),
+        stable=stable,
+        feedthrough=feedthrough,
+        findings=findings,
+        runs=(fitted, validated),
+        units=setup.units,
+    )
+
+
+# Rows that determine the initial state of a validation record, where ``skip`` is 0.
+COMPARISON_INITIAL_ROWS = 50
 
 
 def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
+    """Black boxes of one output each, every record on the time grid that each was identified at.
+
+    The initial state comes from all rows of an estimation record, and from the first rows of another; at rest all was zero before.
+    """
     model = named.model
     boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
-    fitted, validated = (
-        [
-            run
-            for box in boxes
-            for run in run_black_box(
-                box,
-                group,
-                training=training,
-                skip=setup.skip,
-                beginning=setup.beginning,
-                at_rest=setup.at_rest,
-                steps=setup.steps,
-            )
-        ]
-        for group, training in ((setup.training, True), (setup.validation, False))
-    )
+    runs: tuple[list[OutputRun], list[OutputRun]] = ([], [])
+    for group, records, training in zip(runs, (setup.training, setup.validation), (True, False), strict=True):
+        for box, experiment in product(boxes, records):
+            if box.output not in experiment.outputs or not np.isfinite(experiment.outputs[box.output]).any():
+                continue
+            record = match_sampling_time(experiment, box.output, box.sampling_time, box.label)
+            # Rows count in the record as it was given: one resampled has others for the same time.
+            rows = setup.beginning or setup.skip or COMPARISON_INITIAL_ROWS
+            begin = {
+                "initial": "zero" if setup.at_rest else "estimated",
+                "rows": None if training else max(1, round(record.rows / experiment.rows * rows)),
+            }
+            first_time = experiment.time[min(setup.skip, experiment.rows - 1)]
+            skip = 0 if training else int(np.searchsorted(record.time, first_time))
+            group += run_by_itself(box, record, (1, *setup.steps), skip, **begin)
     return _assemble_entry(
-        ComparisonEntry(
-            named.name,
-            BoxKind.BLACK,
-            structure={b.output: b.label for b in boxes},
-            parameters=sum(b.parameters for b in boxes),
-            training={},
-            validation={},
-            records={},
-            bic=np.nan,
-            stable=all(b.stable for b in boxes),
-            feedthrough={f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share},
-            seconds=named.seconds,
-            findings=(*named.findings, *(finding for b in boxes for finding in b.findings)),
-            training_runs=tuple(fitted),
-            validation_runs=tuple(validated),
-        ),
-        setup.units,
+        named,
+        BoxKind.BLACK,
+        structure={b.output: b.label for b in boxes},
+        parameters=sum(b.parameters for b in boxes),
+        stable=all(b.stable for b in boxes),
+        feedthrough={f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share},
+        findings=[*named.findings, *(finding for b in boxes for finding in b.findings)],
+        runs=runs,
+        units=setup.units,
     )
 
 
-def _assemble_entry(entry: ComparisonEntry, units: Mapping[str, str]) -> ComparisonEntry:
-    """``entry`` with the scores of its runs."""
+def _assemble_entry(
+    named: NamedModel,
+    kind: BoxKind,
+    *,
+    structure: Mapping[str, str],
+    parameters: int,
+    stable: bool,
+    feedthrough: Mapping[str, float],
+    findings: Sequence[Finding],
+    runs: tuple[Sequence[OutputRun], Sequence[OutputRun]],
+    units: Mapping[str, str],
+) -> ComparisonEntry:
+    """A model with the scores of its runs over the estimation and the validation records."""
 
-    def scores(runs: Sequence[ComparisonRun]) -> dict[str, ComparisonScore]:
+    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, ComparisonScore]:
         outputs = dict.fromkeys(run.output for run in runs)
-        return {name: compute_score([r for r in runs if r.output == name], units.get(name, "")) for name in outputs}
+        return {n: ComparisonScore.of([r for r in runs if r.output == n], units.get(n, "")) for n in outputs}
 
     records: dict[str, dict[str, ComparisonScore]] = {}
-    for run in (*entry.training_runs, *entry.validation_runs):
-        records.setdefault(run.record, {})[run.output] = compute_score([run], units.get(run.output, ""))
-    training = scores(entry.training_runs)
-    return replace(
-        entry,
-        training=training,
-        validation=scores(entry.validation_runs),
-        records=records,
-        bic=_compute_bic(training, entry.parameters),
+    for run in (*runs[0], *runs[1]):
+        records.setdefault(run.record, {})[run.output] = ComparisonScore.of([run], units.get(run.output, ""))
+    training, validation = map(score_outputs, runs)
+    return ComparisonEntry(
+        named.name,
+        kind,
+        structure,
+        parameters,
+        training,
+        validation,
+        records,
+        _compute_bic(training, parameters),
+        stable,
+        feedthrough,
+        named.seconds,
+        tuple(findings),
+        tuple(runs[0]),
+        tuple(runs[1]),
     )
 
 

@@ -157,6 +157,12 @@ class PlantModel(Model):
         return bool(getattr(self.plant, "cheap", False))
 
     @property
+    def equations(self) -> Model | None:
+        """The equations behind the plant at the present values, where it has a model with equations as ``equations``."""
+        behind = getattr(self.plant, "equations", None)
+        return behind.start(**self.values) if isinstance(behind, Model) else None
+
+    @property
     def identity(self) -> str:
         """What tells this plant from others: its own ``identity``, or its class."""
         return str(

@@ -27,6 +27,8 @@ from greybox.comparison.blackbox.prediction_error import (
 )
 from greybox.comparison.blackbox.prediction_error_models import make_armax_structure, make_output_structure
 from greybox.data.experiment import Experiment, as_records
+from greybox.estimation.errors import OutputScore
+from greybox.estimation.score import run_by_itself
 
 
 class BlackBoxKind(StrEnum):
@@ -330,18 +332,14 @@ def _free_run_error(
     at_rest: bool,
 ) -> float:
     """Root mean square error of the free run over the validation records, or over the estimation records without any."""
-    squares, count = 0.0, 0
     # What determines the initial state is not judged, where it can be spared.
     rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
-    for experiment in validation or data.experiments:
-        run = model.simulate(experiment, initial="zero" if at_rest else "estimated", rows=rows)[model.output][first:]
-        output = experiment.outputs[model.output][first:]
-        measured = np.isfinite(output)
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = output[measured] - run[measured]
-            squares += float(error @ error)
-        count += len(error)
-    return float(np.sqrt(squares / count)) if np.isfinite(squares) and count else np.inf
+    initial = "zero" if at_rest else "estimated"
+    records = validation or data.experiments
+    error = OutputScore.of(
+        [r for e in records for r in run_by_itself(model, e, (), first, initial=initial, rows=rows)]
+    ).rmse
+    return error if np.isfinite(error) else np.inf
 
 
 def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructure]:

@@ -14,6 +14,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.units import format_unit
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
+from greybox.simulation.plant import PlantModel
 
 
 class ExportFinding(StrEnum):
@@ -114,16 +115,18 @@ class ExportedModel:
 
 
 def to_plant(source: Fit | Model) -> ExportedModel:
-    """The plant behind a fit or a model. Raises ModelError for anything that is neither."""
-    if isinstance(source, (Fit, Model)):
-        (source.model if isinstance(source, Fit) else source).require_equations("a linearisation or an export")
-    if isinstance(source, Fit):
-        values = {"status": str(source.status)}
-        failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
-        return ExportedModel(source.model, source, failed)
+    """The plant behind a fit or a model. Raises ModelError for anything that is neither, and for a plant without equations."""
+    if not isinstance(source, (Fit, Model)):
+        raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+    model = source.model if isinstance(source, Fit) else source
+    if isinstance(model, PlantModel) and model.equations is not None:
+        model = model.equations
+    model.require_equations("a linearisation or an export")
     if isinstance(source, Model):
-        return ExportedModel(source)
-    raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+        return ExportedModel(model)
+    values = {"status": str(source.status)}
+    failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
+    return ExportedModel(model, source, failed)
 
 
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:
