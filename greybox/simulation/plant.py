@@ -109,7 +109,7 @@ def as_model(plant: Model | Plant | Any) -> Model:
     Parameters
     ----------
     plant
-        A `Model`, a `Plant`, or what has the model of a plant as ``model``.
+        A `Model`, a `Plant`, or what has one as ``model``: a fit, a black box.
 
     Raises
     ------
@@ -119,8 +119,8 @@ def as_model(plant: Model | Plant | Any) -> Model:
     if isinstance(plant, Model):
         return plant
     stated = getattr(plant, "model", None)
-    if isinstance(stated, Model):
-        return stated
+    if stated is not None:
+        return as_model(stated)
     missing = [name for name in ("name", "inputs", "outputs", "parameters", "simulate") if not hasattr(plant, name)]
     if missing:
         raise ModelError(f"{type(plant).__name__} is neither a model nor a plant: it has no {', '.join(missing)}")
@@ -159,8 +159,8 @@ class PlantModel(Model):
     @property
     def equations(self) -> Model | None:
         """The equations behind the plant at the present values, where it has a model with equations as ``equations``."""
-        behind = getattr(self.plant, "equations", None)
-        return behind.start(**self.values) if isinstance(behind, Model) else None
+        behind, here = getattr(self.plant, "equations", None), {**self.values, **self.tied_values}
+        return behind.start(**{n: here[n] for n in behind.values}) if isinstance(behind, Model) else None
 
     @property
     def identity(self) -> str:
@@ -440,7 +440,8 @@ class PlantKernel:
                     each.append((self._run_at(record, moved) - y) / (sign * width))
                 except PlantRunError:
                     continue
-                if not self.central:
+                # A run that costs nothing is worth the slope without the error of first order.
+                if not (self.central or self.model.is_cheap):
                     break
             if each:
                 # Both sides cancel the second order: half the sum of the two one-sided slopes.

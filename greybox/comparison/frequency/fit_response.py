@@ -8,9 +8,10 @@ the wrong place still attracts, and ends on the response itself.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -31,8 +32,6 @@ from greybox.simulation.plant import PlantModel, PlantRunError
 
 OperatingPoints = Mapping[str, float] | Sequence[Mapping[str, float]] | None
 
-# Step of a constant for the slope of a response, over its size: a response is exact to rounding.
-RESPONSE_DIFFERENCE = 1e-6
 # Most evaluations of the search on the logarithm of the response, whose minimum is wide: resonances far from the data attract.
 LOG_EVALUATIONS = 100
 
@@ -104,6 +103,10 @@ class ResponsePlant:
             r if given.count(r.name) == 1 else replace(r, name=f"{r.name} {k + 1}") for k, r in enumerate(group)
         ]
         return cls(model, tuple(numbered), tuple(points), over_time, options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: another process writes out its own functions."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @property
     def name(self) -> str:
@@ -240,17 +243,6 @@ class ResponsePlant:
         shooting = problem.shooting(variables)
         y = shooting.records[0].samples(shooting.simulate(variables.here)[0][0])
         return {o.name: y[:, j] for j, o in enumerate(problem.model.outputs)}
-
-    def differentiate(
-        self, record: Experiment, values: Mapping[str, float], names: Sequence[str], outputs: Mapping[str, np.ndarray]
-    ) -> np.ndarray:
-        """Slopes (N, ny, n) by central differences."""
-        slopes = []
-        for name in names:
-            width = RESPONSE_DIFFERENCE * (abs(values[name]) or 1.0)
-            above, below = (self.simulate(record, {**values, name: values[name] + d}) for d in (width, -width))
-            slopes.append(np.column_stack([(above[n] - below[n]) / (2 * width) for n in outputs]))
-        return np.stack(slopes, axis=2)
 
     def approach(
         self, records: Sequence[Experiment], values: Mapping[str, float], free: Sequence[str]

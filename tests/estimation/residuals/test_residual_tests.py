@@ -19,9 +19,9 @@ from greybox.estimation.residuals import (
     normality_test,
     residual_tests,
     run_residual_tests,
-    score,
 )
 from greybox.estimation.residuals import ResidualTestKind as Kind
+from greybox.estimation.score import score
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.first_order import rooney_biegler
