@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 import greybox as gb
-from fits.round_trip import damper, rotor, shaken, table
+from fits.measured_rigs import damper, rotor, shaken, table
 
 # Torque a per cent of effort and inertia: its unit is arbitrary, and at one speed it goes with the damping.
 STRENGTH = 3.0
@@ -58,7 +58,10 @@ def rotor_stretches(folder: Path) -> list[Stretch]:
 def damper_records(folder: Path) -> list[Stretch]:
     """The ten runs, by coil voltage."""
     names = sorted(path.stem for path in (folder / "known" / "mr_damper_utfpr").glob("*.csv"))
-    return [Stretch(0.0, float(name.split("V_")[0]), shaken(name, folder)) for name in names]
+    return [
+        Stretch(0.0, float(name.split("V_")[0]), shaken(folder / "known" / "mr_damper_utfpr" / f"{name}.csv"))
+        for name in names
+    ]
 
 
 def compare(model: gb.Model, before: Sequence[Stretch], after: Sequence[Stretch]) -> gb.ChangeDetection:
@@ -71,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Change detection on measured machines whose changes are known.")
     parser.add_argument("folder", type=Path)
     folder = parser.parse_args(arguments).folder
-    model = rotor().start(kt=STRENGTH).fix("kt")
+    model = rotor().start(kt=STRENGTH).fix("kt", "c")
     stretches = rotor_stretches(folder)
     pairs = [(one, other) for one, other in permutations(stretches, 2) if one.asked == other.asked]
     report("rotor, one stretch against another", "b", model, [([a], [b]) for a, b in pairs if a.setting >= b.setting])

@@ -188,7 +188,7 @@ class FitTable:
 
     def draw(self, candidates: Sequence[CandidateFit], resamples: int = RESAMPLES) -> Draws:
         """Resample the records and see which of ``candidates`` wins."""
-        sets = [FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None]
+        sets = _keep_whole([FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None])
         if not sets:
             return Draws((), np.zeros((0, 0)), np.zeros((0, 0), bool), np.zeros(0, int))
         blocks = len(sets[0].sums.count)
@@ -206,6 +206,12 @@ class FitTable:
         judging = sets[0].sums.is_judging[:, None]
         counts = np.concatenate([count[:, measured] * ~judging, count[:, measured] * judging], axis=1)
         return _judge_draws(tuple(sets), np.concatenate([squares, squares], axis=-1), left, counts)
+
+
+def _keep_whole(sets: list[FittedSet]) -> list[FittedSet]:
+    """The sets that run over every sample that any of them runs over: a run that breaks off leaves no error where it is worst."""
+    most = np.max([s.sums.count.sum() for s in sets], initial=0)
+    return [s for s in sets if s.sums.count.sum() == most]
 
 
 def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndarray, count: np.ndarray) -> Draws:

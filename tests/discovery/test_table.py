@@ -8,7 +8,7 @@ import pytest
 import greybox as gb
 from greybox.discovery.holdout import HoldoutScores, ValidationSet
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws
+from greybox.discovery.table import RIDGE, BlockSums, FitTable, FittedSet, _judge_draws, _keep_whole
 from models.micro_actuator import micro_actuator
 from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
 
@@ -76,6 +76,16 @@ def test_a_set_that_goes_astray_in_one_block_is_not_good_for_its_large_spread():
     astray = 3 * rest
     astray[5] = 1000.0
     assert judge([rest, astray], (6, 5)).winner.tolist() == [0]
+
+
+def test_a_set_whose_run_breaks_off_takes_no_part():
+    rng = np.random.default_rng(4)
+    whole = FittedSet(SimpleNamespace(free=2, effects=()), sums_of(rng.standard_normal((40, 2)), np.ones(40), 4))
+    broken = sums_of(rng.standard_normal((40, 2)), np.ones(40), 4)
+    # Its last block was not reached: no error there, which is no good error.
+    broken.square[3], broken.count[3] = 0.0, 0
+    assert _keep_whole([whole, FittedSet(whole.candidate, broken)]) == [whole]
+    assert _keep_whole([]) == []
 
 
 @pytest.fixture(scope="module")
