@@ -103,6 +103,15 @@ class CanApproach(Protocol):
         """Better values of the constants ``free``, by name."""
 
 
+# What makes a plant.
+PLANT_ATTRIBUTES = ("name", "inputs", "outputs", "parameters", "simulate")
+
+
+def is_plant(value: Any) -> bool:
+    """Whether a value, and not a class, is a `Plant` without equations."""
+    return not isinstance(value, type) and all(hasattr(value, name) for name in PLANT_ATTRIBUTES)
+
+
 def as_model(plant: Model | Plant | Any) -> Model:
     """A model as it is; a plant as the model that states its signals and constants.
 
@@ -121,7 +130,7 @@ def as_model(plant: Model | Plant | Any) -> Model:
     stated = getattr(plant, "model", None)
     if stated is not None:
         return as_model(stated)
-    missing = [name for name in ("name", "inputs", "outputs", "parameters", "simulate") if not hasattr(plant, name)]
+    missing = [name for name in PLANT_ATTRIBUTES if not hasattr(plant, name)]
     if missing:
         raise ModelError(f"{type(plant).__name__} is neither a model nor a plant: it has no {', '.join(missing)}")
     return PlantModel.of(plant)
