@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
+from scipy.signal import lsim
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
@@ -85,12 +86,38 @@ class CanDifferentiate(Protocol):
         """
 
 
+@dataclass(frozen=True, eq=False)
+class LinearResponse:
+    """``x' = A x + B du``, ``dy = C x + D du``: what small changes of the inputs change in the outputs along a run.
+
+    Attributes
+    ----------
+    A, B, C, D
+        Matrices (n, n), (n, nu), (ny, n), (ny, nu), continuous in time.
+    explained
+        Output -> share of the answer to such a change that it follows.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    explained: Mapping[str, float]
+
+    def run(self, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
+        """Outputs (N, ny) from rest to inputs (N, nu)."""
+        if not len(self.A):
+            return np.asarray(u @ self.D.T)
+        _, y, _ = lsim((self.A, self.B, self.C, self.D), u, time - time[0], interp=hold != "zero")
+        return np.asarray(y).reshape(len(time), -1)
+
+
 @runtime_checkable
 class CanLinearise(Protocol):
     """A linear system about a run of its own."""
 
-    def linearise(self, record: Experiment, values: Mapping[str, float]) -> Any:
-        """What a small change of the inputs changes in the outputs along a record."""
+    def linearise(self, record: Experiment, values: Mapping[str, float]) -> LinearResponse | None:
+        """The answer to small changes of the inputs along a record; None where no linear system follows it."""
 
 
 @runtime_checkable
