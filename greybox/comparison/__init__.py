@@ -2,11 +2,11 @@
 
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.result import (
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonFinding,
     ComparisonPolicy,
     ComparisonScore,
     load_comparison,

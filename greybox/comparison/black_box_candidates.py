@@ -15,8 +15,7 @@ from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smooth
 from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonPolicy
+from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonFinding, ComparisonPolicy
 from greybox.data.experiment import Experiment
 from greybox.estimation.errors import OutputScore
 from greybox.estimation.score import run_by_itself
@@ -25,6 +24,10 @@ SMOOTHING = "monte_carlo_smoothing"
 STATE_SPACE = "subspace"
 
 BlackBoxProgress = Callable[[str, int, int], None]
+
+
+# Share of its range by which an output may begin away from zero and still count as at rest.
+REST_SHARE = 0.1
 
 
 def fit_black_boxes(
@@ -79,7 +82,8 @@ def fit_black_boxes(
         records, sparse = _select_rows(regular, output)
         findings += sparse
         # Zeros before a record that begins elsewhere would be an input that never was.
-        rest = at_rest and _begins_at_rest(records, output)
+        readings = [y[np.isfinite(y)] for y in (record.outputs[output] for record in records)]
+        rest = at_rest and not any(len(y) and abs(y[0]) > REST_SHARE * np.ptp(y) for y in readings)
         try:
             scans = best_black_boxes(
                 records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
@@ -154,20 +158,6 @@ def _select_rows(records: Sequence[Experiment], output: str) -> tuple[tuple[Expe
         return tuple(with_output), []
     values = {"sampling_time": float(steps[0])}
     return tuple(sparse), [Finding(ComparisonFinding.MEASURED_ROWS_ONLY, subject=output, values=values)]
-
-
-# Share of its range by which an output may begin away from zero and still count as at rest.
-REST_SHARE = 0.1
-
-
-def _begins_at_rest(records: Sequence[Experiment], output: str) -> bool:
-    """Whether the ``output`` begins near zero, compared with how far it moves."""
-    for record in records:
-        y = record.outputs[output]
-        y = y[np.isfinite(y)]
-        if len(y) and abs(y[0]) > REST_SHARE * np.ptp(y):
-            return False
-    return True
 
 
 def _identify_state_space(

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -12,13 +13,13 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
 from greybox.base.numerics import INTEGRATING_POLE
 from greybox.comparison.blackbox.resample import match_sampling_time
-from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.result import (
     DEFAULT_COMPARISON,
     BlackBoxModel,
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonFinding,
     ComparisonPolicy,
     ComparisonScore,
 )
@@ -53,13 +54,29 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
     tuple of Finding
         One `ComparisonFinding.BEST_MODEL` for each output and measure, then the remarks.
     """
-    best = [
+    findings = [
         finding
         for output in comparison.outputs
         for measure in MEASURES
         if (finding := _find_best(comparison, output, measure)) is not None
     ]
-    return (*best, *_remarks(comparison))
+    # What to keep in mind of the others.
+    entries = comparison.entries
+    outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
+    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
+    remarks: list[tuple[ComparisonFinding, dict[str, Any]]] = [
+        (ComparisonFinding.UNSTABLE_MODELS, {"models": [e.name for e in entries if not e.stable]}),
+        (ComparisonFinding.FEEDTHROUGH_MODELS, {"models": [e.name for e in entries if e.feedthrough]}),
+        (
+            ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS,
+            {"outputs": outputs if len({*map(tuple, outputs.values())}) > 1 else {}},
+        ),
+        (ComparisonFinding.FAILED_FITS, {"models": failed}),
+    ]
+    return (
+        *findings,
+        *(Finding(code, Severity.WARNING, values=values) for code, values in remarks if any(values.values())),
+    )
 
 
 # Relative difference of two errors that counts as none.
@@ -101,22 +118,6 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
 
 def _identify(entry: ComparisonEntry) -> dict[str, str | int]:
     return {"name": entry.name, "kind": str(entry.kind), "parameters": entry.parameters}
-
-
-def _remarks(comparison: Comparison) -> Iterator[Finding]:
-    entries = comparison.entries
-    unstable = [e.name for e in entries if not e.stable]
-    if unstable:
-        yield Finding(ComparisonFinding.UNSTABLE_MODELS, Severity.WARNING, values={"models": unstable})
-    direct = [e.name for e in entries if e.feedthrough]
-    if direct:
-        yield Finding(ComparisonFinding.FEEDTHROUGH_MODELS, Severity.WARNING, values={"models": direct})
-    outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
-    if len(set(map(tuple, outputs.values()))) > 1:
-        yield Finding(ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS, Severity.WARNING, values={"outputs": outputs})
-    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
-    if failed:
-        yield Finding(ComparisonFinding.FAILED_FITS, Severity.WARNING, values={"models": failed})
 
 
 ComparedModel = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
@@ -186,7 +187,14 @@ def compare(
     >>> print(comparison)  # doctest: +SKIP
     >>> comparison["physics"].validation["x"].rmse  # doctest: +SKIP
     """
-    named = models.items() if isinstance(models, Mapping) else ((_default_name(m), m) for m in models)
+
+    def name_of(model: ComparedModel) -> str:
+        """Its title, or the kind of a black box."""
+        if isinstance(model, (Fit, Model)):
+            return as_model(model).title
+        return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
+
+    named = models.items() if isinstance(models, Mapping) else ((name_of(m), m) for m in models)
     return compare_named(
         [NamedModel(name, model) for name, model in named],
         name_records(experiments),
@@ -241,7 +249,8 @@ def compare_named(
         if options is not None
         else any(FitOptions.from_data(f.provenance.options).at_rest for f in fits)
     )
-    known_units = _collect_units(models, units or {})
+    stated = [as_model(named.model) for named in models if isinstance(named.model, (Model, Fit))]
+    known_units = {o.name: o.unit for model in stated for o in model.outputs} | dict(units or {})
     setup = _Setup(
         tuple(validation),
         tuple(training),
@@ -402,6 +411,12 @@ def _assemble_entry(
     for run in (*runs[0], *runs[1]):
         records.setdefault(run.record, {})[run.output] = ComparisonScore.of([run], units.get(run.output, ""))
     training, validation = map(score_outputs, runs)
+    count, bic = sum(s.samples for s in training.values()), np.nan
+    if count:
+        with np.errstate(divide="ignore"):
+            # Outputs have their own noise: N ln V each, one price p ln N for all parameters.
+            misfit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
+        bic = float(misfit + parameters * np.log(count))
     return ComparisonEntry(
         named.name,
         kind,
@@ -410,7 +425,7 @@ def _assemble_entry(
         training,
         validation,
         records,
-        _compute_bic(training, parameters),
+        bic,
         stable,
         feedthrough,
         named.seconds,
@@ -418,31 +433,3 @@ def _assemble_entry(
         tuple(runs[0]),
         tuple(runs[1]),
     )
-
-
-def _compute_bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
-    """``sum N ln(mean square free-run error) + p ln(sum N)``; NaN without training records."""
-    count = sum(s.samples for s in training.values())
-    if not count:
-        return np.nan
-    with np.errstate(divide="ignore"):
-        # Outputs have their own noise: N ln V each, one price for all parameters.
-        fit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
-    return float(fit + parameters * np.log(count))
-
-
-def _collect_units(models: Sequence[NamedModel], given: Mapping[str, str]) -> dict[str, str]:
-    units: dict[str, str] = {}
-    for named in models:
-        plant = named.model.model if isinstance(named.model, Fit) else named.model
-        if isinstance(plant, Model):
-            units |= {o.name: o.unit for o in plant.outputs}
-    return {**units, **given}
-
-
-def _default_name(model: ComparedModel) -> str:
-    if isinstance(model, Fit):
-        return model.model.title
-    if isinstance(model, Model):
-        return model.title
-    return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")

@@ -21,11 +21,12 @@ from greybox.comparison.blackbox.linear_regression import (
     to_orders,
     to_sampled_data,
 )
-from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
 from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure, to_order
 from greybox.comparison.blackbox.prediction_error import (
+    DEFAULT_SEARCH,
     HistoryTreatment,
     PredictionErrorMinimum,
+    PredictionErrorPolicy,
     PredictionErrors,
     check_history,
     compute_prediction_errors,
