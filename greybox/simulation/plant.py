@@ -195,8 +195,8 @@ class PlantModel(Model):
     @property
     def equations(self) -> Model | None:
         """The equations behind the plant at the present values, where it has a model with equations as ``equations``."""
-        behind, here = getattr(self.plant, "equations", None), {**self.values, **self.tied_values}
-        return behind.start(**{n: here[n] for n in behind.values}) if isinstance(behind, Model) else None
+        behind, constants = getattr(self.plant, "equations", None), {**self.values, **self.tied_values}
+        return behind.start(**{n: constants[n] for n in behind.values}) if isinstance(behind, Model) else None
 
     @property
     def identity(self) -> str:

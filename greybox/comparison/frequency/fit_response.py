@@ -256,8 +256,8 @@ class ResponsePlant:
             return np.array([np.log(v) if log else v for v, log in zip(each, in_decades, strict=True)])
 
         def to_values(z: np.ndarray) -> dict[str, float]:
-            found = {n: float(np.exp(v) if log else v) for n, v, log in zip(free, z, in_decades, strict=True)}
-            return {n: float(np.clip(v, *bounds[n])) for n, v in found.items()}
+            constants = {n: float(np.exp(v) if log else v) for n, v, log in zip(free, z, in_decades, strict=True)}
+            return {n: float(np.clip(v, *bounds[n])) for n, v in constants.items()}
 
         def residual(z: np.ndarray) -> np.ndarray:
             parts = []
@@ -275,10 +275,10 @@ class ResponsePlant:
         start = to_unknowns([values[name] for name in free])
         low, high = (to_unknowns([bounds[name][side] for name in free]) for side in (0, 1))
         try:
-            found = least_squares(residual, np.clip(start, low, high), bounds=(low, high), max_nfev=LOG_EVALUATIONS)
+            end = least_squares(residual, np.clip(start, low, high), bounds=(low, high), max_nfev=LOG_EVALUATIONS)
         except PlantRunError:
             return {}
-        return to_values(found.x)
+        return to_values(end.x)
 
 
 def fit_frequency_response(

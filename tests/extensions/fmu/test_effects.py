@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from scipy.signal import lsim
 
 import greybox as gb
-from greybox.base.errors import ModelError
+from greybox.base.errors import GreyboxWarning, ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
 from greybox.extensions.fmu.effects import FmuWithEffects, discover_fmu, fit_fmu_effects, prepare_fmu
@@ -69,7 +69,7 @@ def test_it_is_linearised_along_a_record_and_exported_like_a_model(prepared, tmp
     gain = linear.frequency_response([0.0])[0, 0, 0]
     assert gain.real == pytest.approx(1 / k, rel=1e-6) and sampled.dt == 0.05
     np.testing.assert_allclose(sampled.poles, np.exp(0.05 * linear.poles), rtol=1e-9)
-    with pytest.warns(gb.GreyboxWarning, match="answer to small changes of the inputs along r0"):
+    with pytest.warns(GreyboxWarning, match="answer to small changes of the inputs along r0"):
         written = gb.export.to_json(fit, tmp_path / "mass.json")
     np.testing.assert_allclose(json.loads(written.read_text())["A"], linear.A)
     alone = gb.linearise(fit.model.plant, along=prepared.records[0])
