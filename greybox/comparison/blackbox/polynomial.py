@@ -556,7 +556,9 @@ def estimate_initial_state(
     if not usable.any():
         return np.zeros(free.shape[1])
     # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
-    _, size, right = np.linalg.svd(np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum()))
+    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum())
+    # Fewer rows than responses, where these grow fast, tell of as many directions alone.
+    _, size, right = np.linalg.svd(triangle, full_matrices=False)
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
     u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)

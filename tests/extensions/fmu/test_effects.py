@@ -11,12 +11,13 @@ from click.testing import CliRunner
 from scipy.signal import lsim
 
 import greybox as gb
-from greybox.base.errors import GreyboxWarning, ModelError
+from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.decision import Verdict
 from greybox.extensions.fmu.effects import FmuWithEffects, discover_fmu, fit_fmu_effects, prepare_fmu
 from greybox.extensions.fmu.plant import read_fmu
 from greybox.shell.commands import app
+from greybox.simulation.kernel.c_compiler import GreyboxWarning
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 
