@@ -433,7 +433,7 @@ class PlantKernel:
         self, record: Record, p: np.ndarray, dp: np.ndarray, x0: np.ndarray, dx0: np.ndarray
     ) -> np.ndarray:
         """Slopes (N, ny, L) of the outputs along the directions of ``dp`` and ``dx0``: the plant's own, else differences within the
-        bounds, to one side, the other where a run fails, both where ``central``; zero where neither side runs."""
+        bounds, to one side, the other where a run fails, both where ``central`` or cheap; zero where neither side runs."""
         along = dp if self._ties is None else np.asarray(self._ties(p)[1]) @ dp
         along = np.concatenate([along, dx0])
         # Constants that no direction moves cost no run.

@@ -196,7 +196,8 @@ def make_fmu() -> PlantCase:
         time, force = drive(seed, 200, 0.05)
         x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=False)[1]
         records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}), noise, seed))
-    return PlantCase("fmu", read_fmu(path).with_values(["K", "B"]), truth, tuple(records), noise)
+    plant = read_fmu(path).with_values(["K", "B"])
+    return PlantCase("fmu", plant, truth, tuple(records), noise, abilities=frozenset(["linear"]))
 
 
 def make_frequency() -> PlantCase:
