@@ -153,6 +153,16 @@ def test_a_plant_of_strangers_is_fitted_by_its_name(beside: Path, tmp_path: Path
     assert done.returncode == 2 and "acme_tank" in done.stderr
 
 
+def test_what_the_page_types_prints_what_it_shows(beside: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.acme").write_text(code("run.acme"), encoding="utf-8")
+    console = re.search(r"```console\n(.*?)```", PAGE, re.DOTALL)
+    assert console
+    for typed, shown in re.findall(r"^\$ greybox (.*?) *(?:#.*)?\n((?:(?!\$).*\n)*)", console[1], re.MULTILINE):
+        done = greybox(beside, tmp_path, *typed.split())
+        assert done.returncode == 0, done.stderr
+        assert shown in done.stdout
+
+
 def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reason(
     beside: Path, tmp_path: Path
 ) -> None:

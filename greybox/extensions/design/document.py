@@ -16,7 +16,14 @@ from greybox.model.effects.catalogue import effect
 from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.provenance import provenance_section
 from greybox.show.documents.simulation import run_figures
-from greybox.show.sentences.wording import change_text, count_noun, format_number, join_names, quantity_text
+from greybox.show.sentences.wording import (
+    change_text,
+    count_noun,
+    format_number,
+    join_names,
+    make_formatter,
+    quantity_text,
+)
 from greybox.simulation.simulate import simulate
 
 GOALS = {
@@ -108,7 +115,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
         [
             name,
             f"{format_number(c.value)} {c.unit}".rstrip(" -"),
-            *("open" if s is None else f"{s:.2g}" for s in (c.std_before, c.std_after)),
+            *("open" if s is None else make_formatter(c.value, s)(s) for s in (c.std_before, c.std_after)),
         ]
         for name, c in design.predicted.items()
     ]

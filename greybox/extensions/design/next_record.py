@@ -67,6 +67,8 @@ class KnownPlant:
         How records are fitted.
     stds
         By constant, see `DesignProblem`.
+    findings
+        What is wrong with the fit.
     """
 
     models: tuple[Model, ...]
@@ -74,6 +76,7 @@ class KnownPlant:
     noise: dict[str, float]
     options: FitOptions
     stds: dict[str, float]
+    findings: tuple[Finding, ...] = ()
 
 
 def read_source(
@@ -132,11 +135,15 @@ def read_source(
     chosen = options or FitOptions.from_data(best.provenance.options)
     noise = {name: float(std) for name, std in best.noise.std.items()}
     stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
+    # A model that does not follow the records does not foresee where the rig goes: limits that it keeps are none of the rig.
+    faults = [{"fault": str(f)} for f in best.findings if f.severity is Severity.ERROR]
+    findings = tuple(Finding(DesignCode.MODEL_FALLS_SHORT, Severity.WARNING, values=fault) for fault in faults)
     # Each set of effects once, the first of it.
     distinct: dict[str, Model] = {}
     for model in models:
         distinct.setdefault(model.title, model)
-    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, stds)
+    earlier = tuple(t.experiment for t in best.traces)
+    return KnownPlant(tuple(distinct.values()), earlier, noise, chosen, stds, findings)
 
 
 def fit_rival(plain: Fit, text: str) -> Model:
@@ -279,7 +286,7 @@ def design(
         Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values={"low": merged[n].low, "high": merged[n].high})
         for n in filled
     ]
-    return replace(answer(question, extra=found_ranges), seconds=time.perf_counter() - began)
+    return replace(answer(question, extra=[*known.findings, *found_ranges]), seconds=time.perf_counter() - began)
 
 
 def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
