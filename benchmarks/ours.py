@@ -20,6 +20,7 @@ from greybox.estimation.noise_loop import solve
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
+from greybox.model.model import Model
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.records import to_record
@@ -35,14 +36,15 @@ def cpu(run: Callable[[], object]) -> float:
     return time.process_time() - began
 
 
-def options(case: Case) -> FitOptions:
+def options(case: Case, method: str = "automatic") -> FitOptions:
     """How greybox fits this case: initial state known, and the peers' RK4 step where the model is not linear."""
-    return FitOptions(at_rest=True, substeps=0 if case.truth.system.linear else case.substeps)
+    exact = method == "automatic" and case.truth.system.linear
+    return FitOptions(at_rest=True, method=method, substeps=0 if exact else case.substeps)
 
 
-def prepared(case: Case, model=None) -> EstimationProblem:
+def prepared(case: Case, model: Model | None = None, method: str = "automatic") -> EstimationProblem:
     """The laid out problem."""
-    return prepare_problem(model or case.start, case.experiment, case.noise, options(case))
+    return prepare_problem(model or case.start, case.experiment, case.noise, options(case, method))
 
 
 def simulation(case: Case) -> Callable[[], float]:
@@ -61,9 +63,7 @@ def simulation(case: Case) -> Callable[[], float]:
 
 def pass_ratio(case: Case) -> float:
     """Cost, gradient and Gauss-Newton matrix in one RK4 pass, over one RK4 simulation."""
-    problem = prepare_problem(
-        case.start, case.experiment, case.noise, at_rest=True, method="rk4", substeps=case.substeps
-    )
+    problem = prepared(case, method="rk4")
     shooting = problem.shooting()
     arguments = (shooting.records[0], *shooting.at(problem.variables.here, 0), shooting.weight)
     unit = simulation(case)
@@ -79,7 +79,7 @@ def pass_ratio(case: Case) -> float:
 def cost(case: Case, values: np.ndarray, method: str) -> float:
     """Sum of squared residuals over noise of a result, by the discretisation it was fitted with."""
     model = case.truth.start(**dict(zip(case.free, map(float, values), strict=True)))
-    problem = prepare_problem(model, case.experiment, case.noise, at_rest=True, method=method, substeps=case.substeps)
+    problem = prepared(case, model, method)
     return problem.shooting().evaluate(problem.variables.here).cost
 
 
@@ -88,9 +88,9 @@ def fitted(case: Case, solution: Solution) -> np.ndarray:
     return solution.variables.fixed[solution.variables.which]
 
 
-def fitter(case: Case) -> Callable[[], np.ndarray]:
+def fitter(case: Case, method: str = "automatic") -> Callable[[], np.ndarray]:
     """A fit on a prepared problem, as the peers are timed."""
-    problem, chosen = prepared(case), options(case)
+    problem, chosen = prepared(case, method=method), options(case, method)
     return lambda: fitted(case, solve(problem, chosen))
 
 

@@ -30,7 +30,7 @@ from greybox.model.effects.placement import Placement, find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
-from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interpreted import InterpretedKernel
 
 
 class CheckedNoise(TypedDict):
@@ -105,7 +105,7 @@ class ModelCheck(Printable, StoredResult):
     discretisation
         How it would be integrated.
     kernel, kernel_reason, compiled
-        What runs it, why, and whether that is compiled code.
+        What runs it, why, and whether that is compiled code (CasADi's virtual machine is not).
     experiments
         The records, or a simulated one.
     assumed
@@ -290,7 +290,7 @@ def check(
         problem.step.label,
         problem.kernel.description,
         problem.kernel.reason,
-        problem.kernel.name == CompiledKernel.name,
+        problem.kernel.name != InterpretedKernel.name,
         group,
         assumed,
         {o.name: float(problem.noise.std[j]) for j, o in enumerate(model.outputs) if o.name in measured},

@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,6 +24,7 @@ from greybox.data.read import read_arrays
 from greybox.model.model import Model
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise
 from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import Plant, PlantKernel, PlantModel, as_model, make_plant_step
@@ -203,7 +204,8 @@ def simulate(
         y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
         return _to_simulation(model, experiment, y, x, make_plant_step(model))
     step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
-    y, x = _run(step, record, p, x0)
+    kernel = make_kernel(step, ())
+    y, x = _run(kernel, step, record, p, x0)
     for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
         # Some ten states along the run: the first guess saw the start alone, and a mode may become fast on the way.
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
@@ -211,9 +213,13 @@ def simulate(
         needed = choose_substeps(model.system, p, visited, longest, policy=rules)
         # At least halved, so that the difference of the two runs shows the error of the coarser one.
         more = max(2 * step.substeps, needed)
-        finer = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
         before = y
-        step, (y, x) = finer, _run(finer, record, p, x0)
+        if step.past is None and method != "mixed":
+            step, kernel = replace(step, substeps=more), kernel.with_substeps(more)
+        else:  # a delayed input is cut differently, and more states may have become fast
+            step = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
+            kernel = make_kernel(step, ())
+        y, x = _run(kernel, step, record, p, x0)
         if _has_settled(before, y, MAX_CHANGE):
             break
     return _to_simulation(model, experiment, y, x, step)
@@ -270,11 +276,11 @@ def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
     return Experiment(UNNAMED, values.pop("time"), values, {})
 
 
-def _run(step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _run(kernel: Kernel, step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (N, ny) and states (N, nx)."""
     q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
     record = record.read_by(step)
-    y, x = make_kernel(step).simulate(record, q, p, x0)
+    y, x = kernel.simulate(record, q, p, x0)
     return record.samples(y), record.samples(x)
 
 

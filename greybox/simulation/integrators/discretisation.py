@@ -148,6 +148,8 @@ METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
 
 # Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own.
 MAX_INTERVAL_LENGTHS = 200
+# Numbers that the coefficients of all lengths may take with their slopes along every parameter: 320 MB.
+MAX_HOLD_NUMBERS = 4e7
 
 
 def discretise(
@@ -198,7 +200,8 @@ def discretise(
     past = require_history(system, lengths)
     # An exact hold costs one exponential for each length, once in each pass; RK4 costs the same whatever the lengths
     # are.
-    few_lengths = len(lengths) <= MAX_INTERVAL_LENGTHS
+    numbers = len(lengths) * system.x.numel() ** 2 * (1 + system.p.numel())
+    few_lengths = len(lengths) <= MAX_INTERVAL_LENGTHS and (numbers <= MAX_HOLD_NUMBERS or len(lengths) == 1)
     uneven_delay = past is not None and past.uneven
     if method == "exact" and uneven_delay:
         raise ModelError(

@@ -3,80 +3,149 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import expm
+from scipy.linalg import matrix_balance
 
 from greybox.base.errors import ModelError
 from greybox.model.system import System
 from greybox.simulation.integrators.input_delay import count_history_columns, delay_outputs, make_delay_function
 from greybox.simulation.integrators.step import InputHistory, Step, call_function
 
-# Exponentials of the generator of an exact hold over several interval lengths at once, with their slopes.
+# Exponentials of the generator of an exact hold, with their slopes along many constants at once.
+#
+# The equations of a plant are sparse, and so is what one constant changes in them: a spring between two bodies changes two rows. Its slope
+# of the exponential is ``int_0^1 exp(M (1 - s)) dM exp(M s) ds`` (Wilcox 1967, J. Math. Phys. 8, 962), by Gauss's quadrature a product of
+# the few columns and rows of the exponential that ``dM`` meets; the exponentials at the nodes are shared by all constants, and so are the
+# powers of ``M`` from which they come.
 
 
-class HoldExponentials(NamedTuple):
-    """Exponentials of the generator over some lengths: ``values`` (nh, size, size), ``slopes`` (nh, n, size, size) along n
-    parameters."""
+class Generator(NamedTuple):
+    """``[A, B, c]`` (nx, nx + nu + 1) of ``dx/dt = A x + B u + c`` per second, and its slopes along n constants by their entries."""
 
-    values: np.ndarray
+    matrix: np.ndarray
+    along: int
+    """How many constants there are."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    constants: np.ndarray
     slopes: np.ndarray
-    nx: int
-
-    def flat(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The entries of `index_hold_entries`: (nh, nq) and their slopes (nh, nq, n)."""
-        nh, n, size, _ = self.slopes.shape
-        slopes = self.slopes.reshape(nh, n, size * size)[:, :, places]
-        return self.values.reshape(nh, size * size)[:, places], slopes.transpose(0, 2, 1)
-
-    def of(self, k: int) -> HoldBlocks:
-        """The blocks of length number ``k``."""
-        return HoldBlocks(_cut_blocks(self.values[k], self.nx), _cut_blocks(self.slopes[k], self.nx))
+    """Entry ``k`` is ``d matrix[rows[k], columns[k]] / d constants[k]``."""
 
 
 class HoldBlocks(NamedTuple):
-    """``Phi`` (nx, nx), ``G1`` (nx, nu + 1), ``G2`` (nx, nu) of one length, and their slopes along n parameters (n, ...)."""
+    """``[Phi, G1, G2]`` (nx, nx + (nu + 1) + nu) of one interval length, and its slopes along n constants (n, ...)."""
 
-    values: tuple[np.ndarray, ...]
-    slopes: tuple[np.ndarray, ...]
+    values: np.ndarray
+    slopes: np.ndarray
 
+    def flat(self) -> tuple[np.ndarray, np.ndarray]:
+        """The coefficients (nq,) of the step, column by column, and their slopes (nq, n)."""
+        n = len(self.slopes)
+        return self.values.T.ravel(), self.slopes.transpose(2, 1, 0).reshape(self.values.size, n)
 
-def compute_exponentials(generator: np.ndarray, slopes: np.ndarray, lengths: np.ndarray, nx: int) -> HoldExponentials:
-    """Exponentials over each of ``lengths``, and their slopes along ``slopes`` (n, size, size) of the generator: the upper right
-    block of that of ``[[M, dM], [0, M]]`` (Najfeld, Havel 1995)."""
-    size, n, nh = len(generator), len(slopes), len(lengths)
-    inputs = (size - nx) // 2
-    scaled = generator * lengths[:, None, None]
-    # The ramp block is 1 per interval, not per second, so that G2 multiplies ``ub - ua`` as it stands.
-    scaled[:, nx : nx + inputs, nx + inputs :] = np.eye(inputs)
-    # `expm` raises on what is not finite; a trial point out of reach is no error: the run that follows is NaN, and
-    # the search draws back.
-    if not (np.isfinite(scaled).all() and np.isfinite(slopes).all()):
-        return HoldExponentials(np.full(scaled.shape, np.nan), np.full((nh, n, size, size), np.nan), nx)
-    if n == 0:
-        return HoldExponentials(expm(scaled), np.empty((nh, 0, size, size)), nx)
-    pairs = np.zeros((nh, n, 2 * size, 2 * size))
-    pairs[:, :, :size, :size] = pairs[:, :, size:, size:] = scaled[:, None]
-    pairs[:, :, :size, size:] = slopes * lengths[:, None, None, None]
-    exponential_pairs = expm(pairs)
-    # The diagonal block is the same for every direction: exp(M) comes with the first.
-    return HoldExponentials(exponential_pairs[:, 0, :size, :size], exponential_pairs[:, :, :size, size:], nx)
+    def input_columns(self, column: int, inputs: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+        """Columns of G1 and G2 that belong to one of the ``inputs`` (nx,), and their slopes (n, nx)."""
+        nx = len(self.values)
+        places = nx + column, nx + inputs + 1 + column
+        return tuple(self.values[:, k] for k in places), tuple(self.slopes[:, :, k] for k in places)  # type: ignore[return-value]
 
 
-def index_hold_entries(nx: int, nu: int) -> np.ndarray:
-    """Where the entries of ``Phi, G1, G2``, each column by column, stand in a flattened exponential."""
-    size = nx + 2 * (nu + 1)
-    return np.concatenate(
-        [block.ravel(order="F") for block in _cut_blocks(np.arange(size * size).reshape(size, size), nx)]
-    )
+# Norm, in balanced units, of the part of the interval over which series and quadrature go; the rest is squaring, which costs two products
+# of matrices for each constant. Above, the terms of the series are so much larger than their sum that digits are lost.
+LARGEST_NORM = 2.0
+# What series and quadrature leave out, relative to the norm: half a unit of the last digit.
+LEFT_OUT = 2.0**-54
 
 
-def _cut_blocks(e: np.ndarray, nx: int) -> tuple[np.ndarray, ...]:
-    """``Phi, G1, G2``; the constant's column has no ramp."""
-    inputs = (e.shape[-1] - nx) // 2
-    return e[..., :nx, :nx], e[..., :nx, nx : nx + inputs], e[..., :nx, nx + inputs : nx + 2 * inputs - 1]
+@lru_cache(maxsize=1)
+def _count_terms() -> int:
+    """Terms of the exponential's series: ``norm^k / k!`` is what the next one adds."""
+    return next(k for k in range(1, 100) if LARGEST_NORM**k / math.factorial(k) < LEFT_OUT)
+
+
+@lru_cache(maxsize=1)
+def _find_quadrature() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights of Gauss's quadrature on [0, 1] that are enough for the slopes."""
+    for n in range(2, 40):
+        # The integrand's derivative of order 2 n is at most (2 norm)^(2 n).
+        bound = (2 * LARGEST_NORM) ** (2 * n) * math.factorial(n) ** 4 / math.factorial(2 * n) ** 3 / (2 * n + 1)
+        if bound < LEFT_OUT:
+            break
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    return (nodes + 1) / 2, weights / 2
+
+
+def compute_hold(generator: Generator, length: float) -> HoldBlocks:
+    """The exact hold over an interval of ``length`` seconds: the first rows of ``expm([[A h, B h, 0], [0, 0, I], [0, 0, 0]])`` (Van Loan
+    1978), with their slopes; NaN where the generator is not finite."""
+    nx, given = generator.matrix.shape
+    inputs = given - nx
+    kept, size = given + inputs - 1, given + inputs
+    ab = generator.matrix * length
+    if not (np.isfinite(ab).all() and np.isfinite(generator.slopes).all()):
+        # A trial point out of reach is no error: the run that follows is NaN, and the search draws back.
+        return HoldBlocks(np.full((nx, kept), np.nan), np.full((generator.along, nx, kept), np.nan))
+    with np.errstate(over="ignore", invalid="ignore"):
+        # States in units in which rows and columns of A h are of like size: every squaring that this saves would cost half a digit.
+        balanced, (unit, _) = matrix_balance(ab[:, :nx], permute=False, separate=True)
+        norm = np.abs(balanced).sum(axis=0).max(initial=0.0)
+        if not math.isfinite(norm):
+            return HoldBlocks(np.full((nx, kept), np.nan), np.full((generator.along, nx, kept), np.nan))
+        squarings = max(0, math.frexp(norm / LARGEST_NORM)[1])
+        units = np.concatenate([unit, np.ones(2 * inputs)])
+        m = np.zeros((size, size))
+        m[:nx, :given] = ab
+        # The ramp block is 1 per interval, not per second, so that G2 multiplies ``ub - ua`` as it stands.
+        m[nx:given, given:] = np.eye(inputs)
+        scale = math.ldexp(1.0, -squarings)
+        m *= scale * units / units[:, None]
+        slopes = scale * length * generator.slopes * units[generator.columns] / units[generator.rows]
+        e, d = _exponentiate(m, generator._replace(slopes=slopes))
+        for _ in range(squarings):
+            # (E E)' = E E' + E' E; below the first rows E' is zero.
+            d = np.matmul(e[:nx, :nx], d) + (d.reshape(-1, size) @ e).reshape(d.shape)
+            e = e @ e
+        back = units[:nx, None] / units[:kept]
+        return HoldBlocks(e[:nx, :kept] * back, d[:, :, :kept] * back)
+
+
+def _exponentiate(m: np.ndarray, entries: Generator) -> tuple[np.ndarray, np.ndarray]:
+    """``exp(m)`` (size, size) of a small ``m`` by its series, and the first rows (n, nx, size) of its slopes along what ``entries`` say."""
+    size, nx, terms = len(m), len(entries.matrix), _count_terms()
+    power = np.eye(size)
+    if not len(entries.slopes):
+        e = power.copy()
+        for k in range(1, terms + 1):
+            power = power @ m / k
+            e += power
+        return e, np.zeros((entries.along, nx, size))
+    # m^k / k!, from which the exponentials at all nodes are sums.
+    powers = np.empty((terms + 1, size, size))
+    powers[0] = power
+    for k in range(1, terms + 1):
+        np.matmul(powers[k - 1], m, out=powers[k])
+        powers[k] /= k
+    nodes, weights = _find_quadrature()
+    at_nodes = (nodes[:, None] ** np.arange(terms + 1) @ powers.reshape(terms + 1, -1)).reshape(-1, size, size)
+    e, d = powers.sum(axis=0), np.zeros((entries.along, nx, size))
+    # exp(m (1 - s)): the nodes lie symmetrically.
+    left = at_nodes[::-1, :nx] * weights[:, None, None]
+    order = np.argsort(entries.constants, kind="stable")
+    for part in np.split(order, np.flatnonzero(np.diff(entries.constants[order])) + 1):
+        rows, place = np.unique(entries.rows[part], return_inverse=True)
+        # dm exp(m s): the few rows that this constant changes, from the few rows of the exponential that they meet.
+        right = np.zeros((len(nodes), len(rows), size))
+        for k, entry in zip(place, part, strict=True):
+            right[:, k] += entries.slopes[entry] * at_nodes[:, entries.columns[entry]]
+        columns = left[:, :, rows].transpose(1, 0, 2).reshape(nx, -1)
+        d[entries.constants[part[0]]] = columns @ right.reshape(-1, size)
+    return e, d
 
 
 # The exact hold with a delayed input: the jump inside the interval is exact, and so is the derivative along the delay.
@@ -86,37 +155,39 @@ def _cut_blocks(e: np.ndarray, nx: int) -> tuple[np.ndarray, ...]:
 
 
 class DelayedHold:
-    """What a delayed input adds to the exact hold: ``share`` of the next state, with gains ``q`` of each row of the past."""
+    """What a delayed input adds to the exact hold: gains of each row of the past."""
 
-    def __init__(self, system: System, past: InputHistory, ua: ca.SX, ub: ca.SX) -> None:
-        nx, nu = system.x.numel(), system.u.numel()
+    def __init__(self, system: System, past: InputHistory) -> None:
+        nu = system.u.numel()
         self.past, self.rows = past, past.rows + 1
-        level, ramp = ca.SX.sym("level", nx, self.rows), ca.SX.sym("ramp", nx, self.rows)
-        input_columns = [past.column, *range(nu, nu + past.rows)]
-        self.q = ca.vertcat(ca.vec(level), ca.vec(ramp))
-        self.share = level @ ua[input_columns] + ramp @ ((ub - ua)[input_columns] * ua[-2])
+        self.input_columns = [past.column, *range(nu, nu + past.rows)]
         seconds = make_delay_function(system)(system.p)
         densified = ca.densify(ca.jacobian(seconds, system.p))
         self.seconds = ca.Function("seconds", [system.p], [ca.densify(seconds), densified])
 
+    def regressors(self, ua: ca.SX, ub: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """What the gains multiply: each row of the past, and its ramp where the input is linear between rows."""
+        return ua[self.input_columns], (ub - ua)[self.input_columns] * ua[-2]
+
     def gains(
-        self, whole: HoldBlocks, generator: np.ndarray, slopes: np.ndarray, p: np.ndarray, which: np.ndarray, h: float
+        self, whole: HoldBlocks, generator: Generator, p: np.ndarray, which: np.ndarray, h: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gains (nq,) and their slopes (nq, n) along the parameters numbered ``which``, for an interval of ``h`` seconds.
 
-        ``whole`` are the blocks of the interval, ``generator`` and ``slopes`` what they are exponentials of.
+        ``whole`` are the blocks of the interval, ``generator`` what they are exponentials of.
         """
         seconds, along = (value.ravel() for value in call_function(self.seconds, p))
         delay, n = self._split(float(seconds[0]), h)
         # b = (1 - f) h, what is left of the interval after the cut; f = delay - n.
-        c, b, nx = self.past.column, (1 - (delay - n)) * h, len(whole.values[0])
+        c, b, nx = self.past.column, (1 - (delay - n)) * h, len(whole.values)
         # db/dp = -d(delay)/dp; zero where the delay is clipped to the rows that the step sees.
         db = -along[which] if 0 <= seconds[0] <= self.past.rows * h else 0 * along[which]
-        rest = compute_exponentials(generator, slopes, np.array([b]), nx).of(0)
-        (g1, g2), (dg1, dg2) = _input_columns(whole, c)
-        (r1, r2), (dr1, dr2) = _input_columns(rest, c)
+        rest = compute_hold(generator, b)
+        inputs = generator.matrix.shape[1] - nx - 1
+        (g1, g2), (dg1, dg2) = whole.input_columns(c, inputs)
+        (r1, r2), (dr1, dr2) = rest.input_columns(c, inputs)
         # d g(b) / d b = exp(A b) B; d (b G2(b)) / d b = g(b)
-        rate = rest.values[0] @ generator[:nx, nx + c]
+        rate = rest.values[:, :nx] @ generator.matrix[:, nx + c]
         dr2 = b * dr2 + np.outer(db, r1)
         # After ``dr2``, which takes g(b); in this order each line uses what it needs before it is overwritten.
         dr1 = dr1 + np.outer(db, rate)
@@ -140,12 +211,6 @@ class DelayedHold:
         return delay, min(math.floor(delay), self.past.rows - 1) if math.isfinite(delay) else 0
 
 
-def _input_columns(blocks: HoldBlocks, c: int) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Column ``c`` of G1 and G2 (nx,), and their slopes (n, nx)."""
-    (_, g1, g2), (_, dg1, dg2) = blocks.values, blocks.slopes
-    return (g1[:, c], g2[:, c]), (dg1[..., c], dg2[..., c])
-
-
 def exact_hold(system: System, past: InputHistory | None = None) -> Step:
     """``x+ = Phi x + G1 [ua; 1] + G2 [ub - ua; 0]``, exact for ``dx/dt = A x + B u + c``.
 
@@ -160,57 +225,78 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
     nx, nu = system.x.numel(), system.u.numel()
     columns = nu + count_history_columns(past)
     x, ua, ub, h = ca.SX.sym("x", nx), ca.SX.sym("ua", columns), ca.SX.sym("ub", columns), ca.SX.sym("h")
-    phi, g1, g2 = ca.SX.sym("phi", nx, nx), ca.SX.sym("g1", nx, nu + 1), ca.SX.sym("g2", nx, nu)
-    q = ca.vertcat(ca.vec(phi), ca.vec(g1), ca.vec(g2))
     u_start, u_ramp = ua[:nu], (ub - ua)[:nu]
-    outputs, matrices = system.output_function, _make_matrices(system)
+    outputs, generate = system.output_function, _make_generator(system)
     delayed = None
     if past is not None:
         # The column says whether the input is linear between rows; a held one has no ramp.
         u_ramp = u_ramp * ua[-2]
-        delayed = DelayedHold(system, past, ua, ub)
-        # The delayed column comes in by ``delayed.share`` alone.
+        delayed, outputs = DelayedHold(system, past), delay_outputs(system, past)
+        # The delayed column comes in by its gains alone.
         u_start[past.column] = u_ramp[past.column] = 0
-        q, outputs = ca.vertcat(q, delayed.q), delay_outputs(system, past)
-    following = phi @ x + g1 @ ca.vertcat(u_start, 1) + g2 @ u_ramp + (delayed.share if delayed else 0)
-    places = index_hold_entries(nx, nu)
+    parts = [x, ca.vertcat(u_start, 1), u_ramp, *(delayed.regressors(ua, ub) if delayed else ())]
+    # One block of columns for each part: Phi, G1, G2, and the gains of a delayed input.
+    blocks = [ca.SX.sym("q", nx, part.numel()) for part in parts]
+    following = sum((block @ part for block, part in zip(blocks, parts, strict=True)), ca.SX.zeros(nx))
+    q = ca.vertcat(*map(ca.vec, blocks))
 
     def coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        generator, along = call_function(matrices, p)
-        size = len(generator)
-        slopes = along.T.reshape(-1, size, size)[which].transpose(0, 2, 1)
-        exponentials_by_length = compute_exponentials(generator, slopes, lengths, nx)
-        q, dq = exponentials_by_length.flat(places)
-        if delayed is None:
-            return q, dq
-        gains = [
-            delayed.gains(exponentials_by_length.of(k), generator, slopes, p, which, length)
-            for k, length in enumerate(lengths)
-        ]
-        return np.hstack([q, [g for g, _ in gains]]), np.hstack([dq, [dg for _, dg in gains]])
+        generator, size = generate(p, which), q.numel()
+        values, slopes = np.empty((len(lengths), size)), np.empty((len(lengths), size, len(which)))
+        for row, length in enumerate(lengths.tolist()):
+            whole = compute_hold(generator, length)
+            first = whole.values.size
+            values[row, :first], slopes[row, :first] = whole.flat()
+            if delayed is not None:
+                values[row, first:], slopes[row, first:] = delayed.gains(whole, generator, p, which, length)
+        return values, slopes
 
     advance = ca.Function("advance", [x, ua, ub, q, h], [following])
     # With a delay q has gains beside the exponential's entries: no kernel computes them by itself.
-    generator = None if delayed else _make_generator(system)
-    return Step("exact hold", advance, outputs, coefficients, per_interval=True, past=past, generator=generator)
+    generator = None if delayed else _write_generator(system)
+    regressors = ca.Function("regressors", [ua, ub], [ca.densify(ca.vertcat(*parts[1:]))])
+    return Step(
+        "exact hold",
+        advance,
+        outputs,
+        coefficients,
+        per_interval=True,
+        past=past,
+        generator=generator,
+        regressors=regressors,
+    )
 
 
-def _make_generator(system: System) -> ca.Function:
+def _write_generator(system: System) -> ca.Function:
     """``p -> vec([A, B, c])`` of ``dx/dt = A x + B u + c``."""
+    return ca.Function("generator", [system.p], [ca.densify(ca.vec(_write_matrix(system)))])
+
+
+def _write_matrix(system: System) -> ca.SX:
+    """``[A, B, c]`` (nx, nx + nu + 1) with the entries that the equations have."""
     xu = ca.vertcat(system.x, system.u)
     constant = ca.substitute(system.rhs, xu, ca.SX.zeros(xu.numel()))
-    whole = ca.horzcat(ca.jacobian(system.rhs, xu), constant)
-    return ca.Function("generator", [system.p], [ca.densify(ca.vec(whole))])
+    return ca.horzcat(ca.jacobian(system.rhs, xu), ca.sparsify(constant))
 
 
-def _make_matrices(system: System) -> ca.Function:
-    """``p -> (M, d vec(M) / d p)`` with ``M = [[A, [B c], 0], [0, 0, I], [0, 0, 0]]`` per second.
+def _make_generator(system: System) -> Callable[[np.ndarray, np.ndarray], Generator]:
+    """``(p, which) -> Generator`` with slopes along the parameters numbered ``which``."""
+    matrix = _write_matrix(system)
+    rows, columns = (np.array(part, int) for part in matrix.sparsity().get_triplet())
+    entries = ca.vertcat(*matrix.nonzeros())
+    along = ca.jacobian(entries, system.p)
+    # Which entry depends on which parameter, by the pattern: most of them do not.
+    of_entry, of_parameter = (np.array(part, int) for part in along.sparsity().get_triplet())
+    evaluate = ca.Function("entries", [system.p], [entries, ca.vertcat(*along.nonzeros())])
 
-    The identity block stands for the ramp of the input over one interval: it is not multiplied by the interval length, and left
-    out here.
-    """
-    nx, size = system.x.numel(), system.x.numel() + 2 * (system.u.numel() + 1)
-    rows = ca.reshape(_make_generator(system)(system.p), nx, nx + system.u.numel() + 1)
-    m = ca.SX.zeros(size, size)
-    m[:nx, : rows.size2()] = rows
-    return ca.Function("matrices", [system.p], [ca.densify(m), ca.densify(ca.jacobian(ca.vec(m), system.p))])
+    def generate(p: np.ndarray, which: np.ndarray) -> Generator:
+        values, slopes = (value.ravel() for value in call_function(evaluate, p))
+        dense = np.zeros(matrix.shape)
+        dense[rows, columns] = values
+        place = np.full(len(p), -1)
+        place[which] = np.arange(len(which))
+        kept = np.flatnonzero(place[of_parameter] >= 0)
+        entry = of_entry[kept]
+        return Generator(dense, len(which), rows[entry], columns[entry], place[of_parameter[kept]], slopes[kept])
+
+    return generate

@@ -82,6 +82,10 @@ class Step:
     """Of an exact hold ``p -> vec([A, B, c])`` (nx (nx + nu + 1),) per second, whose exponential has the coefficients as entries, column
     by column as `exact_hold` states them; a kernel may then compute them itself."""
 
+    regressors: ca.Function | None = None
+    """Of a step that is linear ``(ua, ub) -> r (nr,)``: ``x_next = Q [x; r]`` with ``q`` the matrix ``Q`` (nx, nx + nr), column by
+    column."""
+
     def __post_init__(self) -> None:
         if self.past is not None and not self.per_interval and self.substeps < 2:
             raise ModelError("a delayed input cuts the interval in two; give at least 2 substeps")

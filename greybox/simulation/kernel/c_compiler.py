@@ -29,7 +29,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -64,6 +64,7 @@ FULL = ("-O3",)
 # vectors before a call of the mathematical library, which then runs several times slower.
 QUICK_GCC = ("-O1", "-fexpensive-optimizations", "-fno-tree-pta", "-fira-region=one")
 QUICK = ("-O1",)
+WASTED = ".wasted"
 SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
@@ -73,6 +74,10 @@ class GreyboxWarning(UserWarning):
 
 class CompilerError(GreyboxError):
     """The C compiler is missing or failed."""
+
+
+class CompilerBudgetError(CompilerError):
+    """The compiler was given up: it took more time or memory than it may."""
 
 
 class NoCompilerError(CompilerError):
@@ -90,15 +95,26 @@ class Compiler:
     command: tuple[str, ...]
     version: str
     timeout: float = COMPILE_SECONDS
+    is_background: bool = False
+    """Whether nobody waits for it."""
 
 
-def load_library(source: Callable[[], str], key: str, is_quick: bool = False) -> ctypes.CDLL:
+# Seconds that a compiler may take in the background, where nobody waits for it. Few models are fitted for as long as a longer text takes.
+BACKGROUND_SECONDS = 60.0
+
+
+def load_library(
+    source: Callable[[], str], key: str, is_quick: bool = False, budget: float | None = None
+) -> ctypes.CDLL:
     """The library compiled from the C text that ``source()`` writes, from the cache where it is there already.
 
     ``key`` says what the text is made from: it is not written where a library of that key is there. ``is_quick``: compile in half the
-    time what runs a tenth slower. Raises CompilerError.
+    time what runs a tenth slower. ``budget``: seconds after which this library is given up; without one a compiler that hangs is not
+    asked again. Raises CompilerError.
     """
     compiler = find_compiler()
+    if budget is not None:
+        compiler = replace(compiler, timeout=min(budget, compiler.timeout), is_background=True)
     flags = _flags(compiler, is_quick)
     name = _name_of_library(compiler, flags, key)
     try:
@@ -127,6 +143,43 @@ def _name_of_library(compiler: Compiler, flags: Sequence[str], key: str) -> str:
     # cleared by hand.
     cache_key = "\0".join([key, hash_generator(), *flags, *compiler.command, compiler.version, describe_machine()])
     return f"{hashlib.sha256(cache_key.encode(errors='backslashreplace')).hexdigest()}{SUFFIX}"
+
+
+# What was compiled in vain: a program that ends, or a compiler that is given up, leaves nothing but the time that it took. Each kernel has
+# a small file with the seconds that its work must take before a compiler is started again.
+
+# Growth of these seconds from one attempt in vain to the next: all of them together cost no more than the work has.
+GROWTH_OF_PATIENCE = 4.0
+
+
+def find_wasted_seconds(key: str, kind: str) -> float:
+    """The seconds that the work of a kernel must take before it is compiled once more; zero where no attempt was in vain."""
+    with contextlib.suppress(OSError, ValueError):
+        path = _wasted_path(key, kind)
+        if _is_private(path, stat.S_ISREG):
+            return float(path.read_text(encoding="utf-8"))
+    return 0.0
+
+
+def note_wasted_seconds(key: str, kind: str, seconds: float) -> None:
+    """Let a kernel that is compiled after ``seconds`` of its work count as compiled in vain, until `forget_wasted_seconds`."""
+    with contextlib.suppress(OSError):  # without a folder nothing is remembered
+        write_file(
+            _wasted_path(key, kind),
+            repr(GROWTH_OF_PATIENCE * max(seconds, find_wasted_seconds(key, kind))),
+            private=True,
+        )
+
+
+def forget_wasted_seconds(key: str, kind: str) -> None:
+    """What was compiled is there."""
+    with contextlib.suppress(OSError):
+        _wasted_path(key, kind).unlink()
+
+
+def _wasted_path(key: str, kind: str) -> Path:
+    text = "\0".join([key, kind, hash_generator(), describe_machine()])
+    return find_cache_folder() / f"{hashlib.sha256(text.encode(errors='backslashreplace')).hexdigest()}{WASTED}"
 
 
 def _load_cached(path: Path) -> ctypes.CDLL | None:
@@ -188,6 +241,8 @@ def prune_cache(folder: Path, policy: CachePolicy = CACHE_POLICY) -> None:
             days = (now - status.st_mtime) / 86_400
             if path.name.startswith("part-") and days > LEFTOVER_DAYS:
                 shutil.rmtree(path, ignore_errors=True)
+            elif path.suffix == WASTED and days > LONGEST_UNUSED_DAYS:
+                path.unlink()
             elif path.suffix == SUFFIX:
                 libraries.append((status.st_mtime, status.st_size, path))
     kept = 0
@@ -391,7 +446,11 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
     with _part_folder(path.parent) as folder:
         text, library, digest = (folder / f"kernel{suffix}" for suffix in (".c", SUFFIX, ".sha256"))
         write_file(text, source)
-        run = run_compiler([*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout)
+        run = run_compiler(
+            [*compiler.command, *flags, "-o", str(library), str(text), "-lm"], compiler.timeout, compiler.is_background
+        )
+        if run.returncode != 0 and "memory" in run.stderr:
+            raise CompilerBudgetError(f"C compiler {' '.join(compiler.command)} {summarise_errors(run)}")
         if run.returncode != 0 or not library.exists():
             raise CompilerError(
                 f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
@@ -404,8 +463,12 @@ def _compile(compiler: Compiler, flags: Sequence[str], source: str, path: Path) 
 
 @contextlib.contextmanager
 def _part_folder(parent: Path) -> Iterator[Path]:
-    with tempfile.TemporaryDirectory(dir=parent, prefix="part-", ignore_cleanup_errors=True) as folder:
-        yield Path(folder)
+    # No `TemporaryDirectory`: a copy of this process (`os.fork`) would clear it away when it ends.
+    folder = Path(tempfile.mkdtemp(dir=parent, prefix="part-"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _replace(temporary: Path, path: Path) -> None:
@@ -416,15 +479,20 @@ def _replace(temporary: Path, path: Path) -> None:
             raise
 
 
-def run_compiler(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess.CompletedProcess[str]:
-    """Run a compiler. Raises CompilerError where it cannot be run or takes too long; then it is not tried again."""
+def run_compiler(
+    command: Sequence[str], timeout: float = COMPILE_SECONDS, is_background: bool = False
+) -> subprocess.CompletedProcess[str]:
+    """Run a compiler. Raises CompilerBudgetError where it takes too long, CompilerError where it cannot be run; one that was waited for in
+    vain is not tried again."""
+    what = f"C compiler {' '.join(command[:3])} took more than {timeout:g} s"
     if command[0] in _hanging:
-        raise CompilerError(f"C compiler {' '.join(command[:3])} took more than {timeout:g} s before")
+        raise CompilerBudgetError(f"{what} before")
     try:
         return _run(command, timeout)
     except subprocess.TimeoutExpired as error:
-        _hanging.add(command[0])
-        raise CompilerError(f"C compiler {' '.join(command[:3])} took more than {timeout:g} s") from error
+        if not is_background:
+            _hanging.add(command[0])
+        raise CompilerBudgetError(what) from error
 
 
 _hanging: set[str] = set()
@@ -447,6 +515,7 @@ def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess
     """Run a program that ends, with the programs that it starts, when this process does: ``cc`` is but the parent of a compiler."""
     leashed = ["/bin/sh", "-c", _LEASH, "sh", *command] if os.path.exists("/bin/sh") else list(command)
     leash, hand = os.pipe()
+    _hands.add(hand)
     try:
         if shutil.which(command[0]) is None:
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), command[0])
@@ -460,7 +529,7 @@ def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess
             start_new_session=True,
         )
     except (OSError, subprocess.SubprocessError, ValueError) as error:
-        os.close(hand)
+        _let_go(hand)
         raise CompilerError(f"C compiler {' '.join(command[:3])} cannot be run: {error}") from error
     finally:
         os.close(leash)
@@ -470,8 +539,30 @@ def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess
         _kill_group(process)
         raise
     finally:
-        os.close(hand)
+        _let_go(hand)
     return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+
+_hands: set[int] = set()
+"""The ends of pipes by which this process holds its compilers."""
+
+
+def _let_go(hand: int) -> None:
+    if hand in _hands:  # a copy of the process has none
+        _hands.discard(hand)
+        os.close(hand)
+
+
+def _become_copy() -> None:
+    """After `os.fork`, in the new process: the compilers at work and the temporary folder are the other one's."""
+    for hand in list(_hands):
+        _let_go(hand)
+    while _temporary:
+        _temporary.pop()._finalizer.detach()  # type: ignore[attr-defined]
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_become_copy)
 
 
 # Seconds between looks at whether the program still goes on.

@@ -79,6 +79,7 @@ class CompiledKernel:
         self.description = f"compiled C, {step.label}"
         self.sizes = StepSizes.of(step)
         self._functions: dict[LibraryShape, KernelFunctions] = {}
+        self._tapes: dict[frozenset[int] | None, tuple[Tape, Tape]] = {}
 
     def compile_simulation(self) -> None:
         """Compile the library of the simulation now. Raises CompilerError, and UnsupportedOperationError for an operation that C lacks."""
@@ -127,17 +128,20 @@ class CompiledKernel:
                     refuse_unwritable(tape.nodes[k].op)
 
     def _read_tapes(self, free: frozenset[int] | None) -> tuple[Tape, Tape]:
-        # Coefficients are input 3 of the step and input 2 of the outputs; for a step whose q is p both are numbered
-        # alike.
-        of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
-        # Tangents come in by the state and the coefficients: inputs and interval lengths are given.
-        advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2), elements=of_step)
-        outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
-        return fuse_products(simplify_tape(advance)), fuse_products(simplify_tape(outputs))
+        if free not in self._tapes:
+            # Coefficients are input 3 of the step and input 2 of the outputs; for a step whose q is p both are numbered
+            # alike.
+            of_step, of_outputs = ({}, {}) if free is None else ({3: free}, {2: free})
+            # Tangents come in by the state and the coefficients: inputs and interval lengths are given.
+            advance = read_tape(self.step.advance, active=(0, 3), varying=(0, 1, 2), elements=of_step)
+            outputs = read_tape(self.step.outputs, active=(0, 2), varying=(0, 1), elements=of_outputs)
+            self._tapes[free] = fuse_products(simplify_tape(advance)), fuse_products(simplify_tape(outputs))
+        return self._tapes[free]
 
     def read_tapes(self, shape: LibraryShape) -> dict[str, Tape]:
         """The tapes of a library by the names of their routines."""
-        advance, outputs = self._read_tapes(shape.free)
+        # A simulation leaves the tangents out, of whatever parameters they are.
+        advance, outputs = self._read_tapes(shape.free if shape.blocks else self._free)
         tapes = {"advance": advance, "outputs": outputs}
         if shape.blocks and self.step.generator is not None:
             tapes["generator"] = fuse_products(simplify_tape(read_tape(self.step.generator, active=(0,), varying=(0,))))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import os
 import threading
 import time
 from collections.abc import Callable, Collection
@@ -15,13 +16,17 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Any, NamedTuple
 
-try:
-    import resource
-except ImportError:  # on Windows
-    resource = None  # type: ignore[assignment]
-
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel.c_compiler import CompilerError, find_library, load_library
+from greybox.simulation.kernel.c_compiler import (
+    BACKGROUND_SECONDS,
+    CompilerBudgetError,
+    CompilerError,
+    find_library,
+    find_wasted_seconds,
+    forget_wasted_seconds,
+    load_library,
+    note_wasted_seconds,
+)
 from greybox.simulation.kernel.compiled import CompiledKernel, KernelFunctions, LibraryShape
 from greybox.simulation.kernel.llvm_routine import has_llvm
 from greybox.simulation.kernel.tape_machine import TapeMachine, block_width, load_machine
@@ -42,12 +47,28 @@ class GradualPolicy:
     full_seconds: float = 0.5
     """Seconds in what was compiled quickly before it is compiled with all optimisation, in the background: half a second, for code that
     takes a tenth to a half less time and is there when the same model comes again."""
-    most_instructions: float = 1e8
-    """Instructions of one pass from which the compiler is waited for: the machine would take a quarter of a second, the
-    compiler no longer."""
+    long_pass_seconds: float = 0.25
+    """Seconds that the machine would take for one pass from which a library is ordered before the pass has run."""
 
 
 GRADUAL_POLICY = GradualPolicy()
+
+
+class CompilerKind(Enum):
+    """How code is made, by rising effort."""
+
+    TRANSLATED = "by LLVM, for the loops of the machine"
+    QUICK = "by the C compiler with few optimisations"
+    FULL = "by the C compiler with all of them"
+
+
+# Seconds that the machine takes for an instruction, tangents included: measured with 1 to 16 directions.
+SECONDS_OF_INSTRUCTION = 2.5e-9
+# Seconds that each way to code takes for an instruction of the machine with one block of tangents: chains of 3 to 25 nonlinear springs, 26
+# directions at most. Work of a model begins to be compiled when it has taken as long as that will.
+COMPILER_SECONDS = {CompilerKind.TRANSLATED: 7e-5, CompilerKind.QUICK: 1e-4, CompilerKind.FULL: 2e-4}
+# Share of a pass by the machine for which its library is waited for: the two together take at most half as long again.
+WAITED_SHARE = 0.5
 
 
 # One compilation at a time in a process: a second one would take the core on which the search runs.
@@ -68,34 +89,45 @@ class CompilerOrder:
         self.error: CompilerError | None = None
         self.seconds = 0.0
         """What was spent on its work without it."""
-        self._is_placed = False
+        self._is_placed, self._is_done = False, threading.Event()
 
-    def place(self, prepare: Callable[[], Callable[[], Any]]) -> None:
-        """Let another thread run what ``prepare`` gives, unless one is at work already: then the next pass asks again."""
+    def place(self, prepare: Callable[[], Callable[[], Any]], key: str, kind: str) -> None:
+        """Let another thread run what ``prepare`` gives, unless one is at work already: then the next pass asks again.
+
+        Until it is done, ``key`` and ``kind`` count as made in vain: the program may end before.
+        """
         if self._is_placed or not _compiler_is_busy.acquire(blocking=False):
             return
         self._is_placed = True
+        note_wasted_seconds(key, kind, self.seconds)
         # No daemon: the interpreter waits for the thread before it takes LLVM apart. The thread gives up by itself once the program ends
         # (`run_compiler`), so that this takes no longer than a short piece of machine code.
-        threading.Thread(target=self._run, args=(prepare(),)).start()
+        threading.Thread(target=self._run, args=(prepare(), key, kind)).start()
 
-    def _run(self, make: Callable[[], Any]) -> None:
+    def wait(self, seconds: float) -> bool:
+        """Wait for what was placed, and no longer; whether it is there."""
+        if self._is_placed and self.result is None and self.error is None:
+            self._is_done.wait(seconds)
+        return self.result is not None
+
+    def forget_thread(self) -> None:
+        """Begin anew what is not there yet."""
+        if self.result is None:
+            self._is_placed, self._is_done = False, threading.Event()
+
+    def _run(self, make: Callable[[], Any], key: str, kind: str) -> None:
         try:
             self.result = make()
+            forget_wasted_seconds(key, kind)
+        except CompilerBudgetError:  # what runs now goes on, with the same numbers
+            self.result = None
         except CompilerError as error:
             self.error = error
         except RuntimeError:  # LLVM cannot, or not in the time and memory that it is given: the tape machine goes on, with the same numbers
             self.result = None
         finally:
+            self._is_done.set()
             _compiler_is_busy.release()
-
-
-class CompilerKind(Enum):
-    """How code is made, by rising effort."""
-
-    TRANSLATED = "by LLVM, for the loops of the machine"
-    QUICK = "by the C compiler with few optimisations"
-    FULL = "by the C compiler with all of them"
 
 
 _orders: dict[tuple[str, CompilerKind], CompilerOrder] = {}
@@ -127,6 +159,18 @@ def _forget_translated(most: int) -> None:
         _orders.pop(name, None)
 
 
+def _become_copy() -> None:
+    """After `os.fork`, in the new process: the thread at work is the other one's, and what it makes may be ordered anew."""
+    global _compiler_is_busy
+    _compiler_is_busy = threading.Lock()
+    for order in _orders.values():
+        order.forget_thread()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_become_copy)
+
+
 class _Course(NamedTuple):
     """How one shape comes to its library."""
 
@@ -138,24 +182,6 @@ class _Course(NamedTuple):
     order: CompilerOrder
     full: CompilerOrder
     """What comes after that; the same where nothing does."""
-
-
-# Registers of the machine lie on the stack; a thread may have as little as 512 kB of it. A model of ten states takes 20 kB.
-LARGEST_SCRATCH_BYTES = 200000
-# Share of the main thread's stack that they may take: 25 bodies on springs take 0.75 MB of the usual 8 MB.
-STACK_SHARE = 0.25
-
-
-def largest_scratch() -> int:
-    """Bytes of registers for which there is room on the stack of this thread."""
-    if resource is None or threading.current_thread() is not threading.main_thread():
-        return LARGEST_SCRATCH_BYTES
-    limit = resource.getrlimit(resource.RLIMIT_STACK)[0]
-    return (
-        LARGEST_SCRATCH_BYTES
-        if limit == resource.RLIM_INFINITY
-        else max(LARGEST_SCRATCH_BYTES, int(STACK_SHARE * limit))
-    )
 
 
 class GradualKernel(CompiledKernel):
@@ -211,7 +237,7 @@ class GradualKernel(CompiledKernel):
 
     def _run_quick(self, shape: LibraryShape, course: _Course) -> KernelFunctions:
         """What was made with little effort; what it takes counts towards the full library."""
-        if course.full.seconds > self._policy.full_seconds:
+        if course.full.seconds > self._earned_seconds(course, CompilerKind.FULL):
             self._place(course.full, CompilerKind.FULL, shape)
         result = course.order.result
         if isinstance(result, TapeMachine):
@@ -226,33 +252,46 @@ class GradualKernel(CompiledKernel):
         if order.error is not None:
             error, order.error = order.error, None
             self._on_failure(error)
-        is_translated = course.kind is CompilerKind.TRANSLATED
-        if order.seconds > (policy.translated_seconds if is_translated else policy.earned_seconds):
+        earned = self._earned_seconds(course, course.kind)
+        if order.seconds > earned:
             self._place(order, course.kind, shape)
-        # Too large for the stack: better to wait for the compiler than to end the process.
-        if course.machine.scratch_bytes > largest_scratch():
-            return self._load(shape)
         functions = _count_seconds(course.by_machine, order, (course.machine.address,))
 
         def sums(rows: int, *arguments: Any) -> int:
-            # One pass that takes longer than the compilation earns its library at once, before it has run.
-            if rows * self.step.substeps * course.machine.instructions > policy.most_instructions:
-                self._functions[shape] = self._load(shape)
-                return self._functions[shape].sums(rows, *arguments)
+            # One pass may take longer than the compilation: it is begun at once, and waited for half as long as the machine would take.
+            seconds = rows * self.step.substeps * course.machine.instructions * SECONDS_OF_INSTRUCTION
+            if seconds > policy.long_pass_seconds and order.seconds + seconds > earned:
+                self._place(order, course.kind, shape, seconds)
+                if order.wait(WAITED_SHARE * seconds):
+                    return self._get_functions(shape).sums(rows, *arguments)
             return functions.sums(rows, *arguments)
 
         return functions._replace(sums=sums)
 
-    def _place(self, order: CompilerOrder, kind: CompilerKind, shape: LibraryShape) -> None:
+    def _earned_seconds(self, course: _Course, kind: CompilerKind) -> float:
+        """Seconds of its work after which a library is ordered: some, and as many as the compiler will take."""
+        least = {
+            CompilerKind.TRANSLATED: self._policy.translated_seconds,
+            CompilerKind.QUICK: self._policy.earned_seconds,
+            CompilerKind.FULL: self._policy.full_seconds,
+        }[kind]
+        return max(least, COMPILER_SECONDS[kind] * course.machine.length) if least else least
+
+    def _place(self, order: CompilerOrder, kind: CompilerKind, shape: LibraryShape, ahead: float = 0.0) -> None:
+        """Order a library whose work has taken ``order.seconds``, and takes ``ahead`` more; not one that took longer in vain before."""
+        key = self._key(shape)
+        if order.seconds + ahead < find_wasted_seconds(key, kind.value):
+            return
+
         def prepare() -> Callable[[], Any]:
             if kind is CompilerKind.TRANSLATED:
                 tapes = self.read_tapes(shape)
                 return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
             # Written here, in the thread of the search: CasADi's functions are not shared between threads.
-            text, key = self.source(shape), self._key(shape)
-            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK)
+            text = self.source(shape)
+            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK, BACKGROUND_SECONDS)
 
-        order.place(prepare)
+        order.place(prepare, key, kind.value)
 
     def _find_course(self, shape: LibraryShape) -> _Course:
         if shape not in self._courses:

@@ -119,6 +119,32 @@ def check_sums(
     return GaussNewtonSums(cost, gradient, gauss_newton, squares, counts)
 
 
+class RunningSums:
+    """The sums of a record that comes in parts."""
+
+    def __init__(self, outputs: int, directions: int) -> None:
+        self.squares, self.counts = np.zeros(outputs), np.zeros(outputs)
+        self.gradient, self.matrix = np.zeros(directions), np.zeros((directions, directions))
+
+    def add(self, r: np.ndarray, jacobian: np.ndarray) -> None:
+        """Residuals (n, ny) and their Jacobian (n, ny, L); a gap is a residual of NaN."""
+        is_measured = np.isfinite(r)
+        self.counts += is_measured.sum(axis=0)
+        if is_measured.all():
+            self.squares += np.square(r).sum(axis=0)
+            r, jacobian = r.ravel(), jacobian.reshape(r.size, -1)
+        else:
+            # J'r and J'J over the measured entries: a gap is left out, not a zero that counts.
+            self.squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
+            r, jacobian = r[is_measured], jacobian[is_measured]
+        self.gradient += jacobian.T @ r
+        self.matrix += jacobian.T @ jacobian
+
+    def check(self, failed_at: int | None, samples: int) -> GaussNewtonSums:
+        """The sums over so many ``samples``, or an infinite cost; see `check_sums`."""
+        return check_sums(self.squares, self.counts, self.gradient, self.matrix, failed_at, samples)
+
+
 # The arrays of a kernel call, checked: compiled code reads them without asking again.
 
 

@@ -15,10 +15,10 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import (
     GaussNewtonSums,
     KernelArguments,
+    RunningSums,
     StepSizes,
     chain_coefficients,
     check_arguments,
-    check_sums,
 )
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import Tape, read_tape, simplify_tape
@@ -86,23 +86,15 @@ class InterpretedKernel:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
         arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         sample_count, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
-        squares, counts = np.zeros(self.sizes.ny), np.zeros(self.sizes.ny)
-        gradient, matrix = np.zeros(directions), np.zeros((directions, directions))
-        failed_at = None
+        totals, failed_at = RunningSums(self.sizes.ny, directions), None
         with np.errstate(all="ignore"):  # what is not finite is found and reported
             # Chunk by chunk: J is never in memory as a whole, as in the compiled pass.
             for chunk in self._chunks(record, sample_count, arguments):
                 failed_at = _first_failure(chunk)
                 if failed_at is not None:
                     break
-                r, jacobian = _residuals(record, chunk, arguments.weight)
-                is_measured = np.isfinite(r)
-                squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
-                counts += is_measured.sum(axis=0)
-                # J'r and J'J over the measured entries: a gap is left out, not a zero that counts.
-                gradient += jacobian[is_measured].T @ r[is_measured]
-                matrix += jacobian[is_measured].T @ jacobian[is_measured]
-        return check_sums(squares, counts, gradient, matrix, failed_at, sample_count)
+                totals.add(*_residuals(record, chunk, arguments.weight))
+        return totals.check(failed_at, sample_count)
 
     def residuals(
         self,

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import ctypes.util
 import importlib.util
+import os
 import platform
 import re
+import shutil
 import struct
 import sys
 import tempfile
+import threading
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -88,6 +91,15 @@ def generate(tape: Tape, width: int, blocks: int) -> Code:
     return Code(once, each, max(1, text.values), max(1, text.tangents), engine)
 
 
+# Held while LLVM works in this process. A copy of it by `os.fork` would find LLVM's own locks taken for good: the fork waits, a fraction
+# of a second.
+_is_at_work = threading.Lock()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=_is_at_work.acquire, after_in_parent=_is_at_work.release, after_in_child=_is_at_work.release
+    )
+
+
 # Instructions of LLVM from which its code generator runs in a process of its own. It takes 0.3 ms each, and more in long routines, and
 # nothing can interrupt it in this process; a process of its own costs 0.2 s and ends with the program.
 LONG_ROUTINE = 700
@@ -98,24 +110,29 @@ GENERATOR_SECONDS = 60.0
 def _run_generator(llvm: ModuleType, source: str, instructions: int) -> Any:
     """The machine code of ``source``, loaded. Raises RuntimeError where there is none."""
     if instructions < LONG_ROUTINE:
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(source), create_target(llvm))
-        engine.finalize_object()
+        with _is_at_work:
+            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(source), create_target(llvm))
+            engine.finalize_object()
         return engine
-    with tempfile.TemporaryDirectory(prefix="greybox-") as folder:
-        text, code = Path(folder, "routine.ll"), Path(folder, "routine.o")
+    folder = Path(tempfile.mkdtemp(prefix="greybox-"))
+    try:
+        text, code = folder / "routine.ll", folder / "routine.o"
         write_file(text, source)
         command = [sys.executable, "-P", "-c", GENERATOR, str(text), str(code)]
         try:
-            run = run_compiler(command, GENERATOR_SECONDS)
+            run = run_compiler(command, GENERATOR_SECONDS, is_background=True)
         except CompilerError as error:  # it takes too long, or the program has ended
             raise RuntimeError(str(error)) from error
         if run.returncode or not code.exists():
             raise RuntimeError(f"the process of the code generator ended with code {run.returncode}")
         # An empty module carries the object file that the other process has made.
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), create_target(llvm))
-        engine.add_object_file(llvm.object_file.ObjectFileRef.from_data(code.read_bytes()))
-    engine.finalize_object()
-    return engine
+        with _is_at_work:
+            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), create_target(llvm))
+            engine.add_object_file(llvm.object_file.ObjectFileRef.from_data(code.read_bytes()))
+            engine.finalize_object()
+        return engine
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def create_target(llvm: ModuleType) -> Any:

@@ -2,6 +2,9 @@
    VALUE_CASES are the operations on values, generated; the numbers of the others are those of tape_machine.py. An instruction is its
    number, where the result goes, and where the operands are. */
 
+#include <stdint.h>
+#include <stdlib.h>
+
 typedef void code(double *r, v *t, const double *const *in, const vu *const *din, double *z, v *dz);
 struct routine {
     long values, tangents, numbers; /* of registers; the first `numbers` registers hold constants, tangent register 0 is zero */
@@ -140,10 +143,18 @@ INLINE struct registers open_registers(const struct routine *routine, double *r,
 #define NB (m->nb)
 #define FIRST_ORDER first_order
 #define SUBSTEPS substeps
+/* Registers lie on the heap: those of a large model outgrow the stack of a thread. */
 #define ROUTINE(name, once)                                                                                                              \
-    double once##_values[m->name.values];                                                                                                \
-    v once##_tangents[AT_LEAST_ONE(m->name.tangents * NB)];                                                                              \
+    __attribute__((cleanup(release))) char *once##_memory =                                                                              \
+        malloc(sizeof(v) * (1 + AT_LEAST_ONE(m->name.tangents * NB)) + sizeof(double) * m->name.values);                                \
+    v *const once##_tangents = (v *)(once##_memory + sizeof(v) - (uintptr_t)once##_memory % sizeof(v));                                  \
+    double *const once##_values = (double *)(once##_tangents + AT_LEAST_ONE(m->name.tangents * NB));                                     \
     const struct registers once = open_registers(&m->name, once##_values, once##_tangents, NB)
+
+static void release(char **memory)
+{
+    free(*memory);
+}
 
 #define ADVANCE const double *x, const vu *dx, const double *ua, const double *ub, const double *q, const vu *dq, const double *h
 #define ADVANCE_IN (const double *[]){x, ua, ub, q, h}, (const vu *[]){dx, 0, 0, dq, 0}

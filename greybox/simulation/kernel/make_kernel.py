@@ -17,6 +17,7 @@ from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.gradual import GradualKernel
 from greybox.simulation.kernel.interface import GaussNewtonSums, Kernel
 from greybox.simulation.kernel.interpreted import InterpretedKernel
+from greybox.simulation.kernel.linear import LinearKernel
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import UnsupportedOperationError
 
@@ -107,6 +108,10 @@ __all__ = [
 _warned: set[str] = set()
 
 
+# States from which a linear step runs by products of matrices. Its instructions grow as their square.
+MANY_STATES = 16
+
+
 def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
     """The fastest kernel that works on this machine.
 
@@ -141,6 +146,8 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
         raise GreyboxError(f"GREYBOX_KERNEL={forced}: no such kernel; set it to compiled or interpreted, or unset it")
     if forced == "interpreted":
         return InterpretedKernel(step, "GREYBOX_KERNEL=interpreted")
+    if not forced and step.regressors is not None and step.advance.size1_in(0) >= MANY_STATES:
+        return _make_linear(step)
     try:
         # Forced, the simulation is compiled before anything runs; else the machine begins at once.
         make = _make_compiled if forced == "compiled" else _make_fallback
@@ -153,6 +160,11 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
 
 
 @lru_cache(maxsize=64)  # for the next fit with the same step
+def _make_linear(step: Step) -> LinearKernel:
+    return LinearKernel(step)
+
+
+@lru_cache(maxsize=64)
 def _make_compiled(step: Step, free: tuple[int, ...] | None) -> CompiledKernel:
     kernel = CompiledKernel(step, free)
     kernel.compile_simulation()

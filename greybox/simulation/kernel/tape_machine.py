@@ -79,8 +79,13 @@ class TapeMachine:
         self._blocks = sizes["nb"]
         make = self._translate if is_translated else self._assemble
         self._kept: list[Program | Code] = []
-        self.instructions, self.scratch_bytes = 0, 0
+        self.instructions = 0
         self._machine = _Machine(**sizes, **{name: make(tape) for name, tape in tapes.items()})
+
+    @property
+    def length(self) -> int:
+        """Instructions, each counted once for every block of tangents: what a compiler has to write."""
+        return self.instructions * max(1, self._blocks)
 
     @property
     def address(self) -> int:
@@ -91,8 +96,6 @@ class TapeMachine:
         program = assemble(tape, tangents=self._blocks > 0)
         self._kept.append(program)
         self.instructions += len(program.each) // 4
-        # Registers of values are doubles, those of tangents blocks of ``nb * W`` doubles.
-        self.scratch_bytes += 8 * (program.values + program.tangents * self._blocks * block_width())
         arrays = (program.once, program.each, program.constants)
         return _Routine(program.values, program.tangents, len(program.constants), *(a.ctypes.data for a in arrays))
 

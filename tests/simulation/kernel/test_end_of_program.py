@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import textwrap
@@ -10,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.ends import Case, run_case
 from greybox.simulation.kernel import llvm_routine
 from greybox.simulation.kernel.tape import read_tape
 
@@ -75,6 +77,21 @@ def test_a_larger_model_ends_with_its_status_and_all_its_output(
     done = run_program(textwrap.dedent(end), tmp_path)
     assert (done.returncode, done.stdout.splitlines()[-1]) == (status, last), done.stderr
     assert done.stdout.startswith("fitted 0 converged\n")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a system without fork")
+@pytest.mark.parametrize(
+    "case",
+    [
+        Case(6, True, "fork", 0),
+        Case(3, False, "worker", 0),
+        Case(4, True, "SIGINT", 2.5),
+        Case(10, True, "SIGKILL", 3.0),
+    ],
+    ids=lambda case: case.end,
+)
+def test_a_program_that_is_copied_interrupted_or_killed_leaves_nothing_behind(case: Case, tmp_path: Path) -> None:
+    assert run_case(case, tmp_path) == ""
 
 
 @pytest.mark.skipif(not llvm_routine.has_llvm(), reason="llvmlite is not installed")

@@ -31,7 +31,7 @@ def make_machine(step):
         step,
         None,
         pytest.fail,
-        GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf),
+        GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, long_pass_seconds=np.inf),
     )
 
 

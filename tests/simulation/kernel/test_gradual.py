@@ -22,7 +22,7 @@ from greybox.simulation.kernel.tape_machine import TapeMachine
 from models.micro_actuator import micro_actuator
 from tests.simulation.kernel.test_kernels import OPERATIONS, operation_step
 
-NEVER = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf)
+NEVER = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, long_pass_seconds=np.inf)
 AT_ONCE = GradualPolicy(earned_seconds=0.0, translated_seconds=0.0, full_seconds=0.0)
 
 
@@ -160,19 +160,70 @@ def test_translated_routines_that_nobody_uses_any_more_are_forgotten(monkeypatch
     assert [machine() is not None for machine in machines] == [False, False, True, True]
 
 
-def test_a_long_pass_waits_for_the_compiler(monkeypatch, tmp_path):
-    step = rk4(micro_actuator.system, 2, None)
-    kernel = GradualKernel(step, None, pytest.fail, GradualPolicy(most_instructions=0.0))
+def make_pass(rows=60):
+    """One pass with two directions over a record of the actuator."""
+    p, x0 = np.array(list(micro_actuator.values.values())), np.zeros(3)
+    record = make_record(1, len(micro_actuator.outputs), rows=rows)
+
+    def run(kernel):
+        dp = np.eye(len(p))[:, :2]
+        return kernel.sums(record, p[None], dp[None], p, dp, x0, np.zeros((3, 2)), np.ones(record.y.shape[1]))
+
+    return run
+
+
+def test_a_long_pass_orders_its_library_first_and_waits_no_longer_than_it_runs(monkeypatch, tmp_path):
+    step, run = rk4(micro_actuator.system, 2, None), make_pass()
+    monkeypatch.setattr(gradual, "has_llvm", lambda: False)
     monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
-    run_all(
-        kernel,
-        make_record(1, len(micro_actuator.outputs)),
-        np.array(list(micro_actuator.values.values())),
-        np.zeros(3),
-        2,
-    )
-    assert [shape.blocks for shape in kernel._functions] == [1]
-    assert count_libraries(tmp_path / "cache") == 1
+    expected = run(GradualKernel(step, None, pytest.fail, NEVER)).gradient
+    began, release = time.perf_counter(), gradual.threading.Event()
+    load = gradual.load_library
+
+    def load_late(*arguments):
+        release.wait(60)
+        return load(*arguments)
+
+    monkeypatch.setattr(gradual, "load_library", load_late)
+    kernel = GradualKernel(step, None, pytest.fail, GradualPolicy(earned_seconds=0.0, long_pass_seconds=0.0))
+    np.testing.assert_array_equal(run(kernel).gradient, expected)  # the machine, after a wait of its own length
+    assert time.perf_counter() - began < 20
+    (course,) = kernel._courses.values()
+    assert course.order.result is None
+    release.set()
+    wait_for(lambda: course.order.result is not None and not gradual._compiler_is_busy.locked())
+    np.testing.assert_array_equal(run(kernel).gradient, expected)
+
+
+def test_a_compiler_that_is_given_up_is_remembered_by_the_next_program(monkeypatch, tmp_path):
+    step, run = rk4(micro_actuator.system, 2, None), make_pass()
+    monkeypatch.setattr(gradual, "has_llvm", lambda: False)
+    monkeypatch.setenv("GREYBOX_CACHE", str(tmp_path / "cache"))
+    asked = []
+
+    def give_up(*_):
+        asked.append(1)
+        raise compiling.CompilerBudgetError("took more than its time")
+
+    monkeypatch.setattr(gradual, "load_library", give_up)
+    policy = GradualPolicy(earned_seconds=0.0)
+    answers = []
+    for _ in range(3):
+        monkeypatch.setattr(gradual, "_orders", {})  # as a new program would start
+        kernel = GradualKernel(step, None, pytest.fail, policy)  # nobody is told: the machine is no failure
+        for _ in range(2):
+            answers.append(run(kernel).gradient)
+            wait_for(lambda: not gradual._compiler_is_busy.locked())
+    assert len(asked) == 1
+    for answer in answers:
+        np.testing.assert_array_equal(answer, answers[0])
+    # Once its work has taken several times as long the compiler is asked again.
+    monkeypatch.setattr(gradual, "_orders", {})
+    kernel = GradualKernel(step, None, pytest.fail, policy)
+    for _ in range(30):
+        run(kernel)
+        wait_for(lambda: not gradual._compiler_is_busy.locked())
+    assert len(asked) == 2
 
 
 def test_a_library_that_fails_leaves_the_machine_at_work(monkeypatch, tmp_path):

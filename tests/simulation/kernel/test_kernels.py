@@ -37,7 +37,7 @@ def build(request, monkeypatch, tmp_path_factory):
 
 def make_machine(step):
     """The tape machine, which never earns a library."""
-    never = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, most_instructions=np.inf)
+    never = GradualPolicy(earned_seconds=np.inf, translated_seconds=np.inf, long_pass_seconds=np.inf)
     return GradualKernel(step, None, pytest.fail, never)
 
 

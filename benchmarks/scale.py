@@ -1,0 +1,215 @@
+"""How cost grows with states, constants and rows: ``python -m benchmarks.scale``. Writes docs/scale.md and its figure.
+
+The plants are chains of masses on springs (`benchmarks/chains.py`). Each size is measured in a process of its own with an empty cache, in
+seconds of its processor time (compilers in the background included, apart); a pass is the best of several.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.chains import STEP, make_chain, make_trial
+from greybox.model.model import Model
+from greybox.simulation.integrators.exact_hold import exact_hold
+from greybox.simulation.integrators.runge_kutta import rk4
+from greybox.simulation.kernel.make_kernel import make_kernel
+from greybox.simulation.kernel.record import Record
+
+ROOT = Path(__file__).resolve().parents[1]
+BODIES = (1, 2, 4, 7, 8, 12, 25, 50, 100)
+CONSTANTS = (1, 4, 16, 64, 256)
+ROWS = (1_000, 10_000, 100_000, 1_000_000)
+SUBSTEPS = 2  # of RK4 in a sampling interval of a nonlinear chain
+LIMIT = 600  # s of one size
+
+Numbers = Mapping[str, Any]
+
+
+def measure_fit(bodies: int, hardening: bool, rows: int) -> Numbers:
+    """A fit from the start of a process to its result, the simulation of its record included."""
+    trial = make_trial(bodies, rows, hardening=hardening)
+    fit = trial.fit()
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return {
+        "seconds": time.process_time(),
+        "compilers": children.ru_utime + children.ru_stime,
+        "megabytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "error": trial.find_worst_error(fit),
+        "status": str(fit.status),
+    }
+
+
+def measure_pass(bodies: int, hardening: bool, directions: int, rows: int = 1000) -> Numbers:
+    """Milliseconds of a simulation, and of a pass with gradient and Gauss-Newton matrix along so many directions."""
+    model = make_chain(bodies, hardening=hardening)
+    step = rk4(model.system, SUBSTEPS) if hardening else exact_hold(model.system)
+    rng, p = np.random.default_rng(0), np.array(list(model.values.values()))
+    record = make_record(model, rows, rng)
+    # One direction for each constant; more of them than constants are random ones.
+    dp = (
+        p[:, None] * np.hstack([np.eye(len(p))[:, : bodies + 1], rng.normal(size=(len(p), directions))])[:, :directions]
+    )
+    kernel = make_kernel(step)
+    x0, dx0, weight = np.zeros(2 * bodies), np.zeros((2 * bodies, directions)), np.ones(bodies)
+
+    def simulate() -> None:
+        q, _ = kernel.coefficients(record, p, dp[:, :0])
+        kernel.simulate(record, q, p, x0)
+
+    def run() -> None:
+        q, dq = kernel.coefficients(record, p, dp)
+        kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
+
+    return {"simulation": take_time(simulate), "pass": take_time(run), "kernel": kernel.description}
+
+
+def make_record(model: Model, rows: int, rng: np.random.Generator) -> Record:
+    """A record of noise: what it says does not matter to the time that a pass takes."""
+    outputs = len(model.outputs)
+    h = np.full(rows - 1, STEP)
+    u, y = rng.normal(size=(rows, 1)), 1e-3 * rng.normal(size=(rows, outputs))
+    return Record(u, y, h, np.zeros(rows - 1), h[:1])
+
+
+def take_time(run: Callable[[], None], seconds: float = 1.0) -> float:
+    """Milliseconds of processor time of one call, the least of those that fit in ``seconds``, at least five."""
+    run()
+    times: list[float] = []
+    while len(times) < 5 or sum(times) < seconds:
+        began = time.process_time()
+        run()
+        times.append(time.process_time() - began)
+        if len(times) >= 5 and len(times) * min(times) > seconds:
+            break
+    return 1e3 * min(times)
+
+
+MEASUREMENTS: Mapping[str, Callable[..., Numbers]] = {"fit": measure_fit, "pass": measure_pass}
+
+
+def measure_apart(what: str, *arguments: Any) -> Numbers:
+    """A measurement in a process of its own, with an empty cache."""
+    with tempfile.TemporaryDirectory() as cache:
+        environment = os.environ | {"GREYBOX_CACHE": cache, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        command = [sys.executable, "-m", "benchmarks.scale", "--one", json.dumps([what, *arguments])]
+        done = subprocess.run(
+            command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=LIMIT, check=False
+        )
+    if done.returncode:
+        raise RuntimeError(f"{what} {arguments}: {done.stderr[-2000:]}")
+    found = json.loads(done.stdout.splitlines()[-1])
+    print(what, *arguments, found, flush=True)
+    return found
+
+
+def measure_all() -> dict[str, Any]:
+    """Every curve of the page."""
+    kinds = {"linear": False, "nonlinear": True}
+    return {
+        "fits": {kind: {n: measure_apart("fit", n, hard, 1000) for n in BODIES} for kind, hard in kinds.items()},
+        "passes": {kind: {n: measure_apart("pass", n, hard, n + 1) for n in BODIES} for kind, hard in kinds.items()},
+        "constants": {
+            "linear, 50 states": {n: measure_apart("pass", 25, False, n) for n in CONSTANTS},
+            "nonlinear, 8 states": {n: measure_apart("pass", 4, True, n) for n in CONSTANTS},
+        },
+        "rows": {kind: {n: measure_apart("fit", 2, hard, n) for n in ROWS} for kind, hard in kinds.items()},
+    }
+
+
+def draw(found: Mapping[str, Any], path: Path) -> None:
+    """The curves side by side."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    matplotlib.rcParams["svg.hashsalt"] = "scale"
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
+    panels = (
+        ("fits", "states", "fit from cold, s", lambda n: 2 * n, "seconds"),
+        ("passes", "states", "pass, ms", lambda n: 2 * n, "pass"),
+        ("constants", "directions", "pass, ms", lambda n: n, "pass"),
+        ("rows", "rows", "fit from cold, s", lambda n: n, "seconds"),
+    )
+    for axis, (name, x_label, y_label, place, key) in zip(axes, panels, strict=True):
+        for label, curve in found[name].items():
+            sizes = [place(int(n)) for n in curve]
+            axis.loglog(sizes, [v[key] for v in curve.values()], "o-", markersize=3, label=label)
+        axis.set_xlabel(x_label)
+        axis.set_ylabel(y_label)
+        axis.grid(alpha=0.3)
+        axis.legend(fontsize=8)
+    figure.savefig(path, metadata={"Date": None})
+
+
+def write_page(found: Mapping[str, Any]) -> str:
+    """The page, with the numbers in its tables."""
+    template = (ROOT / "benchmarks" / "scale_page.md").read_text(encoding="utf-8")
+
+    def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+        lines = [heads, ["---"] * len(heads), *rows]
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+    def by_size(
+        name: str, first: str, place: Callable[[int], int], columns: Mapping[str, Callable[[Numbers], str]]
+    ) -> str:
+        kinds = found[name]
+        heads = [first, *(f"{kind}: {head}" for kind in kinds for head in columns)]
+        sizes = list(next(iter(kinds.values())))
+        rows = [
+            [f"{place(int(n)):,}", *(show(kinds[kind][n]) for kind in kinds for show in columns.values())]
+            for n in sizes
+        ]
+        return table(heads, rows)
+
+    fit_columns: Mapping[str, Callable[[Numbers], str]] = {
+        "s": lambda v: f"{v['seconds']:.2f}",
+        "compilers, s": lambda v: f"{v['compilers']:.1f}",
+        "MB": lambda v: f"{v['megabytes']:.0f}",
+    }
+    pass_columns: Mapping[str, Callable[[Numbers], str]] = {
+        "simulation, ms": lambda v: f"{v['simulation']:.2f}",
+        "pass, ms": lambda v: f"{v['pass']:.2f}",
+    }
+    tables = {
+        "FITS": by_size("fits", "states", lambda n: 2 * n, fit_columns),
+        "PASSES": by_size("passes", "states", lambda n: 2 * n, pass_columns),
+        "CONSTANTS": by_size("constants", "directions", lambda n: n, {"pass, ms": pass_columns["pass, ms"]}),
+        "ROWS": by_size("rows", "rows", lambda n: n, fit_columns),
+    }
+    for name, text in tables.items():
+        template = template.replace(f"{{{name}}}", text)
+    return template
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure everything, or one size, and write the page."""
+    parser = argparse.ArgumentParser(description="How cost grows with states, constants and rows.")
+    parser.add_argument("--one", help="one measurement as JSON; prints its numbers")
+    parser.add_argument("--numbers", type=Path, help="numbers of an earlier run: only write the page")
+    parser.add_argument("--output", type=Path, default=ROOT / "docs")
+    chosen = parser.parse_args(arguments)
+    if chosen.one:
+        what, *given = json.loads(chosen.one)
+        print(json.dumps(MEASUREMENTS[what](*given)))
+        return
+    found = json.loads(chosen.numbers.read_text()) if chosen.numbers else measure_all()
+    (ROOT / "scale.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    draw(found, chosen.output / "figures" / "scale.svg")
+    (chosen.output / "scale.md").write_text(write_page(found), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
