@@ -1,4 +1,4 @@
-"""A package of strangers, installed beside greybox: its reader, export target, effect and command are used; a broken one hurts nothing."""
+"""Packages of strangers, installed beside greybox: what one adds is used; broken ones hurt nothing."""
 
 from __future__ import annotations
 
@@ -13,6 +13,34 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extensions.md").read_text(encoding="utf-8")
+WRONG_PROJECT = """
+[project]
+name = "greybox-wrong"
+version = "3.0"
+[project.entry-points."greybox.readers"]
+wrong = "wrong:read"
+[project.entry-points."greybox.exports"]
+wrong = "wrong:read"
+[project.entry-points."greybox.plants"]
+wrong = "wrong:read"
+[project.entry-points."greybox.commands"]
+wrong = "wrong:read"
+fit = "wrong:HELLO"
+[project.entry-points."greybox.effects"]
+wrong = "wrong:read"
+taken = "wrong:FRICTION"
+"""
+WRONG = """
+from greybox import Effect
+from greybox.extensions import Command
+
+
+def read(path, policy): ...
+
+
+HELLO = Command(read, "Hello.")
+FRICTION = Effect("coulomb_friction", "force", [], terms=lambda x, u, p: 0)
+"""
 USE = """
 import sys
 import numpy as np
@@ -49,6 +77,7 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
             '[project.entry-points."greybox.readers"]\nbroken = "broken:READER"\n',
             "import a_package_that_nobody_has\n",
         ),
+        ("wrong", WRONG_PROJECT, WRONG),
     ):
         source = tmp_path_factory.mktemp(name)
         build = (
@@ -107,6 +136,33 @@ def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
     assert greybox(beside, tmp_path, "acme-info", "stage").stdout == "acme stage\n"
 
 
+def test_a_plant_of_strangers_is_fitted_by_its_name(beside: Path, tmp_path: Path) -> None:
+    area, hole, level, rows = 0.8, 0.004, 1.0, []
+    for k in range(120):
+        flow = 0.02 if k % 40 < 20 else 0.0
+        rows.append(f"{k},{flow},{level!r}")
+        for _ in range(200):
+            level += 0.005 * (flow - hole * (2 * 9.81 * level) ** 0.5) / area
+    (tmp_path / "tank.csv").write_text("\n".join(["time [s],q [m**3/s],h [m]", *rows]), encoding="utf-8")
+    done = greybox(beside, tmp_path, "fit", "acme_tank", "tank.csv", "--noise", "h=0.001", "--json", "--no-report")
+    assert done.returncode == 0, done.stderr
+    parameters = json.loads(done.stdout)["parameters"]
+    assert parameters["area"]["value"] == pytest.approx(area, rel=0.01)
+    assert parameters["hole"]["value"] == pytest.approx(hole, rel=0.01)
+    done = greybox(beside, tmp_path, "fit", "acme_tanc", "tank.csv")
+    assert done.returncode == 2 and "acme_tank" in done.stderr
+
+
+def test_what_the_page_types_prints_what_it_shows(beside: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.acme").write_text(code("run.acme"), encoding="utf-8")
+    console = re.search(r"```console\n(.*?)```", PAGE, re.DOTALL)
+    assert console
+    for typed, shown in re.findall(r"^\$ greybox (.*?) *(?:#.*)?\n((?:(?!\$).*\n)*)", console[1], re.MULTILINE):
+        done = greybox(beside, tmp_path, *typed.split())
+        assert done.returncode == 0, done.stderr
+        assert shown in done.stdout
+
+
 def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reason(
     beside: Path, tmp_path: Path
 ) -> None:
@@ -119,3 +175,21 @@ def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reas
     done = greybox(beside, tmp_path, "fit", "silverbox", "run.strange")
     assert done.returncode == 2
     assert "broken of greybox-broken" in done.stderr and ".acme" in done.stderr
+
+
+def test_values_of_another_class_and_names_that_are_taken_are_left_out_with_their_reason(
+    beside: Path, tmp_path: Path
+) -> None:
+    done = greybox(beside, tmp_path, "extensions", "--json")
+    failures = {
+        (e["kind"], e["name"]): e["failure"]
+        for e in json.loads(done.stdout)["extensions"]
+        if e["distribution"] == "greybox-wrong"
+    }
+    needed = {"readers": "FileFormat", "exports": "ExportTarget", "plants": "PlantKind"}
+    for kind, value in {**needed, "commands": "Command", "effects": "Effect"}.items():
+        assert f"class {value}" in failures[kind, "wrong"] and "function" in failures[kind, "wrong"]
+    assert "'fit'" in failures["commands", "fit"] and "'coulomb_friction'" in failures["effects", "taken"]
+    listed = greybox(beside, tmp_path, "--help").stdout
+    assert "Fit a model's parameters to records." in listed and "Hello." not in listed
+    assert greybox(beside, tmp_path, "effects").returncode == 0

@@ -13,8 +13,8 @@ from greybox.show.sentences.wording import join_names
 def _not_determined(finding: Finding) -> str:
     names = finding.values["constants"]
     remedies = finding.values["remedies"]
-    rest = f": {'; or '.join(remedies)}" if remedies else ": fix one of them, or add a sensor"
-    return f"no input within these limits determines {join_names(names)}{rest}"
+    rest = "; or ".join(remedies) or f"fix {'it' if len(names) == 1 else 'one of them'}, or add a sensor"
+    return f"no input within these limits determines {join_names(names)}: {rest}"
 
 
 def name_explanation(effects: Sequence[str]) -> str:
@@ -62,6 +62,10 @@ register(
             " on the safe side, and design again after the first record"
         ),
         DesignCode.LIMIT_RULES: "the limit of {subject} decides how large the input may be",
+        DesignCode.MODEL_FALLS_SHORT: (
+            "{fault}. The ranges predicted here are those of this model, not of the rig: find what it lacks first (greybox discover),"
+            " or keep the limits well inside what the rig stands"
+        ),
         DesignCode.RANGE_FROM_RECORDS: (
             "input {subject} has no limits of its own: it stays between {low:g} and {high:g}, as in the records;"
             " give --limit to change that"

@@ -117,6 +117,10 @@ register(
             "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
             " large motion in one direction"
         ),
+        ExportFinding.ABOUT_A_RUN: (
+            "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
+            " which it follows {share:.0%} at least"
+        ),
         ExportFinding.INPUT_WITHOUT_EFFECT: _input_without_effect,
         ExportFinding.DELAY_APPROXIMATED: (
             "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"
@@ -208,9 +212,12 @@ def poles_table(poles: np.ndarray, dt: float) -> TableBlock:
 def channel_lines(channel: TransferChannel) -> list[str]:
     """Lines about one channel."""
     per_second = f"/s**{channel.integrators}" if channel.integrators else ""
-    unit = format_unit(f"({channel.unit}){per_second}")
+    # A gain without a unit is a number alone, not "1.26 1".
+    unit, own_unit = (
+        f" {text}" if text != "1" else "" for text in map(format_unit, (f"({channel.unit}){per_second}", channel.unit))
+    )
     kind = "integrator gain" if channel.integrators else "gain"
-    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g} {unit}"]
+    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g}{unit}"]
     lines.append("    zeros " + (", ".join(map(complex_text, channel.zeros)) or "none"))
     bandwidth, (frequency, gain) = channel.bandwidth, channel.peak
     if np.isfinite(bandwidth):
@@ -218,7 +225,7 @@ def channel_lines(channel: TransferChannel) -> list[str]:
     elif np.isinf(bandwidth):
         lines.append("    bandwidth: the gain never falls 3 dB below its static value")
     if np.isfinite(gain) and gain > 1.01 * abs(channel.gain):
-        lines.append(f"    largest gain {gain:.6g} {format_unit(channel.unit)} at {frequency:.6g} rad/s")
+        lines.append(f"    largest gain {gain:.6g}{own_unit} at {frequency:.6g} rad/s")
     return lines
 
 
