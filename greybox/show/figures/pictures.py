@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
-from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace

@@ -11,8 +11,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock,
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
-from greybox.comparison.findings import ComparisonFinding
-from greybox.show.documents.tables import estimates_table
+from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentences
 from greybox.show.sentences.wording import format_number
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
     from greybox.comparison.blackbox.structure_scan import StructureScan
     from greybox.comparison.blackbox.subspace import StateSpaceModel
     from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation
-    from greybox.comparison.frequency.fit_response import FrequencyFit
     from greybox.comparison.frequency.response import FrequencyResponse
 
 
@@ -129,25 +127,6 @@ def write_response(response: FrequencyResponse) -> str:
         f"{response.name}: {response.points} points from {low:.4g} to {high:.4g} Hz, {', '.join(response.inputs)} to"
         f" {', '.join(response.outputs)}, {noise}"
     )
-
-
-@renders("FrequencyFit")
-def write_fit(result: FrequencyFit) -> list[Block]:
-    """The parameters as a table, and how well the responses are met."""
-    records = "" if result.time_fit is None else f" and {len(result.time_fit.traces)} records over time"
-    head = f"{result.model.title}, fitted to {'; '.join(map(str, result.responses))}{records}: {result.status}"
-    error = (
-        f"error of the response: {format_number(result.noise_ratio, 3)} times its noise"
-        if result.weighted
-        else "the response states no noise: intervals are scaled by its error"
-    )
-    estimates = {name: result.parameters[name] for name in result.names}
-    return [
-        Paragraphs([head]),
-        estimates_table(estimates),
-        Paragraphs([error]),
-        Facts([("note", f) for f in result.findings]),
-    ]
 
 
 @renders("BestLinearApproximation")
