@@ -184,7 +184,7 @@ def _residual_tests(result: Fit) -> ResidualTests | None:
 
 def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisfit]:
     """The misfit of each record without its first ``skip`` rows, where there are several records."""
-    from greybox.estimation.optimum import compute_record_misfits
+    from greybox.estimation.errors import compute_record_misfits
     from greybox.shell.answers import RecordMisfit
 
     if len(traces) < 2:
@@ -275,12 +275,10 @@ UNASKED_PREDICTION_ROWS = 50000
 
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
     """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
-    from greybox.estimation.residuals import score
-    from greybox.simulation.plant import PlantModel
+    from greybox.estimation.score import score
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
-    # A plant that is run from outside has no equations to predict from; who asks for it all the same is told.
-    unasked = [] if rows > UNASKED_PREDICTION_ROWS or isinstance(result.model, PlantModel) else [1]
+    unasked = [1] if rows <= UNASKED_PREDICTION_ROWS else []
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}

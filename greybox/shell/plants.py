@@ -62,7 +62,7 @@ def plant_kind(study: Study) -> PlantKind | None:
     # Names of models have no ending: nothing is looked up for them.
     if not suffix or suffix in (".py", ".toml"):
         return None
-    kinds = load_extensions(ExtensionKind.PLANTS).values()
+    kinds = [kind for kind in load_extensions(ExtensionKind.PLANTS).values() if isinstance(kind, PlantKind)]
     kind = next((kind for kind in kinds if suffix in kind.suffixes), None)
     if kind is not None:
         used = {option.name for option in kind.used[study.command]}

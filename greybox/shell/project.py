@@ -16,9 +16,11 @@ from types import ModuleType
 from typing import TypeVar
 
 from greybox.base.errors import GreyboxError, ModelError, nearest
+from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.values import Printable
 from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
+from greybox.simulation.plant import as_model, is_plant
 
 EFFECTS = "effects"
 """The folder of a project with effects of its own."""
@@ -175,11 +177,12 @@ def import_standalone(file: Path) -> ModuleType:
 
 
 def models_in(module: ModuleType) -> dict[str, Model]:
-    """The models that a module makes, by variable; private names and those it only imports are left out.
+    """The models and plants that a module makes, by variable; private names and those it only imports are left out.
 
     Raises ModelError for one that has no content.
     """
-    models = values_in(module, Model)
+    plants = {name: as_model(value) for name, value in values_in(module, object).items() if is_plant(value)}
+    models = {**values_in(module, Model), **plants}
     for name, model in models.items():
         if not all(hasattr(model, each.name) for each in fields(Model)):
             place = display_path(Path(module.__file__ or module.__name__))
@@ -284,8 +287,9 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     Parameters
     ----------
     name
-        The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model. A path,
-        ``my/rig.py``, gives the model named like the file or the only one in it; ``my/rig.py:name`` selects one.
+        The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model, or of a plant
+        of the entry points ``greybox.plants``. A path, ``my/rig.py``, gives the model or plant (`greybox.simulation.plant.Plant`) named
+        like the file or the only one in it; ``my/rig.py:name`` selects one.
     folder
         Where the project is looked for, upwards; the working folder if left out or where there is none.
 
@@ -318,8 +322,11 @@ def find_model(name: str, folder: Path | None = None) -> Model:
         model = source.find(name)
         if model is not None:
             return model
+    plants = {n: v for n, v in load_extensions(ExtensionKind.PLANTS).items() if is_plant(v)}
+    if name in plants:
+        return as_model(plants[name])
     known = list_models(folder)
-    close = nearest(name, [f.name for f in known.models])
+    close = nearest(name, [*(f.name for f in known.models), *plants])
     as_path = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not read: {problem}" for problem in known.problems)
     raise ModelError(f"no model {name!r}; {close}{as_path}{broken}")

@@ -23,8 +23,7 @@ from greybox.base.document import (
 )
 from greybox.base.findings import Finding, with_code
 from greybox.base.units import format_unit
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
 from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn

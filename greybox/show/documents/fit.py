@@ -21,9 +21,10 @@ from greybox.base.document import (
     Tone,
 )
 from greybox.base.findings import Finding
+from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
-from greybox.estimation.optimum import compute_record_misfits, has_free_run
+from greybox.estimation.optimum import has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace

@@ -13,7 +13,7 @@ from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.result import Discovery
-from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace

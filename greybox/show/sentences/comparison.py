@@ -7,7 +7,7 @@ from typing import Any
 
 from greybox.base.findings import Finding
 from greybox.base.units import format_unit
-from greybox.comparison.findings import ComparisonFinding
+from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import format_number

@@ -28,8 +28,9 @@ from greybox.show.sentences.wording import (
 if TYPE_CHECKING:
     from greybox.estimation.multistart import MultiStartResult
     from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
-    from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
+    from greybox.estimation.residuals import ResidualTest, ResidualTests
     from greybox.estimation.result_parts import FitNoise, SolverReport
+    from greybox.estimation.score import Scores
     from greybox.estimation.uncertainty import Profile, ProfilePair
 
 STATUS = {
@@ -659,13 +660,13 @@ def list_tests_not_made(tests: ResidualTests) -> list[str]:
     ]
 
 
-@renders("PredictionScores")
-def write_prediction_scores(scores: PredictionScores) -> list[Block]:
+@renders("Scores")
+def write_scores(scores: Scores) -> list[Block]:
     """A row for each output: errors of the free run and of predictions; infinite where a run overflows."""
-    ahead = sorted({k for s in scores.outputs.values() for k in s.prediction})
+    ahead = sorted({k for s in scores.outputs.values() for k in s.ahead})
     head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
     rows = [
-        [name, *(f"{v:.4g}" for v in (s.free_run, *(s.prediction[k] for k in ahead), s.movement)), s.unit]
+        [name, *(f"{v:.4g}" for v in (s.rmse, *(s.ahead[k] for k in ahead), s.movement)), s.unit]
         for name, s in scores.outputs.items()
     ]
     corrections = dict.fromkeys(str(s.predictor) for s in scores.outputs.values())

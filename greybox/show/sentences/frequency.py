@@ -7,15 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.document import Block, Facts, Paragraphs
-from greybox.show.documents.tables import estimates_table
 from greybox.show.sentences.registry import register, renders
-from greybox.show.sentences.wording import format_number
 
 if TYPE_CHECKING:
     from greybox.base.findings import Check
     from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation
-    from greybox.comparison.frequency.fit_response import FrequencyFit
     from greybox.comparison.frequency.response import FrequencyResponse
 
 _VERDICTS = {True: "noise alone", False: "the system is nonlinear"}
@@ -47,25 +43,6 @@ def write_response(response: FrequencyResponse) -> str:
         f"{response.name}: {response.points} points from {low:.4g} to {high:.4g} Hz, {', '.join(response.inputs)} to"
         f" {', '.join(response.outputs)}, {noise}"
     )
-
-
-@renders("FrequencyFit")
-def write_fit(result: FrequencyFit) -> list[Block]:
-    """The parameters as a table, and how well the responses are met."""
-    records = "" if result.time_fit is None else f" and {len(result.time_fit.traces)} records over time"
-    head = f"{result.model.title}, fitted to {'; '.join(map(str, result.responses))}{records}: {result.status}"
-    error = (
-        f"error of the response: {format_number(result.noise_ratio, 3)} times its noise"
-        if result.weighted
-        else "the response states no noise: intervals are scaled by its error"
-    )
-    estimates = {name: result.parameters[name] for name in result.names}
-    return [
-        Paragraphs([head]),
-        estimates_table(estimates),
-        Paragraphs([error]),
-        Facts([("note", f) for f in result.findings]),
-    ]
 
 
 @renders("BestLinearApproximation")
