@@ -152,8 +152,13 @@ def import_from_project(root: Path, file: Path) -> ModuleType:
 
 
 def import_standalone(file: Path) -> ModuleType:
-    """The module in ``file`` under a name of its own; it may import from its project, and from its folder."""
-    name = f"_greybox_file_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
+    """The module in ``file`` as it stands now, under a name of its own; it may import from its project, and from its folder."""
+    # By what the file says, not by its path alone: a model that was written anew is another one.
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise _model_error(error, file) from error
+    name = f"_greybox_file_{hashlib.sha256(str(file).encode() + text).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
     root = project_root(file.parent, named=True)
@@ -167,7 +172,8 @@ def import_standalone(file: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # From these very bytes: kept bytecode goes by the second and the size of a file, and a refit may leave both.
+        exec(compile(text, str(file), "exec", dont_inherit=True), vars(module))
     except BaseException as error:  # a user's file may raise whatever it likes
         del sys.modules[name]
         if isinstance(error, KeyboardInterrupt):
