@@ -239,9 +239,9 @@ def models_table(comparison: Comparison) -> TableBlock:
 def structures(comparison: Comparison) -> Iterator[Facts]:
     """What each model is, where its name does not say that already."""
     known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.entries}
-    told = [(name, text) for name, text in known.items() if text != name]
-    if told:
-        yield Facts(told, "Structures")
+    entries = [(name, text) for name, text in known.items() if text != name]
+    if entries:
+        yield Facts(entries, "Structures")
 
 
 def _notes(comparison: Comparison) -> list[str]:
