@@ -23,13 +23,13 @@ from scipy.special import expit
 import greybox as gb
 from fits.hidden_cases import Case
 from greybox.base.errors import ModelError
+from greybox.base.json_shape import to_values
 from greybox.discovery.claims import (
     ESTABLISHED_FROM,
     Claim,
     Depth,
     EffectForm,
     Features,
-    claim_values,
     describe_effect,
     to_features,
     to_probability,
@@ -94,7 +94,7 @@ def describe_claims(case: Case, model: gb.Model, claims: Sequence[Claim]) -> lis
     forms = true_forms(case, model)
     return [
         {
-            **claim_values(claim),
+            **to_values(claim),
             "frequency": claim.frequency,
             "left": claim.left,
             "right": is_right(claim, forms),
