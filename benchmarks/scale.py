@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.chains import STEP, make_chain, make_trial
+from benchmarks.passes import Pass, Sums, measure_programs
 from greybox.model.model import Model
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.runge_kutta import rk4
@@ -29,6 +30,7 @@ from greybox.simulation.kernel.record import Record
 
 ROOT = Path(__file__).resolve().parents[1]
 BODIES = (1, 2, 4, 7, 8, 12, 25, 50, 100)
+PEER_BODIES = (2, 7, 12, 25, 50)
 CONSTANTS = (1, 4, 16, 64, 256)
 ROWS = (1_000, 10_000, 100_000, 1_000_000)
 SUBSTEPS = 2  # of RK4 in a sampling interval of a nonlinear chain
@@ -96,7 +98,43 @@ def take_time(run: Callable[[], None], seconds: float = 1.0) -> float:
     return 1e3 * min(times)
 
 
-MEASUREMENTS: Mapping[str, Callable[..., Numbers]] = {"fit": measure_fit, "pass": measure_pass}
+# Seconds of passes that are run before one is timed: what a compiler makes meanwhile counts no more than it does for the others.
+WARM_SECONDS = 3.0
+
+
+def measure_peers(*sizes: int) -> Numbers:
+    """A pass over the nonlinear chain here and by other programs, one after the other in one process."""
+
+    def begin(bodies: int) -> Pass:
+        rng = np.random.default_rng(0)
+        stiffness = np.array([1000.0 + 50 * i for i in range(bodies)])
+        return Pass(stiffness, 1.0, rng.normal(0, 10, 1000), 1e-3 * rng.normal(size=(1000, bodies)), SUBSTEPS)
+
+    def prepare(task: Pass) -> Callable[[], Sums]:
+        bodies = len(task.stiffness)
+        model = make_chain(bodies, hardening=True)
+        p = np.array(list(model.values.values()))
+        rows = len(task.force)
+        h = np.full(rows - 1, STEP)
+        record = Record(task.force[:, None], task.measured, h, np.zeros(rows - 1), h[:1])
+        dp = np.eye(len(p))[:, : bodies + 1]
+        kernel = make_kernel(rk4(model.system, SUBSTEPS))
+        x0, dx0, weight = np.zeros(2 * bodies), np.zeros((2 * bodies, bodies + 1)), np.ones(bodies)
+
+        def run() -> Sums:
+            q, dq = kernel.coefficients(record, p, dp)
+            sums = kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
+            return sums.cost, sums.gradient, sums.gauss_newton
+
+        began = time.process_time()
+        while time.process_time() - began < WARM_SECONDS:
+            run()
+        return run
+
+    return measure_programs(sizes, prepare, begin)
+
+
+MEASUREMENTS: Mapping[str, Callable[..., Numbers]] = {"fit": measure_fit, "pass": measure_pass, "peers": measure_peers}
 
 
 def measure_apart(what: str, *arguments: Any) -> Numbers:
@@ -109,23 +147,23 @@ def measure_apart(what: str, *arguments: Any) -> Numbers:
         )
     if done.returncode:
         raise RuntimeError(f"{what} {arguments}: {done.stderr[-2000:]}")
-    found = json.loads(done.stdout.splitlines()[-1])
-    print(what, *arguments, found, flush=True)
-    return found
+    numbers = json.loads(done.stdout.splitlines()[-1])
+    print(what, *arguments, numbers, flush=True)
+    return numbers
 
 
-def measure_all() -> dict[str, Any]:
-    """Every curve of the page."""
-    kinds = {"linear": False, "nonlinear": True}
-    return {
-        "fits": {kind: {n: measure_apart("fit", n, hard, 1000) for n in BODIES} for kind, hard in kinds.items()},
-        "passes": {kind: {n: measure_apart("pass", n, hard, n + 1) for n in BODIES} for kind, hard in kinds.items()},
-        "constants": {
-            "linear, 50 states": {n: measure_apart("pass", 25, False, n) for n in CONSTANTS},
-            "nonlinear, 8 states": {n: measure_apart("pass", 4, True, n) for n in CONSTANTS},
-        },
-        "rows": {kind: {n: measure_apart("fit", 2, hard, n) for n in ROWS} for kind, hard in kinds.items()},
-    }
+KINDS = {"linear": False, "nonlinear": True}
+PARTS: Mapping[str, Callable[[], Numbers]] = {
+    "fits": lambda: {k: {n: measure_apart("fit", n, hard, 1000) for n in BODIES} for k, hard in KINDS.items()},
+    "passes": lambda: {k: {n: measure_apart("pass", n, hard, n + 1) for n in BODIES} for k, hard in KINDS.items()},
+    "constants": lambda: {
+        "linear, 50 states": {n: measure_apart("pass", 25, False, n) for n in CONSTANTS},
+        "nonlinear, 8 states": {n: measure_apart("pass", 4, True, n) for n in CONSTANTS},
+    },
+    "rows": lambda: {k: {n: measure_apart("fit", 2, hard, n) for n in ROWS} for k, hard in KINDS.items()},
+    "peers": lambda: measure_apart("peers", *PEER_BODIES),
+}
+"""The curves of the page."""
 
 
 def draw(found: Mapping[str, Any], path: Path) -> None:
@@ -198,14 +236,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Measure everything, or one size, and write the page."""
     parser = argparse.ArgumentParser(description="How cost grows with states, constants and rows.")
     parser.add_argument("--one", help="one measurement as JSON; prints its numbers")
-    parser.add_argument("--numbers", type=Path, help="numbers of an earlier run: only write the page")
+    parser.add_argument(
+        "--numbers", type=Path, help="numbers of an earlier run; only the parts that are named are measured"
+    )
+    parser.add_argument(
+        "--parts", nargs="*", choices=list(PARTS), help="parts to measure (all, or none beside --numbers)"
+    )
     parser.add_argument("--output", type=Path, default=ROOT / "docs")
     chosen = parser.parse_args(arguments)
     if chosen.one:
         what, *given = json.loads(chosen.one)
         print(json.dumps(MEASUREMENTS[what](*given)))
         return
-    found = json.loads(chosen.numbers.read_text()) if chosen.numbers else measure_all()
+    found = json.loads(chosen.numbers.read_text()) if chosen.numbers else {}
+    parts = chosen.parts if chosen.parts is not None else [] if chosen.numbers else list(PARTS)
+    # Through JSON, whose keys are texts, so that numbers of this and of an earlier run are alike.
+    found |= json.loads(json.dumps({part: PARTS[part]() for part in parts}))
     (ROOT / "scale.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     draw(found, chosen.output / "figures" / "scale.svg")
     (chosen.output / "scale.md").write_text(write_page(found), encoding="utf-8")

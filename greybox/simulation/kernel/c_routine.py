@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from importlib.resources import files
 
 import casadi as ca
 
@@ -27,6 +28,11 @@ def refuse_unwritable(op: int) -> None:
             f"CasADi operation number {op} ({operation_name(op)}) cannot be written in C;"
             " write the term without it, or let the interpreted kernel run it"
         )
+
+
+def read_template(name: str) -> str:
+    """A C text of this package."""
+    return files("greybox.simulation.kernel").joinpath(name).read_text(encoding="utf-8")
 
 
 # Values that may be computed before the first tangent, in a step that calls functions such as ``tanh``: they lie in memory until then. A

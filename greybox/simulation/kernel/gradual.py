@@ -66,7 +66,7 @@ class CompilerKind(Enum):
 SECONDS_OF_INSTRUCTION = 2.5e-9
 # Seconds that each way to code takes for an instruction of the machine with one block of tangents: chains of 3 to 25 nonlinear springs, 26
 # directions at most. Work of a model begins to be compiled when it has taken as long as that will.
-COMPILER_SECONDS = {CompilerKind.TRANSLATED: 7e-5, CompilerKind.QUICK: 1e-4, CompilerKind.FULL: 2e-4}
+COMPILER_SECONDS = {CompilerKind.TRANSLATED: 4e-5, CompilerKind.QUICK: 1e-4, CompilerKind.FULL: 2e-4}
 # Share of a pass by the machine for which its library is waited for: the two together take at most half as long again.
 WAITED_SHARE = 0.5
 
