@@ -1,6 +1,7 @@
 """One pass over a chain of masses on springs by other programs: cost, gradient and Gauss-Newton matrix along every free constant.
 
-Each ``prepare(task) -> run`` builds and compiles what it needs; ``run()`` gives ``r'r``, ``J'r`` and ``J'J`` with ``r = y - model``. They are the chain of `benchmarks/chains.py` with springs that harden, written anew in each program's own way.
+Each ``prepare(task) -> run`` builds and compiles what it needs; ``run()`` gives ``r'r``, ``J'r`` and ``J'J`` with ``r = y - model``. They
+are the chain of `benchmarks/chains.py` with springs that harden, written anew in each program's own way.
 """
 
 from __future__ import annotations
@@ -178,7 +179,7 @@ def prepare_casadi(task: Pass) -> Callable[[], Sums]:
 
 
 class Program(NamedTuple):
-    """Another program: how it is prepared, the packages whose versions the page tells, and how far its sums may be off for its method's sake."""
+    """Another program: how it is prepared, the packages it needs, and how far its sums may be off by its method."""
 
     prepare: Callable[[Pass], Callable[[], Sums]]
     packages: tuple[str, ...]

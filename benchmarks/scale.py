@@ -15,13 +15,19 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import greybox as gb
 from benchmarks.chains import STEP, make_chain, make_trial
 from benchmarks.passes import Pass, Sums, measure_programs
+from benchmarks.problems import actuator
+from greybox.data.experiment import Experiment
+from greybox.estimation.noise_loop import solve
+from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.runge_kutta import rk4
@@ -33,6 +39,7 @@ BODIES = (1, 2, 4, 7, 8, 12, 25, 50, 100)
 PEER_BODIES = (2, 7, 12, 25, 50)
 CONSTANTS = (1, 4, 16, 64, 256)
 ROWS = (1_000, 10_000, 100_000, 1_000_000)
+RECORDS = (1, 10, 100, 1_000)
 SUBSTEPS = 2  # of RK4 in a sampling interval of a nonlinear chain
 LIMIT = 600  # s of one size
 
@@ -134,7 +141,63 @@ def measure_peers(*sizes: int) -> Numbers:
     return measure_programs(sizes, prepare, begin)
 
 
-MEASUREMENTS: Mapping[str, Callable[..., Numbers]] = {"fit": measure_fit, "pass": measure_pass, "peers": measure_peers}
+def make_fleet(count: int) -> tuple[Model, list[Experiment], Mapping[str, float]]:
+    """A start of the micro actuator, and records of 1,000 rows of machines whose constants differ by some per cent."""
+    case, rng = actuator(1000), np.random.default_rng(0)
+    records = []
+    for k in range(count):
+        machine = case.truth.start(**{q.name: q.value * rng.normal(1, 0.03) for q in case.truth.free_parameters})
+        records.append(replace(gb.simulate(machine, case.experiment).record(case.noise, rng), name=f"machine {k}"))
+    return case.start, records, case.noise
+
+
+def measure_records(count: int) -> Numbers:
+    """A fit to each record by itself, and the bare search from the same start to every tenth of them."""
+    model, records, noise = make_fleet(count)
+    options = gb.FitOptions(at_rest=True)
+
+    def search(record: Experiment) -> float:
+        problem = prepare_problem(model, record, noise, options)
+        began = time.process_time()
+        solve(problem, options)
+        return time.process_time() - began
+
+    search(records[0])  # functions of the virtual machine are built once
+    began = time.process_time()
+    result = gb.fit_each(model, records, noise=noise, options=options, workers=1)
+    seconds = time.process_time() - began
+    bare = float(np.mean([search(record) for record in records[:: max(1, count // 100)]]))
+    return {"seconds": seconds, "each": 1e3 * seconds / count, "bare": 1e3 * bare, "good": len(result.records)}
+
+
+# Records of a fleet that two workers share, and how often each number of workers has its turn.
+SHARED_RECORDS, TURNS = 300, 2
+
+
+def measure_workers() -> Numbers:
+    """Seconds of the clock for the same records on one and on two workers of a local Dask cluster, in turns."""
+    from greybox.base.parallel.cluster import open_cluster
+
+    model, records, noise = make_fleet(SHARED_RECORDS)
+    spent: dict[int, list[float]] = {1: [], 2: []}
+    with open_cluster("local", 1) as one, open_cluster("local", 2) as two:
+        for executor in (one, two):
+            gb.fit_each(model, records[:20], noise=noise, executor=executor)
+        for _ in range(TURNS):
+            for workers, executor in ((1, one), (2, two)):
+                began = time.perf_counter()
+                gb.fit_each(model, records, noise=noise, executor=executor)
+                spent[workers].append(time.perf_counter() - began)
+    return {str(workers): min(seconds) for workers, seconds in spent.items()}
+
+
+MEASUREMENTS: Mapping[str, Callable[..., Numbers]] = {
+    "fit": measure_fit,
+    "pass": measure_pass,
+    "peers": measure_peers,
+    "records": measure_records,
+    "workers": measure_workers,
+}
 
 
 def measure_apart(what: str, *arguments: Any) -> Numbers:
@@ -162,6 +225,8 @@ PARTS: Mapping[str, Callable[[], Numbers]] = {
     },
     "rows": lambda: {k: {n: measure_apart("fit", 2, hard, n) for n in ROWS} for k, hard in KINDS.items()},
     "peers": lambda: measure_apart("peers", *PEER_BODIES),
+    "records": lambda: {n: measure_apart("records", n) for n in RECORDS},
+    "workers": lambda: measure_apart("workers"),
 }
 """The curves of the page."""
 
@@ -174,14 +239,21 @@ def draw(found: Mapping[str, Any], path: Path) -> None:
     matplotlib.rcParams["svg.hashsalt"] = "scale"
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 4, figsize=(13, 3.2), layout="constrained")
+    figure, axes = plt.subplots(1, 5, figsize=(16, 3.2), layout="constrained")
     panels = (
         ("fits", "states", "fit from cold, s", lambda n: 2 * n, "seconds"),
         ("passes", "states", "pass, ms", lambda n: 2 * n, "pass"),
         ("constants", "directions", "pass, ms", lambda n: n, "pass"),
         ("rows", "rows", "fit from cold, s", lambda n: n, "seconds"),
     )
-    for axis, (name, x_label, y_label, place, key) in zip(axes, panels, strict=True):
+    for label, curve in found["peers"]["passes"].items():
+        sizes = [2 * int(n) for n in curve]
+        axes[4].loglog(sizes, list(curve.values()), "o-", markersize=3, label=label)
+    axes[4].set_xlabel("states")
+    axes[4].set_ylabel("nonlinear pass, ms")
+    axes[4].grid(alpha=0.3)
+    axes[4].legend(fontsize=8)
+    for axis, (name, x_label, y_label, place, key) in zip(axes, panels, strict=False):
         for label, curve in found[name].items():
             sizes = [place(int(n)) for n in curve]
             axis.loglog(sizes, [v[key] for v in curve.values()], "o-", markersize=3, label=label)
@@ -226,6 +298,22 @@ def write_page(found: Mapping[str, Any]) -> str:
         "PASSES": by_size("passes", "states", lambda n: 2 * n, pass_columns),
         "CONSTANTS": by_size("constants", "directions", lambda n: n, {"pass, ms": pass_columns["pass, ms"]}),
         "ROWS": by_size("rows", "rows", lambda n: n, fit_columns),
+        "PEERS": table(
+            ["states", *(f"{name}, ms" for name in found["peers"]["passes"])],
+            [
+                [str(2 * int(n)), *(f"{v[n]:.2f}" if n in v else "" for v in found["peers"]["passes"].values())]
+                for n in found["peers"]["passes"]["greybox"]
+            ],
+        ),
+        "VERSIONS": ", ".join(f"{name} {number}" for name, number in found["peers"]["versions"].items()),
+        "RECORDS": table(
+            ["records", "all of them, s", "each, ms", "a bare search, ms"],
+            [
+                [f"{int(n):,}", f"{v['seconds']:.2f}", f"{v['each']:.1f}", f"{v['bare']:.1f}"]
+                for n, v in found["records"].items()
+            ],
+        ),
+        "WORKERS": f"{found['workers']['1'] / found['workers']['2']:.2f}",
     }
     for name, text in tables.items():
         template = template.replace(f"{{{name}}}", text)

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import (
-    BACKGROUND_SECONDS,
     CompilerBudgetError,
     CompilerError,
     find_library,
@@ -289,7 +288,7 @@ class GradualKernel(CompiledKernel):
                 return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
             # Written here, in the thread of the search: CasADi's functions are not shared between threads.
             text = self.source(shape)
-            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK, BACKGROUND_SECONDS)
+            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK, is_background=True)
 
         order.place(prepare, key, kind.value)
 
