@@ -117,16 +117,14 @@ class CRoutine:
     def _order(self) -> list[tuple[str, int]]:
         """The instructions as they run; tangents after all values where calls of functions would come between their registers."""
         values = [(kind, k) for kind, k in self.tape.order if kind == "node"]
+        operations = {self.tape.nodes[k].op for _, k in values}
+        # Square roots, signs and rounding are instructions of the processor, the others functions.
+        has_calls = any(op in OPERATIONS and CALL.search(OPERATIONS[op].c) for op in operations)
         # A call may use every vector register: tangents that are in them would be saved and fetched again around
         # each call.
-        if len(values) > MOST_VALUES_AHEAD or not any(self._is_call(self.tape.nodes[k]) for _, k in values):
+        if len(values) > MOST_VALUES_AHEAD or not has_calls:
             return self.tape.order
         return [*values, *((kind, k) for kind, k in self.tape.order if kind != "node")]
-
-    @staticmethod
-    def _is_call(node: Node) -> bool:
-        """Whether an operation calls a function; square roots, signs and rounding are instructions of the processor."""
-        return node.op in OPERATIONS and bool(CALL.search(OPERATIONS[node.op].c))
 
     @staticmethod
     def _type(node: Node) -> str:

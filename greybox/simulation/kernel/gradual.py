@@ -154,7 +154,7 @@ def _forget_translated(most: int) -> None:
         if name[1] is CompilerKind.TRANSLATED and order.result is not None
     ]
     # The dictionary keeps the order of use: `_find_order` puts what is asked for at its end.
-    for name in translated[: len(translated) - most]:
+    for name in translated[: max(0, len(translated) - most)]:
         _orders.pop(name, None)
 
 

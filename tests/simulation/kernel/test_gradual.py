@@ -155,6 +155,9 @@ def test_translated_routines_that_nobody_uses_any_more_are_forgotten(monkeypatch
     del kernel, course, kernels
     gc.collect()
     assert [machine() is not None for machine in machines] == [False, True, True, True]
+    gradual._forget_translated(4)  # there is room for one more: nothing goes
+    gc.collect()
+    assert [machine() is not None for machine in machines] == [False, True, True, True]
     gradual._forget_translated(2)
     gc.collect()
     assert [machine() is not None for machine in machines] == [False, False, True, True]
