@@ -269,7 +269,7 @@ def result_files() -> str:
     from greybox.estimation.uncertainty import Bootstrap, Profile
     from greybox.extensions.changes.result import ChangeDetection
     from greybox.extensions.design.campaign import Campaign
-    from greybox.extensions.design.result import Design
+    from greybox.extensions.design.problem import Design
     from greybox.extensions.export.linear_files import LinearFile
     from greybox.extensions.fleet.result import FleetResult
     from greybox.extensions.fmu.effects import FmuWithEffects

@@ -33,8 +33,7 @@ from fits.rig_twins import simulate as simulate_rig
 from greybox.base.files import write_file
 from greybox.data.signals import SignalLimit
 from greybox.extensions.design.campaign import CampaignPlan, run_campaign
-from greybox.extensions.design.inputs import Prbs, Steps
-from greybox.extensions.design.limits import LimitKeeper, fit_into_limits
+from greybox.extensions.design.inputs import LimitKeeper, Prbs, Steps, fit_into_limits
 from greybox.extensions.design.next_record import fit_rival
 from greybox.extensions.design.plant import list_plants
 from greybox.extensions.design.problem import DesignProblem, GoalName

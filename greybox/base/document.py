@@ -67,6 +67,10 @@ REMARK = "remark"
 """Head of the last column of a table, where its cells speak for themselves: plain text leaves it out, a screen reader needs it."""
 
 
+class FileLink(str):
+    """A file in the folder of the page as a cell of a table, by its path from there: a page opens it."""
+
+
 @dataclass(frozen=True)
 class TableBlock:
     """``rows`` of cells as text below ``head``; the first cell of a row names the row.

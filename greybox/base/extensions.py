@@ -7,7 +7,7 @@ core names no extension; it asks for what is there. An entry that cannot be load
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
@@ -33,6 +33,22 @@ class ExtensionKind(StrEnum):
     """Commands of the terminal: a `greybox.shell.commands.Command`."""
     EFFECTS = "effects"
     """Effects of the catalogue: a `greybox.Effect`, or several."""
+
+
+# Class of the value of an entry, by its name: the layers above define them.
+VALUES = {
+    ExtensionKind.READERS: "FileFormat",
+    ExtensionKind.EXPORTS: "ExportTarget",
+    ExtensionKind.PLANTS: "PlantKind",
+    ExtensionKind.COMMANDS: "Command",
+    ExtensionKind.EFFECTS: "Effect",
+}
+_reserved: dict[ExtensionKind, set[str]] = {}
+
+
+def reserve(kind: ExtensionKind, names: Iterable[str]) -> None:
+    """Keep names for the core: an entry, or an effect, of one of them is not loaded."""
+    _reserved.setdefault(kind, set()).update(names)
 
 
 @dataclass(frozen=True)
@@ -63,17 +79,28 @@ def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
         Those that failed among them, with the reason.
     """
     result: list[Extension] = []
+    # Name -> who has it. An effect is known by its own name, whatever its entry is called.
+    owners = dict.fromkeys(_reserved.get(kind, ()), OWN)
     for entry in _sorted_entries(kind):
-        taken = next((e for e in result if e.name == entry.name and not e.failure), None)
-        reason = f"{taken.distribution} has the name {entry.name!r} already" if taken else ""
         of = _distribution(entry), entry.dist.version if entry.dist else ""
-        entered = Extension(kind, entry.name, entry.value, *of, failure=reason)
+        entered = Extension(kind, entry.name, entry.value, *of)
         try:
-            entered = entered if reason else replace(entered, value=entry.load())
+            value = entry.load()
+            given = value if kind is ExtensionKind.EFFECTS and isinstance(value, list | tuple) else (value,)
+            for each in given:
+                if all(base.__name__ != VALUES[kind] for base in type(each).__mro__):
+                    raise GreyboxError(f"its value is a {type(each).__name__}; the class {VALUES[kind]} is needed")
+            names = [each.name for each in given] if kind is ExtensionKind.EFFECTS else [entry.name]
+            for name in names:
+                if name in owners:
+                    raise GreyboxError(f"{owners[name]} has the name {name!r} already; choose another one")
+            owners |= dict.fromkeys(names, entered.distribution)
+            entered = replace(entered, value=value)
         except Exception as error:  # a stranger's module may raise anything while it is imported
             if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
                 raise
-            entered = replace(entered, failure=f"{type(error).__name__}: {error}")
+            reason = str(error) if isinstance(error, GreyboxError) else f"{type(error).__name__}: {error}"
+            entered = replace(entered, failure=reason)
         result.append(entered)
     return tuple(result)
 

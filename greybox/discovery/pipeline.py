@@ -265,6 +265,7 @@ def discover(
     """
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
+    model.require_equations("a discovery")
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:

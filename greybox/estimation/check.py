@@ -258,6 +258,8 @@ def check(
     >>> [str(d) for d in check(micro_actuator).open_directions]  # doctest: +SKIP
     ['M, B, K, Kf scale together']
     """
+    # What outputs could tell at best is read off the equations: without them every constant would seem to have no influence.
+    model.require_equations("a check")
     options = options or FitOptions()
     group = as_records(experiments)
     known = [o.name for o in model.outputs]

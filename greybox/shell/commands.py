@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from greybox.base.extensions import ExtensionKind, load_extensions
+from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.shell.check import CHECK
 from greybox.shell.command_line import make_command
 from greybox.shell.compare import COMPARE
@@ -18,7 +18,7 @@ from greybox.shell.simulate import SIMULATE
 from greybox.shell.study import Command
 from greybox.shell.terminal import CommandGroup
 
-COMMANDS: dict[str, Command] = {
+CORE: dict[str, Command] = {
     "fit": FIT,
     "compare": COMPARE,
     "discover": DISCOVER,
@@ -30,8 +30,9 @@ COMMANDS: dict[str, Command] = {
     "schema": SCHEMA,
     "demo": DEMO,
     "extensions": EXTENSIONS,
-    **load_extensions(ExtensionKind.COMMANDS),
 }
+reserve(ExtensionKind.COMMANDS, CORE)
+COMMANDS: dict[str, Command] = {**CORE, **load_extensions(ExtensionKind.COMMANDS)}
 """Every command by its name, in the order of the help: those of the core, then those of extensions."""
 
 

@@ -29,8 +29,7 @@ from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.shell.project import find_shipped_model
 from greybox.show.figures.pictures import draw_fit, draw_gap
-from greybox.simulation.simulate import write_csv
-from greybox.simulation.twin import simulate_twin
+from greybox.simulation.simulate import simulate_twin, write_csv
 
 PLAIN, EXTENDED = "plain model", "extended model"
 """The names of the two physical models in the comparison."""
@@ -112,7 +111,7 @@ def run_demo(
 ) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
-    The records come from `greybox.simulation.twin`, an integrator that the fits do not use, with white noise; they are written to
+    The records come from `greybox.simulation.simulate.simulate_twin`, an integrator that the fits do not use, with white noise; they are written to
     ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening, and its
     start values are 40 % off.
 

@@ -276,9 +276,11 @@ UNASKED_PREDICTION_ROWS = 50000
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
     """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
     from greybox.estimation.residuals import score
+    from greybox.simulation.plant import PlantModel
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
-    unasked = [1] if rows <= UNASKED_PREDICTION_ROWS else []
+    # A plant that is run from outside has no equations to predict from; who asks for it all the same is told.
+    unasked = [] if rows > UNASKED_PREDICTION_ROWS or isinstance(result.model, PlantModel) else [1]
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}

@@ -292,8 +292,10 @@ def extensions(study: Study) -> Answer:
     An extension that cannot be loaded is listed with its reason; everything else works without it.
     """
     from greybox.base.extensions import ExtensionKind, list_extensions
+    from greybox.model.effects.catalogue import all_effects
     from greybox.show.sentences.shell import extensions_text
 
+    all_effects()  # an effect that has the name of a shipped one is known as such from here on
     entries = [entry for kind in ExtensionKind for entry in list_extensions(kind)]
     shown = ("kind", "name", "place", "distribution", "version", "failure")
     rows = [{name: getattr(entry, name) for name in shown} for entry in entries]

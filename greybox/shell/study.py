@@ -473,6 +473,15 @@ class Command:
     like: str = ""
     lenient: bool = False
 
+    def __post_init__(self) -> None:
+        # An option that the study does not have would be left out of the command without a word.
+        for option in self.options:
+            if not isinstance(option, Option) or option.name not in self.study.table():
+                named = f"{option.usage or option.name!r}" if isinstance(option, Option) else repr(option)
+                raise TypeError(
+                    f"option {named} is not in the class {self.study.__name__}; give study=, the class that has it"
+                )
+
     @cached_property
     def table(self) -> Mapping[str, Option[Any]]:
         """Its options by name, in the order of the table."""

@@ -1,4 +1,4 @@
-"""`simulate`: a model and its inputs in, outputs and states out."""
+"""`simulate`: a model and its inputs in, outputs and states out; and a twin of a rig, by another integrator."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import BinaryIO
 
+import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.files import write_file
+from greybox.base.numerics import REFERENCE_TOLERANCE
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import UNNAMED, Experiment, Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -197,7 +199,14 @@ def simulate(
     >>> run.outputs["x"][-1]  # doctest: +SKIP
     """
     model = as_model(model)
-    experiment = inputs.with_outputs({}) if isinstance(inputs, Experiment) else _experiment(model, inputs)
+    if isinstance(inputs, Experiment):
+        experiment = inputs.with_outputs({})
+    else:
+        if "time" not in inputs:
+            names = ", ".join(repr(i.name) + ": ..." for i in model.inputs)
+            raise DataError(f"inputs have no 'time'; give {{'time': ..., {names}}}")
+        values = {name: np.asarray(v, float) for name, v in inputs.items()}
+        experiment = Experiment(UNNAMED, values.pop("time"), values, {})
     record, rules = to_record(model, experiment), policy.discretisation
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     if isinstance(model, PlantModel):
@@ -267,15 +276,6 @@ def add_noise(
     return noisy
 
 
-def _experiment(model: Model, arrays: Mapping[str, ArrayLike]) -> Experiment:
-    if "time" not in arrays:
-        raise DataError(
-            f"inputs have no 'time'; give {{'time': ..., {', '.join(repr(i.name) + ': ...' for i in model.inputs)}}}"
-        )
-    values = {name: np.asarray(v, float) for name, v in arrays.items()}
-    return Experiment(UNNAMED, values.pop("time"), values, {})
-
-
 def _run(kernel: Kernel, step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Outputs (N, ny) and states (N, nx)."""
     q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
@@ -292,6 +292,82 @@ def _has_settled(before: np.ndarray, after: np.ndarray, max_change: float) -> bo
     # Movement about the first row: an offset must not hide a change.
     change, movement = after[rows] - before[rows], after[rows] - after[0]
     return bool(np.all(np.sum(change**2, axis=0) <= max_change**2 * np.sum(movement**2, axis=0)))
+
+
+# A stand-in for a rig: records made by an integrator that shares nothing with the identification.
+
+
+def simulate_twin(
+    model: Model,
+    inputs: Mapping[str, np.ndarray],
+    sampling_time: float,
+    noise: Mapping[str, float] | None = None,
+    seed: int = 0,
+    *,
+    name: str = "twin",
+) -> Experiment:
+    """A record of ``model``, simulated by CVODES (variable step and order, implicit), which no fit uses.
+
+    Parameters
+    ----------
+    model
+        The plant, at its present values; the run begins at the initial state that it declares.
+    inputs
+        An array (N,) for each input, by name, held over each sampling interval.
+    sampling_time
+        Seconds between samples.
+    noise
+        Standard deviation of the white noise on each output, in its unit; no noise if left out.
+    seed
+        Seed of the noise.
+    name
+        Name of the record.
+
+    Returns
+    -------
+    Experiment
+        N samples of all inputs and outputs, in the model's units.
+
+    Raises
+    ------
+    ModelError
+        For a missing input, and for a model with dry friction, whose jumps CVODES cannot follow (`simulate` can).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from greybox.shell.project import find_model
+    >>> record = simulate_twin(find_model("micro_actuator"), {"u": np.ones(20)}, 2.5e-4, {"x": 2e-7}, seed=1)
+    >>> record.rows
+    20
+    """
+    missing = [i.name for i in model.inputs if i.name not in inputs]
+    if missing:
+        raise ModelError(
+            f"twin of {model.title}: no input {missing[0]!r}; give an array for each of the model's inputs"
+        )
+    system = model.system
+    if system.dry:
+        raise ModelError(
+            f"twin of {model.title}: CVODES cannot follow dry friction that sticks; use simulate,"
+            f" or leave {system.dry[0].effect} out"
+        )
+    u = np.array([np.asarray(inputs[i.name], float) for i in model.inputs])
+    rows = u.shape[1]
+    p, x0 = np.array(list(model.values.values())), declared_initial_state(model)
+    # In units of its size each state has the same absolute tolerance, be it micrometres or pascals: d(x / s)/dt = f(s (x / s)) / s.
+    size = ca.DM(np.where(x0 != 0, np.abs(x0), 1e-3))
+    rate = ca.substitute(system.explicit, system.x, size * system.x) / size
+    equations = {"x": system.x, "p": ca.vertcat(system.u, system.p), "ode": rate}
+    tolerances = {"abstol": REFERENCE_TOLERANCE, "reltol": REFERENCE_TOLERANCE, "max_num_steps": 100_000}
+    solver = ca.integrator("twin", "cvodes", equations, 0.0, sampling_time, tolerances)
+    # The solver starts anew in each interval, because the input jumps between them.
+    constants = np.vstack([u[:, :-1], np.tile(p[:, None], rows - 1)])
+    x = np.column_stack([x0, size.full() * solver.mapaccum(rows - 1)(x0=x0 / size, p=constants)["xf"].full()])
+    grid = sampling_time * np.arange(rows)
+    y = system.output_function.map(rows)(x, u, np.tile(p[:, None], rows)).full()
+    outputs = add_noise({o.name: y[j] for j, o in enumerate(model.outputs)}, noise or {}, np.random.default_rng(seed))
+    return Experiment.from_arrays(grid, {i.name: u[j] for j, i in enumerate(model.inputs)}, outputs, name=name)
 
 
 # Records as CSV files that `read_csv` reads back without loss.

@@ -14,6 +14,7 @@ import greybox as gb
 from greybox.base.errors import DataError, ModelError
 from greybox.base.units import parse_unit
 from greybox.data.experiment import Experiment
+from greybox.estimation.check import check
 from greybox.estimation.optimum import restore_objective
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
@@ -403,6 +404,8 @@ def test_what_needs_equations_says_so(case):
         lambda: gb.predict(gb.fit(case.plant, case.records[0], noise=case.noise), case.records[0]),
         lambda: gb.smooth(case.model, case.records[0], noise=case.noise),
         lambda: gb.design(case.model, limits={}, duration=1.0),
+        lambda: gb.discover(case.model, case.records[0], validation=case.records[-1]),
+        lambda: check(case.model, case.records[0], noise=case.noise),
     ):
         with pytest.raises(
             ModelError, match=rf"{case.model.name}: .* needs equations, and this plant is run from outside"

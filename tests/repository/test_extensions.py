@@ -1,4 +1,4 @@
-"""A package of strangers, installed beside greybox: its reader, export target, effect and command are used; a broken one hurts nothing."""
+"""Packages of strangers, installed beside greybox: reader, export target, effect and command of one are used; broken ones hurt nothing."""
 
 from __future__ import annotations
 
@@ -13,6 +13,34 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "extensions.md").read_text(encoding="utf-8")
+WRONG_PROJECT = """
+[project]
+name = "greybox-wrong"
+version = "3.0"
+[project.entry-points."greybox.readers"]
+wrong = "wrong:read"
+[project.entry-points."greybox.exports"]
+wrong = "wrong:read"
+[project.entry-points."greybox.plants"]
+wrong = "wrong:read"
+[project.entry-points."greybox.commands"]
+wrong = "wrong:read"
+fit = "wrong:HELLO"
+[project.entry-points."greybox.effects"]
+wrong = "wrong:read"
+taken = "wrong:FRICTION"
+"""
+WRONG = """
+from greybox import Effect
+from greybox.extensions import Command
+
+
+def read(path, policy): ...
+
+
+HELLO = Command(read, "Hello.")
+FRICTION = Effect("coulomb_friction", "force", [], terms=lambda x, u, p: 0)
+"""
 USE = """
 import sys
 import numpy as np
@@ -49,6 +77,7 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
             '[project.entry-points."greybox.readers"]\nbroken = "broken:READER"\n',
             "import a_package_that_nobody_has\n",
         ),
+        ("wrong", WRONG_PROJECT, WRONG),
     ):
         source = tmp_path_factory.mktemp(name)
         build = (
@@ -119,3 +148,21 @@ def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reas
     done = greybox(beside, tmp_path, "fit", "silverbox", "run.strange")
     assert done.returncode == 2
     assert "broken of greybox-broken" in done.stderr and ".acme" in done.stderr
+
+
+def test_values_of_another_class_and_names_that_are_taken_are_left_out_with_their_reason(
+    beside: Path, tmp_path: Path
+) -> None:
+    done = greybox(beside, tmp_path, "extensions", "--json")
+    failures = {
+        (e["kind"], e["name"]): e["failure"]
+        for e in json.loads(done.stdout)["extensions"]
+        if e["distribution"] == "greybox-wrong"
+    }
+    needed = {"readers": "FileFormat", "exports": "ExportTarget", "plants": "PlantKind"}
+    for kind, value in {**needed, "commands": "Command", "effects": "Effect"}.items():
+        assert f"class {value}" in failures[kind, "wrong"] and "function" in failures[kind, "wrong"]
+    assert "'fit'" in failures["commands", "fit"] and "'coulomb_friction'" in failures["effects", "taken"]
+    listed = greybox(beside, tmp_path, "--help").stdout
+    assert "Fit a model's parameters to records." in listed and "Hello." not in listed
+    assert greybox(beside, tmp_path, "effects").returncode == 0

@@ -541,3 +541,40 @@ def test_a_quiet_record_tells_the_noise(run: Run, data: Path, tmp_path: Path) ->
     saved = json.loads(done.stdout)
     assert saved["noise_sources"] == {"x": "quiet_record", "i": "quiet_record"}, done.stderr
     assert saved["noise"]["x"] == pytest.approx(2e-7, rel=0.1)
+
+
+OWN_PLANT = """
+import numpy as np
+
+from greybox import Output, Parameter
+from greybox.simulation.plant import as_model
+
+
+class Decay:
+    name = "own_decay"
+    inputs = ()
+    outputs = (Output("y", "V"),)
+    parameters = (Parameter("rate", "1/s", 1.0, (0.01, 100.0)),)
+
+    def simulate(self, record, values):
+        return {"y": np.exp(-values["rate"] * record.time)}
+
+
+own_decay = as_model(Decay())
+"""
+
+
+def test_a_plant_in_a_model_file_is_fitted_and_what_needs_equations_refuses_it(run: Run, tmp_path: Path) -> None:
+    (tmp_path / "own_decay.py").write_text(OWN_PLANT)
+    time = 0.01 * np.arange(200)
+    y = np.exp(-2 * time) + 1e-3 * np.random.default_rng(0).standard_normal(200)
+    np.savetxt(tmp_path / "run.csv", np.column_stack([time, y]), delimiter=",", header="time,y", comments="")
+    given = [tmp_path / "own_decay.py", tmp_path / "run.csv", "--no-report", "--output", tmp_path / "out"]
+    result = run("fit", *given, "--json")
+    assert result.exit_code == 0, result.stderr
+    rate = json.loads(result.stdout)["parameters"]["rate"]
+    assert rate["value"] == pytest.approx(2.0, abs=4 * rate["std"])
+    for command in ("check", "discover"):
+        judge = ["--validate", tmp_path / "run.csv"] * (command == "discover")
+        refused = run(command, *given, *judge)
+        assert refused.exit_code == 2 and "needs equations" in refused.stderr, refused.output

@@ -12,8 +12,7 @@ from greybox import Balance, Experiment, Input, Model, Output, Parameter, State,
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
-from greybox.simulation.simulate import SimulationPolicy, read_inputs, simulate, write_csv
-from greybox.simulation.twin import simulate_twin
+from greybox.simulation.simulate import SimulationPolicy, read_inputs, simulate, simulate_twin, write_csv
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fits import pneumatic_nine_experiments as study
-from greybox.simulation.twin import simulate_twin
+from greybox.simulation.simulate import simulate_twin
 from models.pneumatic_full import pneumatic_full
 
 # Table 10.2: largest and smallest voltage, variance (N - 1), of each input over 100 s.

@@ -16,20 +16,8 @@ from typing import TYPE_CHECKING, TypedDict
 import click
 
 from greybox.base.errors import GreyboxError, ModelError
+from greybox.shell import inputs
 from greybox.shell.fit import FIT
-from greybox.shell.inputs import (
-    build_model,
-    check_skip,
-    check_substeps,
-    constrain,
-    fit_options,
-    layout_of,
-    print_record_notes,
-    read_quiet_records,
-    read_records,
-    refuse_repeated_records,
-    result_folder,
-)
 from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study
 from greybox.shell.study_file import study_script, study_text
 from greybox.shell.study_values import Count, Switch
@@ -86,17 +74,21 @@ def app(study: AppStudy) -> None:
     from greybox.extensions.app.workbench import Workbench
     from greybox.shell.own_effects import find_own_effects
 
-    _refuse_values_by_record(study)
+    if per_record := [name for name, values in study.conditions.items() if values is not None]:
+        raise GreyboxError(
+            f"{study.label('conditions')} {', '.join(per_record)}: records are loaded one by one in the app, so each must bring its"
+            f" own value; write it into the files, and give {study.label('conditions')} {per_record[0]} without a value"
+        )
     try:
         from greybox.extensions.app.server import serve
     except ModuleNotFoundError as error:
         raise GreyboxError(
             f"greybox app needs the package {error.name}; install it with: pip install 'greybox-sysid[app]'"
         ) from None
-    model = constrain(build_model(study), study)
-    check_substeps(study, model)
+    model = inputs.constrain(inputs.build_model(study), study)
+    inputs.check_substeps(study, model)
     check_given_noise(model, dict(study.noise))
-    folder = result_folder(study, model.name)
+    folder = inputs.result_folder(study, model.name)
     book = StudyOnFile(study, model)
     records = [
         LoadedRecord(record, file, validates)
@@ -104,16 +96,16 @@ def app(study: AppStudy) -> None:
         for file in files
         for record in book.read([file], study.columns, validates=validates)
     ]
-    refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
+    inputs.refuse_repeated_records(study.estimation, (r.experiment for r in records if not r.validates))
     judges = [r.experiment for r in records if r.validates]
-    check_skip(study, judges)
-    print_record_notes([r.experiment for r in records])
+    inputs.check_skip(study, judges)
+    inputs.print_record_notes([r.experiment for r in records])
     session = Session(
         model,
         tuple(records),
         dict(study.noise),
-        read_quiet_records(study, model),
-        fit_options(study),
+        inputs.read_quiet_records(study, model),
+        inputs.fit_options(study),
         study.skip,
         study.beginning,
         study.columns,
@@ -140,16 +132,6 @@ def app(study: AppStudy) -> None:
         click.echo(study_line(last, APP))
 
 
-def _refuse_values_by_record(study: Study) -> None:
-    """Values of conditions that belong to records in their order. Raises GreyboxError."""
-    per_record = [name for name, values in study.conditions.items() if values is not None]
-    if per_record:
-        raise GreyboxError(
-            f"{study.label('conditions')} {', '.join(per_record)}: records are loaded one by one in the app, so each must bring its"
-            f" own value; write it into the files, and give {study.label('conditions')} {per_record[0]} without a value"
-        )
-
-
 class StudyOnFile:
     """A study that was opened: how further records are read, and how a session is written as a study.
 
@@ -170,7 +152,7 @@ class StudyOnFile:
         """The records in ``files``, as the study reads its own but for the ``columns``. Raises GreyboxError."""
         estimation, validation = ((), tuple(files)) if validates else (tuple(files), ())
         study = self.study.but(estimation=estimation, validation=validation, columns=columns)
-        return tuple(record for group in read_records(study, self.model) for record in group)
+        return tuple(record for group in inputs.read_records(study, self.model) for record in group)
 
     def propose_columns(
         self, file: Path, columns: Mapping[str, str]
@@ -182,7 +164,7 @@ class StudyOnFile:
 
         if self.study.headers:
             return None
-        table = open_record_file(file, policy=layout_of(self.study).get("reading", READING_POLICY)).table
+        table = open_record_file(file, policy=inputs.layout_of(self.study).get("reading", READING_POLICY)).table
         return propose_columns(table, self.model, columns, has_clock=self.study.sampling_time > 0)
 
     def write_study(self, session: Session, path: Path) -> str:
@@ -223,7 +205,7 @@ class StudyOnFile:
                 ties={},
             )
         bare = bare.but(effects=effects)
-        declared = {q.name: q for q in build_model(bare).all_parameters}
+        declared = {q.name: q for q in inputs.build_model(bare).all_parameters}
         present = [q for q in session.model.all_parameters if q.name in declared]
         return bare.but(
             start={q.name: q.value for q in present if not q.fixed and q.value != declared[q.name].value},

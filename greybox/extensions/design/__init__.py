@@ -17,13 +17,17 @@ if TYPE_CHECKING:
         crest_factor,
         staircase,
     )
-    from greybox.extensions.design.limits import LimitPrediction
     from greybox.extensions.design.next_record import answer, design
-    from greybox.extensions.design.problem import CampaignPolicy, CriterionName, DesignPolicy, DesignProblem, GoalName
-    from greybox.extensions.design.result import (
+    from greybox.extensions.design.problem import (
         Alternative,
         AlternativeKind,
+        CampaignPolicy,
+        CriterionName,
         Design,
+        DesignPolicy,
+        DesignProblem,
+        GoalName,
+        LimitPrediction,
         PredictedConstant,
         PredictedDetection,
     )

@@ -11,6 +11,7 @@ import ctypes
 import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -18,44 +19,6 @@ import numpy as np
 from greybox.extensions.design.plant import PlantScenario
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import CompilerError, load_library
-
-# The four loops of an adjoint over all samples of a record, as compiled C, or by CasADi where there is no compiler.
-
-# One row after the other; what CasADi generates is called by its own interface.
-LOOPS = """
-typedef long long whole;
-void run_forward(whole n, whole nX, whole nu, const double* u, const double* c, double* X, whole* iw, double* w) {
-  for (whole k = 0; k < n; ++k) {
-    const double* arg[64] = {X + k * nX, u + k * nu, c};
-    double* res[64] = {X + (k + 1) * nX};
-    forward(arg, res, iw, w, 0);
-  }
-}
-void run_backward(whole n, whole nX, whole nu, const double* X, const double* u, const double* c, const double* added,
-                  double* costate, double* along, whole* iw, double* w) {
-  for (whole k = n - 1; k >= 0; --k) {
-    const double* arg[64] = {costate + (k + 1) * nX, X + k * nX, u + k * nu, c, added + k * nX};
-    double* res[64] = {costate + k * nX, along + k * nu};
-    backward(arg, res, iw, w, 0);
-  }
-}
-void run_outputs(whole n, whole nX, whole nu, whole ny, const double* X, const double* u, const double* d, double* y,
-                 whole* iw, double* w) {
-  for (whole k = 0; k < n; ++k) {
-    const double* arg[64] = {X + k * nX, u + k * nu, d};
-    double* res[64] = {y + k * ny};
-    outputs(arg, res, iw, w, 0);
-  }
-}
-void run_outputs_back(whole n, whole nX, whole nu, whole ny, const double* X, const double* u, const double* d,
-                      const double* b, double* at_x, double* at_u, whole* iw, double* w) {
-  for (whole k = 0; k < n; ++k) {
-    const double* arg[64] = {X + k * nX, u + k * nu, d, b + k * ny};
-    double* res[64] = {at_x + k * nX, at_u + k * nu};
-    outputs_back(arg, res, iw, w, 0);
-  }
-}
-"""
 
 
 class StepDerivatives:
@@ -109,7 +72,7 @@ class StepDerivatives:
 
 
 class AdjointLoops:
-    """The loops as CasADi's maps.
+    """The four loops of an adjoint over all samples of a record, as CasADi's maps: where there is no compiler.
 
     Rows are samples (or substeps); n substeps, N samples; arrays of float64, one row after the other in memory.
     """
@@ -143,12 +106,13 @@ class AdjointLoops:
 
 
 class CompiledLoops(AdjointLoops):
-    """The loops in C. Raises CompilerError where that cannot be made."""
+    """The loops in C (``adjoint.c``). Raises CompilerError where that cannot be made."""
 
     def __init__(self, functions: StepDerivatives) -> None:
         super().__init__(functions)
         key = " ".join(f.serialize() for f in functions.all)
-        self.library = load_library(lambda: self.source, f"adjoint {LOOPS} {key}")
+        self.loops = Path(__file__).with_name("adjoint.c").read_text(encoding="utf-8")
+        self.library = load_library(lambda: self.source, f"adjoint {self.loops} {key}")
         self._iw = np.zeros(max(f.sz_iw() for f in functions.all) + 1, np.int64)
         self._w = np.zeros(max(f.sz_w() for f in functions.all) + 1)
 
@@ -158,7 +122,7 @@ class CompiledLoops(AdjointLoops):
         generator = ca.CodeGenerator("adjoint", {"with_header": False, "casadi_int": "long long"})
         for function in self.functions.all:
             generator.add(function)
-        return str(generator.dump()) + LOOPS
+        return str(generator.dump()) + self.loops
 
     def forward(self, start: np.ndarray, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """See `AdjointLoops.forward`."""

@@ -34,11 +34,11 @@ from greybox.extensions.design.problem import (
     DESIGN_POLICY,
     CampaignCode,
     CampaignPolicy,
+    Design,
     DesignPolicy,
     DesignProblem,
     GoalName,
 )
-from greybox.extensions.design.result import Design, save_design
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.model import Model
@@ -283,122 +283,159 @@ def run_campaign(
             raise DataError(
                 f"{place}: a campaign, or the rig that it started, is at work here; wait until it has ended, or give another folder"
             )
-        return _carry_on(plan, place, rig, held, on_step, on_message, executor, workers)
+        say, show = on_message or (lambda _: None), on_step or (lambda *_: None)
+        return _CampaignRun(plan, place, rig, held, show, say, executor, workers).carry_on()
 
 
-def _carry_on(
-    plan: CampaignPlan,
-    place: Path,
-    rig: str,
-    held: BinaryIO,
-    on_step: StepCallback | None,
-    on_message: Callable[[str], None] | None,
-    executor: Executor | None,
-    workers: int,
-) -> Campaign:
+@dataclass
+class _CampaignRun:
     """`run_campaign` in a folder that nobody else works in: the rig holds the file ``held`` as well."""
-    before = _read_steps(plan, place)
-    say, show = on_message or (lambda _: None), on_step or (lambda *_: None)
-    steps: list[CampaignStep] = []
-    records = list(plan.records)
-    knowledge = _learn(plan, records, place / "before", show, executor, workers) if records else Knowledge()
-    for number in range(1, plan.policy.experiments + 1):
-        if records and _is_done(plan, knowledge, steps):
-            return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
-        step_folder = place / f"{number:02d}"
-        goal, kind = _prepare(plan, knowledge, records, step_folder, number, show, say)
-        steps.append(CampaignStep(number, goal, kind))
-        asked = read_inputs(step_folder / "input.csv", plan.model, hold=plan.hold)
-        target = step_folder / "record.csv"
-        if not target.exists():
-            if not rig:
-                finding = Finding(
-                    CampaignCode.MEASURE, subject=str(step_folder / "input.csv"), values={"record": str(target)}
+
+    plan: CampaignPlan
+    place: Path
+    rig: str
+    held: BinaryIO
+    show: StepCallback
+    say: Callable[[str], None]
+    executor: Executor | None
+    workers: int
+    steps: list[CampaignStep] = field(default_factory=list)
+
+    def carry_on(self) -> Campaign:
+        """Design, measure, learn, until it is done, a record has to be taken, or the budget is spent."""
+        plan, before = self.plan, self._read_steps()
+        records = list(plan.records)
+        knowledge = self._learn(records, self.place / "before") if records else Knowledge()
+        for number in range(1, plan.policy.experiments + 1):
+            if records and _is_done(plan, knowledge, self.steps):
+                return self._end(CampaignStatus.DONE, CampaignCode.ONE_LEFT, knowledge)
+            folder = self.place / f"{number:02d}"
+            asked_file, record_file = folder / "input.csv", folder / "record.csv"
+            self.steps.append(CampaignStep(number, *self._prepare(knowledge, records, folder, number)))
+            asked = read_inputs(asked_file, plan.model, hold=plan.hold)
+            fresh = not record_file.exists()
+            if fresh and not self.rig:
+                values = {"record": str(record_file)}
+                return self._save(
+                    CampaignStatus.MEASURING, Finding(CampaignCode.MEASURE, subject=str(asked_file), values=values)
                 )
-                return _save(plan, place, CampaignStatus.MEASURING, steps, finding)
-            _save(plan, place, CampaignStatus.MEASURING, steps, None)
-            say(f"experiment {number}: the rig plays {step_folder / 'input.csv'}")
-            run_rig(rig, step_folder / "input.csv", target, number, plan.duration, plan.policy.rig_timeout, held)
-            fresh = True
-        else:
-            fresh = False
-        # What was played is compared with what was asked: a record of another input would be fitted as if it were
-        # this one.
-        record = read_record(target, asked, plan.model)
-        broken = find_broken_limits(record, plan.limits, plan.noise)
-        records.append(record)
-        # Once, where it was just taken: the next call goes on with the record, which is a good one.
-        if broken and fresh:
-            steps[-1] = replace(steps[-1], broken=broken)
-            name, value = next(iter(broken.items()))
-            values = {"value": value, "low": plan.limits[name].low, "high": plan.limits[name].high, "number": number}
-            return _save(
-                plan, place, CampaignStatus.LIMIT_BROKEN, steps,
-                Finding(CampaignCode.LIMIT_BROKEN, Severity.WARNING, name, to_json_data(values)),
-            )  # fmt: skip
-        if number in before and (place / f"{number + 1:02d}" / "input.csv").exists():
-            steps[-1] = before[number]  # the next record is designed: what was learnt from this one is in it
-            continue
-        say(f"experiment {number}: fit and discovery on {len(records)} record{'s' * (len(records) != 1)}")
-        knowledge = _learn(plan, records, step_folder, show, executor, workers)
-        steps[-1] = replace(
-            steps[-1],
-            verdict=knowledge.verdict,
-            effects=knowledge.effects,
-            alternatives=knowledge.alternatives,
-            widths=knowledge.widths,
-            misfit=knowledge.misfit,
-            broken=broken,
+            if fresh:
+                self._save(CampaignStatus.MEASURING)
+                self.say(f"experiment {number}: the rig plays {asked_file}")
+                run_rig(self.rig, asked_file, record_file, number, plan.duration, plan.policy.rig_timeout, self.held)
+            # What was played is compared with what was asked: a record of another input would be fitted as if it were
+            # this one.
+            record = read_record(record_file, asked, plan.model)
+            broken = find_broken_limits(record, plan.limits, plan.noise)
+            records.append(record)
+            # Once, where it was just taken: the next call goes on with the record, which is a good one.
+            if broken and fresh:
+                self.steps[-1] = replace(self.steps[-1], broken=broken)
+                name, value = next(iter(broken.items()))
+                ends = {"low": plan.limits[name].low, "high": plan.limits[name].high}
+                values = to_json_data({"value": value, **ends, "number": number})
+                finding = Finding(CampaignCode.LIMIT_BROKEN, Severity.WARNING, name, values)
+                return self._save(CampaignStatus.LIMIT_BROKEN, finding)
+            if number in before and (self.place / f"{number + 1:02d}" / "input.csv").exists():
+                self.steps[-1] = before[number]  # the next record is designed: what was learnt from this one is in it
+                continue
+            self.say(f"experiment {number}: fit and discovery on {len(records)} record{'s' * (len(records) != 1)}")
+            knowledge = self._learn(records, folder)
+            self.steps[-1] = replace(
+                self.steps[-1],
+                verdict=knowledge.verdict,
+                effects=knowledge.effects,
+                alternatives=knowledge.alternatives,
+                widths=knowledge.widths,
+                misfit=knowledge.misfit,
+                broken=broken,
+            )
+            self._save(CampaignStatus.MEASURING)
+        if _is_done(plan, knowledge):
+            return self._end(CampaignStatus.DONE, CampaignCode.ONE_LEFT, knowledge)
+        return self._end(CampaignStatus.BUDGET_SPENT, CampaignCode.BUDGET_SPENT, knowledge)
+
+    def _save(self, status: CampaignStatus, finding: Finding | None = None) -> Campaign:
+        findings = () if finding is None else (finding,)
+        campaign = Campaign(status, self.plan, self.place, tuple(self.steps), findings)
+        write_json(self.place / "campaign.json", campaign)
+        return campaign
+
+    def _end(self, status: CampaignStatus, code: CampaignCode, knowledge: Knowledge) -> Campaign:
+        """Save the campaign with what is left."""
+        widest = max(knowledge.widths.values(), default=0.0)
+        values = {
+            "effects": list(knowledge.effects),
+            "alternatives": [list(a) for a in knowledge.alternatives],
+            "verdict": knowledge.verdict,
+            "width": widest if np.isfinite(widest) else None,
+        }
+        return self._save(status, Finding(code, values=values))
+
+    def _read_steps(self) -> dict[int, CampaignStep]:
+        """The finished steps of a campaign that goes on, by number. Refuses one that asked something else."""
+        path = self.place / "campaign.json"
+        if not path.exists():
+            return {}
+        data = read_json(path, Campaign)
+        before = data.get("question") or {}
+        # A folder holds one question; another one would mix its records.
+        changed = [name for name, value in self.plan.question.items() if name in before and before[name] != value]
+        if changed:
+            raise DataError(
+                f"{path}: this campaign was begun with another {changed[0].replace('_', ' ')}; repeat its command, or give another folder"
+            )
+        return {step["number"]: from_json_data(CampaignStep, step) for step in data["steps"] if step.get("widths")}
+
+    def _prepare(
+        self, knowledge: Knowledge, records: Sequence[Experiment], folder: Path, number: int
+    ) -> tuple[str, str]:
+        """Goal and kind of the designed input of one experiment, which is designed where that was not done yet."""
+        path = folder / "design.json"
+        if path.exists() and (folder / "input.csv").exists():
+            data = read_json(path, Design)
+            return data["goal"], data.get("kind", "")
+        self.say(f"experiment {number}: design")
+        result = design_next(self.plan, knowledge, records)
+        result.save(folder)
+        self.show(folder / "report.html", result)
+        return str(result.goal), result.kind
+
+    def _learn(self, records: Sequence[Experiment], folder: Path) -> Knowledge:
+        """Fit and discovery on the records so far; the last one judges. Refits of a discovery that was interrupted are kept."""
+        plan = self.plan
+        plain = fit(plan.model, records, noise=dict(plan.noise), options=plan.options)
+        if not plain.success:
+            raise DataError(
+                f"{plan.model.title}: the fit to {len(records)} record{'s' * (len(records) != 1)} did not end at an optimum; try other"
+                " start values"
+            )
+        if len(records) < 2:
+            plain.save(folder / "fit.json")
+            self.show(folder / "fit.html", plain)
+            return Knowledge(plain, plain)
+        discovery = discover(
+            plan.model,
+            # The last record was chosen to decide: it judges, and has not been fitted.
+            records[:-1],
+            validation=records[-1],
+            noise=dict(plan.noise),
+            effects=[effect(name) for name in plan.effects] or None,
+            options=plan.options,
+            journal=folder / "journal.jsonl",
+            executor=self.executor,
+            workers=self.workers,
         )
-        _save(plan, place, CampaignStatus.MEASURING, steps, None)
-    if _is_done(plan, knowledge):
-        return _save(plan, place, CampaignStatus.DONE, steps, _ending(CampaignCode.ONE_LEFT, knowledge))
-    return _save(plan, place, CampaignStatus.BUDGET_SPENT, steps, _ending(CampaignCode.BUDGET_SPENT, knowledge))
-
-
-def _save(
-    plan: CampaignPlan, place: Path, status: CampaignStatus, steps: Sequence[CampaignStep], finding: Finding | None
-) -> Campaign:
-    campaign = Campaign(status, plan, place, tuple(steps), () if finding is None else (finding,))
-    write_json(place / "campaign.json", campaign)
-    return campaign
-
-
-def _read_steps(plan: CampaignPlan, place: Path) -> dict[int, CampaignStep]:
-    """The finished steps of a campaign that goes on, by number. Refuses one that asked something else."""
-    path = place / "campaign.json"
-    if not path.exists():
-        return {}
-    data = read_json(path, Campaign)
-    before = data.get("question") or {}
-    # A folder holds one question; another one would mix its records.
-    changed = [name for name, value in plan.question.items() if name in before and before[name] != value]
-    if changed:
-        raise DataError(
-            f"{path}: this campaign was begun with another {changed[0].replace('_', ' ')}; repeat its command, or give another folder"
-        )
-    return {step["number"]: from_json_data(CampaignStep, step) for step in data["steps"] if step.get("widths")}
-
-
-def _prepare(
-    plan: CampaignPlan,
-    knowledge: Knowledge,
-    records: Sequence[Experiment],
-    place: Path,
-    number: int,
-    show: StepCallback,
-    say: Callable[[str], None],
-) -> tuple[str, str]:
-    """Goal and kind of the designed input of one experiment, which is designed where that was not done yet."""
-    path = place / "design.json"
-    if path.exists() and (place / "input.csv").exists():
-        data = read_json(path, Design)
-        return data["goal"], data.get("kind", "")
-    say(f"experiment {number}: design")
-    result = design_next(plan, knowledge, records)
-    save_design(result, place)
-    show(place / "report.html", result)
-    return str(result.goal), result.kind
+        discovery.save(folder / "discovery.json")
+        self.show(folder / "discovery.html", discovery)
+        # The effects to go on with: those of the best model, none where no effect is established.
+        is_open = discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN)
+        names: tuple[str, ...] = () if is_open else tuple(e["name"] for e in discovery.effects)
+        best = fit_explanation(plain, "+".join(names)) if names else plain
+        best.save(folder / "fit.json")
+        self.show(folder / "fit.html", best)
+        alternatives = tuple(tuple(a) for a in discovery.alternatives if tuple(a) != names)
+        return Knowledge(plain, best, names, alternatives, str(discovery.verdict))
 
 
 # Explanations, beside the best one, between which a record is to decide.
@@ -496,49 +533,6 @@ def _reached_share(values: np.ndarray, limit: SignalLimit, noise: float) -> floa
     )
 
 
-def _learn(
-    plan: CampaignPlan,
-    records: Sequence[Experiment],
-    place: Path,
-    show: StepCallback,
-    executor: Executor | None,
-    workers: int,
-) -> Knowledge:
-    """Fit and discovery on the records so far; the last one judges. Refits of a discovery that was interrupted are kept."""
-    plain = fit(plan.model, records, noise=dict(plan.noise), options=plan.options)
-    if not plain.success:
-        raise DataError(
-            f"{plan.model.title}: the fit to {len(records)} record{'s' * (len(records) != 1)} did not end at an optimum; try other start"
-            " values"
-        )
-    if len(records) < 2:
-        plain.save(place / "fit.json")
-        show(place / "fit.html", plain)
-        return Knowledge(plain, plain)
-    discovery = discover(
-        plan.model,
-        # The last record was chosen to decide: it judges, and has not been fitted.
-        records[:-1],
-        validation=records[-1],
-        noise=dict(plan.noise),
-        effects=[effect(name) for name in plan.effects] or None,
-        options=plan.options,
-        journal=place / "journal.jsonl",
-        executor=executor,
-        workers=workers,
-    )
-    discovery.save(place / "discovery.json")
-    show(place / "discovery.html", discovery)
-    # The effects to go on with: those of the best model, none where no effect is established.
-    is_open = discovery.verdict in (Verdict.COMPLETE, Verdict.UNKNOWN)
-    names: tuple[str, ...] = () if is_open else tuple(e["name"] for e in discovery.effects)
-    best = fit_explanation(plain, "+".join(names)) if names else plain
-    best.save(place / "fit.json")
-    show(place / "fit.html", best)
-    alternatives = tuple(tuple(a) for a in discovery.alternatives if tuple(a) != names)
-    return Knowledge(plain, best, names, alternatives, str(discovery.verdict))
-
-
 def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignStep] | None = None) -> bool:
     """Whether one explanation is left, and its constants are as wanted.
 
@@ -549,14 +543,3 @@ def _is_done(plan: CampaignPlan, knowledge: Knowledge, steps: Sequence[CampaignS
         return False
     settled = knowledge.verdict in (Verdict.COMPLETE, Verdict.NAMED) and not knowledge.alternatives
     return settled and (plan.width is None or all(w <= plan.width for w in knowledge.widths.values()))
-
-
-def _ending(code: CampaignCode, knowledge: Knowledge) -> Finding:
-    widest = max(knowledge.widths.values(), default=0.0)
-    values = {
-        "effects": list(knowledge.effects),
-        "alternatives": [list(a) for a in knowledge.alternatives],
-        "verdict": knowledge.verdict,
-        "width": widest if np.isfinite(widest) else None,
-    }
-    return Finding(code, values=values)

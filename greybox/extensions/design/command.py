@@ -267,7 +267,7 @@ def campaign(study: DesignStudy) -> Answer:
 OWN = DesignStudy
 RIG = (Study.limits, Study.rates, Study.duration, Study.fixed, Study.at_rest)
 MODEL_VALUES = Study.start.but(help="Value of a parameter of MODEL.")
-SENSOR_NOISE = Study.noise.but(help="Standard deviation of the sensor noise of an output. [default: that of the fit]")
+SENSOR_NOISE = "Standard deviation of the sensor noise of an output."
 
 DESIGN = Command(
     design,
@@ -278,7 +278,8 @@ DESIGN = Command(
             help="fit.json, discovery.json, or a model (its name or file) of which nothing was measured yet.",
         ),
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
-        *(*RIG, MODEL_VALUES, SENSOR_NOISE, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
+        *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
+        Study.noise.but(help=f"{SENSOR_NOISE} [default: that of the fit]"),
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
         Study.effects.but(
@@ -322,7 +323,8 @@ CAMPAIGN = Command(
     (
         Study.model.but(help="Name of the plain model, or its file."),
         Study.estimation.but(help="Records that were taken before."),
-        *(*RIG, MODEL_VALUES, SENSOR_NOISE, OWN.rig, OWN.experiments, OWN.width),
+        *(*RIG, MODEL_VALUES, OWN.rig, OWN.experiments, OWN.width),
+        Study.noise.but(help=f"{SENSOR_NOISE} Needed for each sensor that is installed."),
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),
         Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),
@@ -339,7 +341,7 @@ CAMPAIGN = Command(
 )
 
 PRINTS = {
-    "design": ("greybox.extensions.design.result:Design",),
+    "design": ("greybox.extensions.design.problem:Design",),
     "campaign": ("greybox.extensions.design.campaign:Campaign",),
 }
 """Command -> types of what it prints with ``--json``."""

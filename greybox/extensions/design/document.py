@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import inf, isinf
 
-from greybox.base.document import Block, Document, Facts, Later, Paragraphs, Section, TableBlock, Tone
+from greybox.base.document import Block, Document, Facts, FileLink, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.base.findings import Severity
 from greybox.base.json_file import ResultKind, read_json
 from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
-from greybox.extensions.design.result import Alternative, Design
+from greybox.extensions.design.problem import Alternative, Design
 from greybox.extensions.design.sentences import name_explanation
 from greybox.model.effects.catalogue import effect
 from greybox.show.documents.equations import typeset_equations
@@ -43,7 +43,7 @@ def _brief(design: Design) -> Iterator[Block]:
     """The record, what it should bring, the limits, the alternatives, the findings."""
     rows, duration = design.experiment.rows, design.experiment.rows * (design.experiment.sampling_time or 0.0)
     record = f"{format_number(duration)} s, {count_noun(rows, 'row')}"
-    yield Paragraphs([f"{design.model.title}: {design.kind} input for {GOALS[design.goal]}, {record}"])
+    yield Paragraphs([f"{design.model.title}: {name_input(design.kind)} for {GOALS[design.goal]}, {record}"])
     yield from (*_gains(design), _limits(design), _alternatives(design))
     yield Facts([(str(f.severity), f) for f in design.findings])
 
@@ -61,7 +61,7 @@ def _sections(design: Design, command: str) -> Iterator[Section]:
 def _verdict(design: Design) -> Paragraphs:
     record = design.experiment
     step = record.sampling_time or 0.0
-    play = f"Play the {design.kind} input of input.csv: {step * record.rows:g} s, a row every {step:g} s. It begins and ends at rest."
+    play = f"Play the {name_input(design.kind)} of input.csv: {step * record.rows:g} s, a row every {step:g} s. It begins and ends at rest."
     doubtful = any(f.severity is not Severity.NOTE for f in design.findings)
     return Paragraphs([play, *_brings(design), *design.findings], Tone.CAUTION if doubtful else Tone.GOOD)
 
@@ -107,7 +107,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
     rows = [
         [
             name,
-            f"{format_number(c.value)} {c.unit}".rstrip(),
+            f"{format_number(c.value)} {c.unit}".rstrip(" -"),
             *("open" if s is None else f"{s:.2g}" for s in (c.std_before, c.std_after)),
         ]
         for name, c in design.predicted.items()
@@ -121,7 +121,12 @@ def _limits(design: Design) -> TableBlock:
     rows = []
     for name, limit in design.limits.items():
         predicted = change_text(limit.predicted_low, limit.predicted_high, limit.unit)
-        rows.append([name, change_text(limit.low, limit.high, limit.unit), predicted])
+        if isinf(limit.low) or isinf(limit.high):
+            side, end = ("at most", limit.high) if isinf(limit.low) else ("at least", limit.low)
+            allowed = f"{side} {quantity_text(end, limit.unit)}"
+        else:
+            allowed = change_text(limit.low, limit.high, limit.unit)
+        rows.append([name, allowed, predicted])
         if limit.rate < inf:
             rate = f"{limit.unit}/s"
             rows.append([f"rate of {name}", quantity_text(limit.rate, rate), quantity_text(limit.predicted_rate, rate)])
@@ -135,12 +140,17 @@ def _alternatives(design: Design) -> TableBlock:
     return TableBlock("What could be done instead", ["instead", "brings"], rows, note)
 
 
+def name_input(kind: str) -> str:
+    """``multisine with optimal spectrum`` -> ``multisine input with optimal spectrum``."""
+    return "{} input{}{}".format(*kind.partition(" with "))
+
+
 def name_alternative(alternative: Alternative) -> str:
     """What the alternative is, in words."""
     return {
-        "input": f"{alternative.name} input",
+        "input": name_input(alternative.name),
         "repeat": f"this record {alternative.name} times",
-        "longer": f"{alternative.name} s instead",
+        "longer": f"a record of {alternative.name} s",
         "sample_faster": f"a row every {alternative.name} s",
         "sensor": f"with a sensor for {alternative.name}",
     }[alternative.kind]
@@ -148,7 +158,13 @@ def name_alternative(alternative: Alternative) -> str:
 
 # A campaign: how it stands, and its experiments in their order.
 
-FILES = ("input.csv", "report.html", "record.csv", "fit.html", "discovery.html")
+FILES = {
+    "input": "input.csv",
+    "why": "report.html",
+    "record": "record.csv",
+    "fit": "fit.html",
+    "discovery": "discovery.html",
+}
 """What a folder of an experiment may hold for a reader, in the order in which it comes there."""
 TONES = {
     CampaignStatus.MEASURING: Tone.PLAIN,
@@ -182,24 +198,17 @@ def _campaign_sections(campaign: Campaign, command: str) -> Iterator[Section]:
 
 
 def _experiments(campaign: Campaign) -> TableBlock:
+    rows = []
+    for step in campaign.steps:
+        known, width = bool(step.widths), max(step.widths.values(), default=0.0)
+        row = [str(step.number), step.goal, step.kind, step.verdict or "none"]
+        row.append(name_explanation(step.effects) if known else "not measured")
+        row.append(", ".join(map(name_explanation, step.alternatives)) or "none")
+        row.append(f"{step.misfit:.3g} x noise" if known else "")
+        row.append(("open" if isinf(width) else f"{100 * width:.2g} %") if known else "")
+        rows.append(row)
     head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
-    return TableBlock("The experiments, in their order", head, [_step_row(step) for step in campaign.steps])
-
-
-def _step_row(step: CampaignStep) -> list[str]:
-    others = ", ".join(map(name_explanation, step.alternatives))
-    known = bool(step.widths)
-    width = max(step.widths.values(), default=0.0)
-    return [
-        str(step.number),
-        step.goal,
-        step.kind,
-        step.verdict or "none",
-        name_explanation(step.effects) if known else "not measured",
-        others or "none",
-        f"{step.misfit:.3g} x noise" if known else "",
-        ("open" if isinf(width) else f"{100 * width:.2g} %") if known else "",
-    ]
+    return TableBlock("The experiments, in their order", head, rows)
 
 
 def _widths(campaign: Campaign) -> Iterator[TableBlock]:
@@ -238,11 +247,10 @@ def _files(campaign: Campaign) -> TableBlock:
     """What each folder holds."""
     rows = []
     for step in campaign.steps:
-        folder = f"{step.number:02d}"
-        present = [name for name in FILES if (campaign.folder / folder / name).exists()]
-        rows.append([folder, ", ".join(present)])
-    caption = "What the folder of each experiment holds: the input and why, the record, what was learnt from it"
-    return TableBlock(caption, ["folder", "files"], rows)
+        files = [f"{step.number:02d}/{name}" for name in FILES.values()]
+        rows.append([str(step.number), *(FileLink(f) if (campaign.folder / f).exists() else "" for f in files)])
+    caption = "The files of each experiment: the input and why, the record, what was learnt from it"
+    return TableBlock(caption, ["experiment", *FILES], rows)
 
 
 DOCUMENTS = {"Design": describe_design, "Campaign": describe_campaign}

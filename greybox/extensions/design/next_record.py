@@ -22,34 +22,24 @@ from greybox.estimation.identifiability.structural import analyse_structural_ide
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.extensions.design.goals import (
-    LEAST_PRIOR,
-    Detection,
-    Discrimination,
-    Goal,
-    GoalMaker,
-    HiddenEffect,
-    Precision,
-    closest_pairs,
-    list_hidden_effects,
-    make_detection,
-    make_discrimination,
-    make_precision,
-)
-from greybox.extensions.design.inputs import play
-from greybox.extensions.design.limits import MARGIN_RESERVE, LimitKeeper, fit_into_limits, largest_usage
+from greybox.extensions.design import goals
+from greybox.extensions.design.inputs import MARGIN_RESERVE, LimitKeeper, fit_into_limits, largest_usage, play
 from greybox.extensions.design.plant import ASSUMED_SPREAD, GOAL_PRIOR_SPREAD, PlantScenario, list_plants
 from greybox.extensions.design.problem import (
     DESIGN_MOST_ROWS,
     DESIGN_POLICY,
+    Alternative,
+    AlternativeKind,
     CriterionName,
+    Design,
     DesignCode,
     DesignPolicy,
     DesignProblem,
     GoalName,
+    PredictedConstant,
+    PredictedDetection,
     range_of_inputs,
 )
-from greybox.extensions.design.result import Alternative, AlternativeKind, Design, PredictedConstant, PredictedDetection
 from greybox.extensions.design.search import TriedInput, evaluate, find_bands, flat_multisine, kinds_of, search_inputs
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
@@ -75,7 +65,7 @@ class KnownPlant:
         Standard deviation of each sensor, by output; empty where nothing is known.
     options
         How records are fitted.
-    inflation
+    stds
         By constant, see `DesignProblem`.
     """
 
@@ -83,7 +73,7 @@ class KnownPlant:
     earlier: tuple[Experiment, ...]
     noise: dict[str, float]
     options: FitOptions
-    inflation: dict[str, float]
+    stds: dict[str, float]
 
 
 def read_source(
@@ -141,13 +131,12 @@ def read_source(
         models.append(fit_rival(base, name))
     chosen = options or FitOptions.from_data(best.provenance.options)
     noise = {name: float(std) for name, std in best.noise.std.items()}
-    # A residual with a colour widens intervals; one that is whiter than white by chance narrows none.
-    inflation = {name: max(1.0, float(factor)) for name, factor in best.uncertainty.inflation.items()}
+    stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
     # Each set of effects once, the first of it.
     distinct: dict[str, Model] = {}
     for model in models:
         distinct.setdefault(model.title, model)
-    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, inflation)
+    return KnownPlant(tuple(distinct.values()), tuple(t.experiment for t in best.traces), noise, chosen, stds)
 
 
 def fit_rival(plain: Fit, text: str) -> Model:
@@ -281,7 +270,7 @@ def design(
         tuple(constants),
         tuple(effects),
         dict(sensors or {}),
-        known.inflation,
+        known.stds,
         hold=hold,
         options=known.options,
         policy=policy,
@@ -316,20 +305,20 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     began = time.perf_counter()
     plants, draws = list_plants(question)
     keeper = LimitKeeper(question, plants, draws)
-    hidden: list[HiddenEffect] = []
+    hidden: list[goals.HiddenEffect] = []
     if question.goal is GoalName.DETECTION:
         _, bands = find_bands(question)
         shape = {name: flat_multisine(bands[-1], question.policy) for name in question.driven}
         # Effects are made ready by the size of things in a run that the limits allow.
         _, inputs, _ = fit_into_limits(keeper, shape)
-        hidden = list_hidden_effects(question, plants[0], inputs)
+        hidden = goals.list_hidden_effects(question, plants[0], inputs)
 
-    def make_goal(count: int, step: float | None) -> Goal:
+    def make_goal(count: int, step: float | None) -> goals.Goal:
         if question.goal is GoalName.PRECISION:
-            return make_precision(question, count, step)
+            return goals.make_precision(question, count, step)
         if question.goal is GoalName.DISCRIMINATION:
-            return make_discrimination(question, count, step)
-        return make_detection(question, hidden, count, step)
+            return goals.make_discrimination(question, count, step)
+        return goals.make_detection(question, hidden, count, step)
 
     tried = search_inputs(question, keeper, make_goal)
     best = tried[0]
@@ -341,11 +330,11 @@ def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:
     final = make_goal(question.policy.scenarios, None)
     predicted = predict_constants(question, plants[0], best)
     separation: dict[str, float] = {}
-    if isinstance(final, Discrimination):
-        pairs = closest_pairs(final, final.separations([plant.run(best.inputs) for plant in final.plants]))
+    if isinstance(final, goals.Discrimination):
+        pairs = goals.closest_pairs(final, final.separations([plant.run(best.inputs) for plant in final.plants]))
         titles = [m.title for m in question.models]
         separation = {f"{titles[a]} | {titles[b]}": float(cost) for (a, b), cost in sorted(pairs.items())}
-    detection = _detections(hidden, final, best) if isinstance(final, Detection) else {}
+    detection = _detections(hidden, final, best) if isinstance(final, goals.Detection) else {}
     findings = [*extra, *_findings(question, best, predicted, separation)]
     experiment = Experiment("designed", question.time, best.inputs, {}, question.hold)
     return Design(
@@ -372,16 +361,19 @@ UNDETERMINED_SHARE = 0.3
 def predict_constants(question: DesignProblem, plant: PlantScenario, best: TriedInput) -> dict[str, PredictedConstant]:
     """Standard deviation of every free constant before and after the record, at the best constants."""
     spread, n = GOAL_PRIOR_SPREAD, plant.count
-    goal = Precision([plant], np.arange(n), question.criterion)
+    goal = goals.Precision([plant], np.arange(n), question.criterion)
     # (M + I / s^2)^-1 with the order of magnitude s that is known anyway
     before = np.linalg.inv(plant.earlier + np.eye(n) / spread**2) if question.earlier else None
     after = goal.covariance(0, plant.run(best.inputs))
     constants = {}
     for k, name in enumerate(plant.variables.names):
         variables: DecisionVector = plant.variables
-        # Relative, back into the unit; an earlier fit with a coloured residual says by how much white noise would
-        # flatter.
-        size = abs(float(variables.spans[k])) * question.inflation.get(name, 1.0)
+        # Relative, back into the unit.
+        size = abs(float(variables.spans[k]))
+        if before is not None:
+            # The fit to the earlier records knows more of their residual than the noise of the sensors: its colour, and what the model does
+            # not explain. It will be in the next record as well. A residual that is whiter than white by chance narrows nothing.
+            size *= max(1.0, question.stds.get(name, 0.0) / (size * float(np.sqrt(before[k, k]))))
         stds = []
         for covariance in (before, after):
             std = np.inf if covariance is None else float(np.sqrt(covariance[k, k]))
@@ -391,7 +383,9 @@ def predict_constants(question: DesignProblem, plant: PlantScenario, best: Tried
     return constants
 
 
-def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInput) -> dict[str, PredictedDetection]:
+def _detections(
+    hidden: Sequence[goals.HiddenEffect], goal: goals.Detection, best: TriedInput
+) -> dict[str, PredictedDetection]:
     """For each effect the smallest amount that would be seen, before and after the record."""
     result = {}
     first = {plant.number: k for k, plant in reversed(list(enumerate(goal.plants)))}
@@ -403,7 +397,7 @@ def _detections(hidden: Sequence[HiddenEffect], goal: Detection, best: TriedInpu
         before = goal.amplitude_std(k, None) if known else np.inf
         after = goal.amplitude_std(k, plant.run(best.inputs))
         # A tenth of what the amplitude's own prior allows: as large an amount is that prior's, not the record's.
-        largest = 0.1 * GOAL_PRIOR_SPREAD / np.sqrt(LEAST_PRIOR)
+        largest = 0.1 * GOAL_PRIOR_SPREAD / np.sqrt(goals.LEAST_PRIOR)
         amounts = [float(size * s) if s < largest else None for s in (before, after)]
         result[each.name] = PredictedDetection(each.amplitude, amounts[0], amounts[1], each.unit)
     return result
@@ -450,8 +444,8 @@ def _findings(
 def list_alternatives(
     question: DesignProblem,
     keeper: LimitKeeper,
-    make_goal: GoalMaker,
-    goal: Goal,
+    make_goal: goals.GoalMaker,
+    goal: goals.Goal,
     tried: Sequence[TriedInput],
 ) -> tuple[Alternative, ...]:
     """What else could be done; ``tried`` inputs, of which the first is the design. Those that cannot be run are left out."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,13 @@ class PlantRun:
         rows = self.slopes.reshape(-1, self.slopes.shape[-1])
         rows = rows[np.isfinite(rows).all(axis=1)]
         return rows.T @ rows
+
+
+class SignalPlace(NamedTuple):
+    """Where a run shows a signal: among its outputs (``kind`` 0) or states (1), in which ``column``."""
+
+    kind: int
+    column: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +87,12 @@ class PlantScenario:
     def count(self) -> int:
         """Number of free constants."""
         return len(self.variables.which)
+
+    def locate(self, signals: Iterable[str]) -> dict[str, SignalPlace]:
+        """Where a run shows each of these signals; without those that this explanation does not have as an output or a state."""
+        named = {s.name: SignalPlace(1, k) for k, s in enumerate(self.model.all_states)}
+        named |= {o.name: SignalPlace(0, k) for k, o in enumerate(self.model.outputs)}
+        return {name: named[name] for name in signals if name in named}
 
     def make_record(self, inputs: Mapping[str, np.ndarray]) -> Record:
         """The record with these inputs, by name (N,), as the step reads it; its outputs are zero where there is a sensor."""

@@ -1,4 +1,4 @@
-"""What a design is asked: models, what is uncertain in them, records already taken, and what the rig allows."""
+"""A design as two values: what it is asked (models, records already taken, what the rig allows), and what it answers, also as files."""
 
 from __future__ import annotations
 
@@ -6,17 +6,22 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.values import ReadOnly
+from greybox.base.findings import Finding
+from greybox.base.json_file import write_json
+from greybox.base.json_shape import FileKind
+from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions
 from greybox.model.model import Model
-from greybox.simulation.simulate import declared_initial_state
+from greybox.simulation.simulate import declared_initial_state, write_csv
 
 # What a design and a campaign have to say beside their numbers.
 
@@ -138,8 +143,8 @@ class DesignProblem(ReadOnly):
         For detection: names of the effects that may hide.
     sensors
         Standard deviation of sensors that could be added, by output of the model.
-    inflation
-        Constant -> how many times wider its interval is than white noise would make it, as a fit to the earlier records found.
+    stds
+        Constant -> its standard deviation, as a fit to the earlier records found it.
     shares
         Signal -> share of the way from rest to its limit that this record may use; all of it where left out.
     hold
@@ -166,7 +171,7 @@ class DesignProblem(ReadOnly):
     constants: tuple[str, ...] = ()
     effects: tuple[str, ...] = ()
     sensors: Mapping[str, float] = field(default_factory=dict)
-    inflation: Mapping[str, float] = field(default_factory=dict)
+    stds: Mapping[str, float] = field(default_factory=dict)
     shares: Mapping[str, float] = field(default_factory=dict)
     hold: Hold = "zero"
     options: FitOptions = field(default_factory=FitOptions)
@@ -194,7 +199,9 @@ class DesignProblem(ReadOnly):
         if not self.driven:
             raise DataError("no input may move: each limit has one value only; give one input a range")
         if not (self.sampling_time > 0 and math.isfinite(self.duration)):
-            raise DataError("a design needs a duration and a sampling time, both above 0 seconds")
+            raise DataError(
+                "a design needs a duration and a sampling time, both above 0 seconds; give them, as in --duration 1 --sampling-time 1e-3"
+            )
         if not policy.least_rows <= self.rows <= DESIGN_MOST_ROWS:
             raise DataError(
                 f"{self.duration:g} s every {self.sampling_time:g} s are {self.rows} rows; give"
@@ -263,6 +270,11 @@ class DesignProblem(ReadOnly):
         limit = self.limits[name]
         return min(max(0.0, limit.low), limit.high)
 
+    def span(self, name: str) -> tuple[float, float, float]:
+        """The range of an input as its middle, its half width, and where it is at rest."""
+        limit = self.limits[name]
+        return (limit.low + limit.high) / 2, (limit.high - limit.low) / 2, self.rest(name)
+
     def noise_model(self, more: Mapping[str, float] | None = None) -> NoiseModel:
         """White noise of the sensors, and of ``more`` of them."""
         std = {**self.noise, **(more or {})}
@@ -270,7 +282,7 @@ class DesignProblem(ReadOnly):
         # NaN: no sensor, hence no row that counts.
         levels = np.array([std.get(name, np.nan) for name in names])
         sources = dict.fromkeys(std, NoiseSource.GIVEN)
-        # White: what a coloured residual adds comes in by ``inflation``, afterwards.
+        # White: what a coloured residual adds comes in by ``stds``, afterwards.
         return NoiseModel(names, levels, sources, tuple(AutoRegression() for _ in names), True)
 
 
@@ -284,3 +296,184 @@ def range_of_inputs(model: Model, earlier: Sequence[Experiment]) -> dict[str, Si
                 min(float(v.min()) for v in values), max(float(v.max()) for v in values), math.inf
             )
     return ranges
+
+
+# The answer.
+
+
+@dataclass(frozen=True)
+class LimitPrediction:
+    """One limit and what is predicted: the range over every explanation and every draw of its constants, with its margin.
+
+    Parameters
+    ----------
+    low, high, unit
+        The limit.
+    predicted_low, predicted_high
+        The predicted range.
+    rate, predicted_rate
+        Of an input: the largest change in a second that is allowed, and that occurs.
+    usage
+        Share of the way from rest to the limit that is used; above one it is broken.
+    """
+
+    low: float
+    high: float
+    unit: str
+    predicted_low: float
+    predicted_high: float
+    rate: float
+    predicted_rate: float
+    usage: float
+
+
+INPUT_FILE = "input.csv"
+"""The record to drive the rig with."""
+
+
+@dataclass(frozen=True)
+class PredictedConstant:
+    """What the record should make of one constant.
+
+    Parameters
+    ----------
+    value, unit
+        The present value.
+    std_before, std_after
+        Standard deviation from the earlier records, and with this one; None where the constant is not determined.
+    """
+
+    value: float
+    std_before: float | None
+    std_after: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class PredictedDetection:
+    """The smallest amount of an effect that would be seen.
+
+    Parameters
+    ----------
+    parameter, unit
+        The amplitude of the effect.
+    before, after
+        From the earlier records, and with this one; None where no amount would show.
+    """
+
+    parameter: str
+    before: float | None
+    after: float | None
+    unit: str
+
+
+class AlternativeKind(StrEnum):
+    """What could be done instead of, or beside, the designed record."""
+
+    INPUT = "input"
+    REPEAT = "repeat"
+    LONGER = "longer"
+    SAMPLE_FASTER = "sample_faster"
+    SENSOR = "sensor"
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """Another way, on the same scale.
+
+    Parameters
+    ----------
+    kind, name
+        What it is: a kind of input, two records, twice the duration, half the sampling time, or a sensor more.
+    gain
+        Factor on what the designed record brings: on one over the width of intervals, on distances between rivals, or on one over the
+        smallest amount. Above one it brings more.
+    """
+
+    kind: AlternativeKind
+    name: str
+    gain: float
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Printable):
+    """The next record, and what it should bring.
+
+    Parameters
+    ----------
+    goal, criterion
+        What was asked.
+    models
+        The explanations in the running, the best one first.
+    experiment
+        The input, a record without outputs.
+    kind
+        What the input is called.
+    predicted
+        For every free constant of the best explanation its standard deviation before and after.
+    separation
+        For each pair of explanations the cost by which the wrong one would lose, after a refit.
+    detection
+        For each effect that may hide the smallest amount that would be seen.
+    limits
+        For each limited signal what is predicted.
+    alternatives
+        Other inputs, repetition, duration, sampling time and sensors on the same scale.
+    findings
+        What to know before the record is taken.
+    policy
+        The decision numbers.
+    seconds
+        Time that it took.
+    """
+
+    goal: GoalName
+    criterion: CriterionName
+    models: tuple[Model, ...]
+    experiment: Experiment
+    kind: str
+    predicted: Mapping[str, PredictedConstant]
+    separation: Mapping[str, float]
+    detection: Mapping[str, PredictedDetection]
+    limits: Mapping[str, LimitPrediction]
+    alternatives: tuple[Alternative, ...]
+    findings: tuple[Finding, ...] = ()
+    policy: DesignPolicy = field(default_factory=DesignPolicy)
+    seconds: float = 0.0
+
+    FILE: ClassVar[FileKind] = FileKind("a design", "design.json that greybox design has written")
+    KEYS: ClassVar[str] = """
+        goal criterion models=titles input!=input_file kind rows=experiment.rows sampling_time=experiment.sampling_time
+        hold=experiment.hold predicted separation detection limits alternatives findings notes=str(findings) policy seconds
+        """
+
+    @property
+    def titles(self) -> tuple[str, ...]:
+        """The explanations in the running, the best one first."""
+        return tuple(model.title for model in self.models)
+
+    @property
+    def input_file(self) -> str:
+        """The file with the input, beside this one."""
+        return INPUT_FILE
+
+    @property
+    def model(self) -> Model:
+        """The best explanation."""
+        return self.models[0]
+
+    def save(self, folder: str | Path) -> Path:
+        """Write ``design.json`` and ``input.csv`` into a folder.
+
+        Parameters
+        ----------
+        folder
+            Where to; it is made.
+
+        Returns
+        -------
+        Path
+            ``design.json``.
+        """
+        write_csv(self.experiment, self.model, Path(folder) / self.input_file)
+        return write_json(Path(folder) / "design.json", self)

@@ -15,8 +15,17 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import Goal, GoalMaker
-from greybox.extensions.design.inputs import PLAY_SMOOTHING, InputShape, PiecewiseConstant, envelope, play, smooth
-from greybox.extensions.design.limits import MARGIN_DEVIATIONS, MARGIN_RESERVE, LimitKeeper
+from greybox.extensions.design.inputs import (
+    MARGIN_DEVIATIONS,
+    MARGIN_RESERVE,
+    PLAY_SMOOTHING,
+    InputShape,
+    LimitKeeper,
+    PiecewiseConstant,
+    envelope,
+    play,
+    smooth,
+)
 from greybox.extensions.design.plant import PlantScenario, list_plants
 from greybox.extensions.design.problem import DesignPolicy, DesignProblem
 
@@ -96,7 +105,7 @@ def refine(
 class SampledLimit:
     """One limit over all samples: ``values`` (n,) are to be at most zero; ``slopes`` are those along each run's signal, or the input."""
 
-    key: tuple[str, ...]
+    key: tuple[str | int, ...]
     values: np.ndarray
     slopes: Sequence[np.ndarray]
 
@@ -132,10 +141,11 @@ class InputRefinement:
     ) -> None:
         self.question, self.goal, self.groups, self.scale = question, goal, groups, scale
         self.names, self.order = question.driven, [i.name for i in question.model.inputs]
+        # (inputs, 1) each, to stand beside levels (inputs, rows)
+        self.middle, self.half, self.rest = np.array([question.span(name) for name in self.names]).T[:, :, None]
         self.tightness, self.weight = 1.0, VIOLATION_WEIGHT
-        self.multipliers: dict[tuple[str, ...], np.ndarray] = {}
+        self.multipliers: dict[tuple[str | int, ...], np.ndarray] = {}
         self.envelope = envelope(question.rows, question.policy)
-        self.smooths = question.hold != "zero"
 
     @property
     def is_free(self) -> bool:
@@ -145,64 +155,49 @@ class InputRefinement:
     @property
     def bounds(self) -> list[tuple[float, float]]:
         """Lowest and highest value of each level: the range of its input, or the share of it that may be used."""
-        ends = []
+        ends: list[tuple[float, float]] = []
         for name in self.names:
-            limit, rest, share = self.question.limits[name], self.question.rest(name), self.question.share(name)
-            middle, half = (limit.high + limit.low) / 2, (limit.high - limit.low) / 2
+            limit, share = self.question.limits[name], self.question.share(name)
+            middle, half, rest = self.question.span(name)
             low, high = ((rest + share * (end - rest) - middle) / half for end in (limit.low, limit.high))
             ends += [(max(low, -1.0), min(high, 1.0))] * self.question.rows
         return ends
 
     def affordable_iterations(self, policy: DesignPolicy) -> int:
         """Iterations of a round: fewer where one takes long, so that a design takes about as long for every model."""
-        work = 0.0
-        for plant in self.goal.plants:
-            size = len(plant.model.all_states) * (1 + plant.variables.size)
-            work += self.question.rows * plant.problem.step.substeps * size
-        for plant in (p for group in self.groups for p in group):
-            work += self.question.rows * plant.problem.step.substeps * len(plant.model.all_states)
-        return int(np.clip(INPUT_SEARCH_WORK / work, LEAST_ITERATIONS, policy.iterations))
+        sizes = [(plant, 1 + plant.variables.size) for plant in self.goal.plants]
+        sizes += [(plant, 1) for group in self.groups for plant in group]
+        substates = sum(p.problem.step.substeps * len(p.model.all_states) * columns for p, columns in sizes)
+        return int(np.clip(INPUT_SEARCH_WORK / (self.question.rows * substates), LEAST_ITERATIONS, policy.iterations))
 
     def read_levels(self, inputs: Mapping[str, np.ndarray], grid: DesignGrid) -> np.ndarray:
         """The levels (inputs, rows) of an input that was tried."""
-        rows = len(next(iter(inputs.values())))
+        tried = np.array([inputs[name] for name in self.names])
         # Undo the soft start; where that is nearly zero the level cannot be told, and a tenth bounds what is read.
-        rising = np.maximum(envelope(rows, self.question.policy), 0.1)
-        levels = []
-        for name in self.names:
-            limit, rest = self.question.limits[name], self.question.rest(name)
-            inside = rest + (inputs[name] - rest) / rising
-            level = (inside - (limit.high + limit.low) / 2) / ((limit.high - limit.low) / 2)
-            levels.append(level[:: grid.hold][: grid.rows])
-        return np.clip(np.array(levels), -1.0, 1.0)
+        rising = np.maximum(envelope(tried.shape[1], self.question.policy), 0.1)
+        levels = (self.rest + (tried - self.rest) / rising - self.middle) / self.half
+        return np.clip(levels[:, :: grid.hold][:, : grid.rows], -1.0, 1.0)
 
     def to_shapes(self, levels: np.ndarray, grid: DesignGrid) -> dict[str, InputShape]:
         """The levels as shapes; where the record repeats them, each pass begins and ends at rest."""
-        inputs = self.inputs(levels.ravel())
-        shapes: dict[str, InputShape] = {}
-        for k, name in enumerate(self.names):
-            limit = self.question.limits[name]
-            middle, half = (limit.high + limit.low) / 2, (limit.high - limit.low) / 2
-            chosen = (inputs[name] - middle) / half if grid.repeats > 1.5 else levels[k]
-            shapes[name] = PiecewiseConstant(tuple(chosen.tolist()), self.question.sampling_time)
-        return shapes
+        chosen = levels if grid.repeats <= 1.5 else (self._play(levels) - self.middle) / self.half
+        step = self.question.sampling_time
+        return {n: PiecewiseConstant(tuple(c.tolist()), step) for n, c in zip(self.names, chosen, strict=True)}
 
-    def inputs(self, v: np.ndarray) -> dict[str, np.ndarray]:
+    def _play(self, levels: np.ndarray) -> np.ndarray:
+        """The inputs that move (inputs, rows) at these levels, as `play` makes them: the gradient is that of what is played."""
+        # u = rest + envelope * smoothed(middle + half v - rest)
+        return self.rest + self.envelope * self._smoothed(self.middle + self.half * levels - self.rest)
+
+    def inputs(self, levels: np.ndarray) -> dict[str, np.ndarray]:
         """All inputs at these levels."""
-        levels = v.reshape(len(self.names), -1)
-        result = {i.name: np.full(self.question.rows, self.question.rest(i.name)) for i in self.question.model.inputs}
-        for k, name in enumerate(self.names):
-            limit, rest = self.question.limits[name], self.question.rest(name)
-            # u = rest + envelope * smoothed(middle + half v - rest): as `play` makes it, so that the gradient is
-            # that of what is played.
-            deviation = (limit.low + limit.high) / 2 + (limit.high - limit.low) / 2 * levels[k] - rest
-            result[name] = rest + self.envelope * self._smoothed(deviation)
-        return result
+        resting = {name: np.full(self.question.rows, self.question.rest(name)) for name in self.order}
+        return resting | dict(zip(self.names, self._play(levels), strict=True))
 
     def end_round(self, levels: np.ndarray, load: float) -> None:
         """Move the multipliers; take in how much wider than these runs the whole record is predicted: ``load`` of what it may use."""
-        inputs = self.inputs(levels.ravel())
-        constraints = [c for name in self.names for c in self._rates(name, inputs[name])]
+        inputs = self.inputs(levels)
+        constraints = list(self._rates(inputs))
         loads = [0.0]
         for group in self.groups:
             ranges = list(self._ranges(self._runs(group, inputs)))
@@ -221,7 +216,7 @@ class InputRefinement:
 
     def __call__(self, v: np.ndarray) -> tuple[float, np.ndarray]:
         """Cost and gradient."""
-        inputs = self.inputs(v)
+        inputs = self.inputs(v.reshape(len(self.names), -1))
         along = np.zeros((len(self.order), self.question.rows))
         runs = [SensitivityRun(plant, inputs) for plant in self.goal.plants]
         value = self.goal.value(runs, self.scale)
@@ -230,14 +225,13 @@ class InputRefinement:
         cost = -value
         for run, (outputs, slopes) in zip(runs, self.goal.slopes(runs, self.scale), strict=True):
             along -= run.gradient(outputs, slopes, np.zeros(run.states.shape))
-        for name in self.names:
-            for constraint in self._rates(name, inputs[name]):
-                penalty, push = self._penalise(constraint)
-                cost += penalty
-                # d(u_{k+1} - u_k): the later sample with plus, the earlier one with minus.
-                slope = push * constraint.slopes[0]
-                along[self.order.index(name), 1:] += slope
-                along[self.order.index(name), :-1] -= slope
+        for constraint in self._rates(inputs):
+            penalty, push = self._penalise(constraint)
+            cost += penalty
+            # d(u_{k+1} - u_k): the later sample with plus, the earlier one with minus.
+            slope, row = push * constraint.slopes[0], self.order.index(str(constraint.key[1]))
+            along[row, 1:] += slope
+            along[row, :-1] -= slope
         for group in self.groups:
             watched = self._runs(group, inputs)
             if not all(run.finite for run in watched):
@@ -249,27 +243,24 @@ class InputRefinement:
                 cost += penalty
                 if not push.any():
                     continue
-                active, kind, j = True, constraint.key[1] == "state", int(constraint.key[2])
+                active, (_, kind, column, _) = True, map(int, constraint.key)
                 for both, slope in zip(pushes, constraint.slopes, strict=True):
-                    both[kind][:, j] += push * slope
+                    both[kind][:, column] += push * slope
             if active:
                 for run, (outputs, states) in zip(watched, pushes, strict=True):
                     along += run.gradient(outputs, np.zeros(run.slopes.shape), states)
-        gradient = []
-        for name in self.names:
-            limit = self.question.limits[name]
-            # Back through what makes the input of a level: du/dv = half * smoothing * envelope, and the symmetric
-            # average is its own transpose.
-            gradient.append(
-                (limit.high - limit.low) / 2 * self._smoothed(self.envelope * along[self.order.index(name)])
-            )
-        return float(cost), np.array(gradient).ravel()
+        # Back through what makes the input of a level: du/dv = half * smoothing * envelope, and the symmetric average is its own
+        # transpose.
+        driven = along[[self.order.index(name) for name in self.names]]
+        return float(cost), (self.half * self._smoothed(self.envelope * driven)).ravel()
 
     def _runs(self, group: Sequence[PlantScenario], inputs: Mapping[str, np.ndarray]) -> list[SensitivityRun]:
         return [SensitivityRun(plant, inputs, sensitive=False) for plant in group]
 
-    def _smoothed(self, values: np.ndarray) -> np.ndarray:
-        return smooth(values, PLAY_SMOOTHING) if self.smooths else values
+    def _smoothed(self, rows: np.ndarray) -> np.ndarray:
+        if self.question.hold == "zero":
+            return rows
+        return np.array([smooth(row, PLAY_SMOOTHING) for row in rows])
 
     def _penalise(self, constraint: SampledLimit) -> tuple[float, np.ndarray]:
         """What a limit adds to the cost, and the slopes (n,) of that along its values."""
@@ -279,38 +270,30 @@ class InputRefinement:
         # (max(0, l + r g)^2 - l^2) / 2 r, mean over samples
         return float(np.sum(push**2 - np.square(before))) / (2 * self.weight * count), push / count
 
-    def _rates(self, name: str, u: np.ndarray) -> Iterator[SampledLimit]:
-        """The rate of an input, both ways."""
-        limit = self.question.limits[name]
-        most = limit.rate * self.question.sampling_time * self.question.share(name)
-        if np.isfinite(most):
-            for sign, way in ((1.0, "up"), (-1.0, "down")):
-                slope = np.full(len(u) - 1, sign / most)
-                yield SampledLimit(("rate", name, way), sign * np.diff(u) / most - 1, [slope])
+    def _rates(self, inputs: Mapping[str, np.ndarray]) -> Iterator[SampledLimit]:
+        """The rate of each input, both ways."""
+        for name in self.names:
+            most = self.question.limits[name].rate * self.question.sampling_time * self.question.share(name)
+            if np.isfinite(most):
+                for sign in (1, -1):
+                    slope = np.full(self.question.rows - 1, sign / most)
+                    yield SampledLimit(("rate", name, sign), sign * np.diff(inputs[name]) / most - 1, [slope])
 
     def _ranges(self, runs: Sequence[SensitivityRun]) -> Iterator[SampledLimit]:
         """Each limited output and state of an explanation, both ends: the middle of its runs with their spread, over the room."""
-        plant, inputs = runs[0].plant, set(self.order)
-        outputs, states = [o.name for o in plant.model.outputs], [s.name for s in plant.model.all_states]
-        for name, limit in self.question.limits.items():
-            if name in inputs:
-                continue
-            kind, j = ("output", outputs.index(name)) if name in outputs else ("state", -1)
-            if kind == "state":
-                if name not in states:
-                    continue
-                j = states.index(name)
-            signals = np.array([(run.outputs if kind == "output" else run.states)[:, j] for run in runs])
+        plant, limits = runs[0].plant, self.question.limits
+        for name, (kind, column) in plant.locate(n for n in limits if n not in self.order).items():
+            signals = np.array([(run.outputs, run.states)[kind][:, column] for run in runs])
             rest, middle = signals[0, 0], signals.mean(axis=0)
             apart = signals - middle
             std = np.sqrt(np.mean(apart**2, axis=0))
             # d std / d signal_i = (signal_i - mean) / (n std)
             along_std = apart / np.maximum(std, TINY) / len(runs)
-            for sign, end in ((1.0, limit.high - rest), (-1.0, rest - limit.low)):
+            for sign, end in ((1, limits[name].high - rest), (-1, rest - limits[name].low)):
                 room = end * (1 - MARGIN_RESERVE) * self.question.share(name) / self.tightness
                 if not (np.isfinite(room) and room > 0):
                     continue
                 # (mean + 3 std - rest) / room - 1 <= 0, and the same downwards
                 values = (sign * (middle - rest) + MARGIN_DEVIATIONS * std) / room - 1
                 slopes = (sign / len(runs) + MARGIN_DEVIATIONS * along_std) / room
-                yield SampledLimit((str(plant.number), kind, str(j), f"{sign:+.0f}"), values, list(slopes))
+                yield SampledLimit((plant.number, kind, column, sign), values, list(slopes))

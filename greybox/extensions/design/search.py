@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -17,16 +17,17 @@ from greybox.extensions.design.inputs import (
     PLAY_SMOOTHING,
     Chirp,
     InputShape,
+    LimitKeeper,
     Multisine,
     Prbs,
     Steps,
     compress_multisine,
+    fit_into_limits,
     play,
     staircase,
 )
-from greybox.extensions.design.limits import LimitKeeper, LimitPrediction, fit_into_limits
 from greybox.extensions.design.plant import INPUT_SEARCH_SEED, PlantScenario, make_plant
-from greybox.extensions.design.problem import DesignPolicy, DesignProblem
+from greybox.extensions.design.problem import DesignPolicy, DesignProblem, LimitPrediction
 from greybox.extensions.design.refinement import refine
 
 # Optimal weights of given pieces of information: which sampling times, which lines of a spectrum, which of many small experiments.
@@ -166,14 +167,11 @@ def search_inputs(question: DesignProblem, keeper: LimitKeeper, make_goal: GoalM
     policy = question.policy
     goal = make_goal(question.policy.scenarios, None)
     tried = try_shapes(question, keeper, goal, list_shapes(question, goal))
-    best_of_kind: dict[str, TriedInput] = {}
-    for each in tried:
-        best_of_kind.setdefault(each.kind, each)
     # Rivals lie far apart on many inputs: the more models there are to run, the fewer starts are needed.
     models = {plant.model.title for plant in goal.plants}
     # Work of a refinement grows with the models that are run.
     count = max(policy.starts // len(models), LEAST_STARTS)
-    starts = list(best_of_kind.values())[:count]
+    starts = kinds_of(tried)[:count]
     if all(is_differentiable(p) for p in (*goal.plants, *keeper.plants)):
         refined = [s for start in starts for s in refine(question, keeper, make_goal, start.shapes, start.inputs)]
         # Refined inputs are judged like any other, by the compiled kernel and the whole record.
@@ -324,10 +322,9 @@ def _compressed_phases(harmonics: tuple[int, ...], amplitudes: tuple[float, ...]
     return tuple(compress_multisine(harmonics, amplitudes, iterations // 8).tolist())
 
 
-def kinds_of(tried: Sequence[TriedInput]) -> Iterator[TriedInput]:
-    """The best of each kind, the best kind first."""
-    seen: set[str] = set()
+def kinds_of(tried: Sequence[TriedInput]) -> list[TriedInput]:
+    """The best of each kind, the best kind first, of inputs of which the best comes first."""
+    best: dict[str, TriedInput] = {}
     for each in tried:
-        if each.kind not in seen:
-            seen.add(each.kind)
-            yield each
+        best.setdefault(each.kind, each)
+    return list(best.values())

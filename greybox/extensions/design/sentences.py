@@ -13,8 +13,8 @@ from greybox.show.sentences.wording import join_names
 def _not_determined(finding: Finding) -> str:
     names = finding.values["constants"]
     remedies = finding.values["remedies"]
-    rest = f": {'; or '.join(remedies)}" if remedies else ": fix one of them, or add a sensor"
-    return f"no input within these limits determines {join_names(names)}{rest}"
+    rest = "; or ".join(remedies) or f"fix {'it' if len(names) == 1 else 'one of them'}, or add a sensor"
+    return f"no input within these limits determines {join_names(names)}: {rest}"
 
 
 def name_explanation(effects: Sequence[str]) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 
 from greybox.base.files import write_file
@@ -14,7 +13,7 @@ from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.extensions.export.observer import Observer, refuse_sampling
-from greybox.extensions.export.target import ExportTarget
+from greybox.extensions.export.target import ExportTarget, read_template
 from greybox.model.equations import equations_text
 from greybox.model.expressions.printer import c_literal
 from greybox.model.model import Model
@@ -65,11 +64,6 @@ def write_step(interval: DiscreteStep) -> str:
             read_template("step.c"),
         ]
     )
-
-
-def read_template(name: str) -> str:
-    """The text of a C file beside this one."""
-    return files("greybox.extensions.export").joinpath(name).read_text(encoding="utf-8")
 
 
 def write_constants(plant: ExportedModel, interval: DiscreteStep) -> list[str]:
@@ -164,95 +158,61 @@ def _header(plant: ExportedModel, interval: DiscreteStep) -> str:
         *plant.origin(),
         *(f"Note: {finding}" for finding in plant.findings),
     ]
-    lines = [
-        "/*",
-        *(f"   {to_comment(line)}".rstrip() for line in about),
-        "*/",
-        "",
-        f"#ifndef {name.upper()}_H",
-        f"#define {name.upper()}_H",
-        "",
-        f"#define {name.upper()}_SAMPLING_TIME {c_literal(interval.dt)} /* s */",
-        "",
+    structures = [
         *_struct(f"{name}_state", model.all_states, _past_members(interval)),
         *_struct(f"{name}_input", model.inputs),
         *_struct(f"{name}_output", model.outputs),
-        "/* The state at rest. */",
-        f"void {name}_start(struct {name}_state *state);",
-        "",
-        "/* What the sensors show now. */",
-        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output);",
-        "",
-        f"/* The state {interval.dt:g} s later, the input held. */",
-        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input);",
-        "",
-        "#endif",
-        "",
     ]
-    return "\n".join(lines)
+    return read_template(
+        "plant.h",
+        about="\n".join(f"   {to_comment(line)}".rstrip() for line in about),
+        name=name,
+        NAME=name.upper(),
+        dt=c_literal(interval.dt),
+        interval=f"{interval.dt:g}",
+        structures="\n".join(structures),
+    )
 
 
 def _source(plant: ExportedModel, interval: DiscreteStep, header_name: str) -> str:
     model, name = interval.signals, to_identifier(interval.signals.name)
+    coefficients: list[str] = []
     # An exact hold computes nothing from the constants: its matrices are numbers of their own.
-    exact = interval.step.per_interval
-    tables = ["/* The constants. */", *write_constants(plant, interval), ""]
-    if exact:
-        tables += [
+    if interval.step.per_interval:
+        coefficients = [
             "/* Exact discretisation with these constants for one sampling time; changing a constant above does not change these:",
             "   export the model anew. */",
             "static const double coefficients[] = {",
             *_blocks(interval),
-            "};",
-            "",
+            "};\n\n",
         ]
-    use = "coefficients" if exact else "constants"
-    states = _members(model.all_states, _past_members(interval))
+    members = _members(model.all_states, _past_members(interval))
+    states, past = members[: len(model.all_states)], members[len(model.all_states) :]
     inputs, outputs = _members(model.inputs), _members(model.outputs)
-    nx = len(model.all_states)
+
+    def assign(to: str, names: Sequence[str], source: str) -> str:
+        return "".join(f"    {to}->{member} = {source}[{k}];\n" for k, member in enumerate(names))
+
     # C has no empty array: a model without inputs has one element that nothing reads.
-    load = [f"    const double u[] = {{{', '.join(f'input->{m}' for m in inputs) or '0'}}};"]
-    past = ", ".join(f"state->{m}" for m in states[nx:]) or "0"
-    body = [
-        f"void {name}_start(struct {name}_state *state)",
-        "{",
-        "    struct start_once once;",
-        "    double x[NX];",
-        "",
-        "    prepare_start(&once, constants);",
-        "    start(&once, constants, x);",
-        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
-        *(f"    state->{m} = 0;" for m in states[nx:]),
-        "}",
-        "",
-        f"void {name}_outputs(const struct {name}_state *state, const struct {name}_input *input, struct {name}_output *output)",
-        "{",
-        f"    const double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
-        *load,
-        "    double y[NY];",
-        "",
-        *(["    (void)input;"] if not inputs else []),
-        f"    read_outputs(x, past, u, constants, {name.upper()}_SAMPLING_TIME, y);",
-        *(f"    output->{m} = y[{k}];" for k, m in enumerate(outputs)),
-        "}",
-        "",
-        f"void {name}_step(struct {name}_state *state, const struct {name}_input *input)",
-        "{",
-        f"    double x[] = {{{', '.join(f'state->{m}' for m in states[:nx])}}}, past[] = {{{past}}};",
-        *load,
-        "",
-        *(["    (void)input;"] if not inputs else []),
-        f"    interval(x, past, u, {use}, {name.upper()}_SAMPLING_TIME);",
-        *(f"    state->{m} = x[{k}];" for k, m in enumerate(states[:nx])),
-        *(f"    state->{m} = past[{k}];" for k, m in enumerate(states[nx:])),
-        "}",
-        "",
-    ]
-    head = [
-        f"/* {to_comment(model.title)}: see {to_comment(header_name)}. Generated by greybox; edit the model and export it anew. */",
-        "",
-    ]
-    return "\n".join([*head, f'#include "{header_name}"', "", write_step(interval), *tables, *body])
+    return read_template(
+        "plant.c",
+        title=to_comment(model.title),
+        described=to_comment(header_name),
+        header=header_name,
+        step=write_step(interval),
+        constants="\n".join(write_constants(plant, interval)) + "\n",
+        coefficients="\n".join(coefficients),
+        use="coefficients" if coefficients else "constants",
+        name=name,
+        NAME=name.upper(),
+        states=", ".join(f"state->{m}" for m in states),
+        past=", ".join(f"state->{m}" for m in past) or "0",
+        inputs=", ".join(f"input->{m}" for m in inputs) or "0",
+        unused="" if inputs else "    (void)input;\n",
+        begin=assign("state", states, "x") + "".join(f"    state->{m} = 0;\n" for m in past),
+        show=assign("output", outputs, "y"),
+        keep=assign("state", states, "x") + assign("state", past, "past"),
+    )
 
 
 def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:

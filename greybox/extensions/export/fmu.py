@@ -18,7 +18,7 @@ from greybox.base.texts import to_identifier, to_identifiers, to_line
 from greybox.base.units import format_unit, parse_unit
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
-from greybox.extensions.export.c_code import read_template, write_constants, write_step
+from greybox.extensions.export.c_code import write_constants, write_step
 from greybox.extensions.export.discrete_step import (
     DiscreteStep,
     SteppedSignals,
@@ -26,17 +26,11 @@ from greybox.extensions.export.discrete_step import (
     make_discrete_step,
 )
 from greybox.extensions.export.observer import Observer, refuse_sampling
-from greybox.extensions.export.target import ExportTarget
+from greybox.extensions.export.target import ExportTarget, read_template
 from greybox.model.expressions.printer import c_literal
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.simulation.kernel.c_compiler import (
-    CompilerError,
-    NoCompilerError,
-    find_compiler,
-    run_compiler,
-    summarise_errors,
-)
+from greybox.simulation.kernel import c_compiler
 
 PLATFORMS = {"linux": ("linux64", ".so"), "darwin": ("darwin64", ".dylib"), "win32": ("win64", ".dll")}
 # Every entry has this date, so that the same model gives the same file.
@@ -249,21 +243,23 @@ def _compile_binary(text: str, name: str, target: Path) -> bytes:
     Raises NoCompilerError, and OutputError with the FMU's name where it cannot be made.
     """
     try:
-        compiler = find_compiler()
+        compiler = c_compiler.find_compiler()
         with tempfile.TemporaryDirectory() as folder:
             library = Path(folder) / name
             source = write_file(library.with_suffix(".c"), text)
             # Windows has no position-independent code to ask for.
             flags = (*FLAGS, *(() if sys.platform == "win32" else ("-fPIC",)))
-            run = run_compiler([*compiler.command, *flags, "-o", str(library), str(source), "-lm"], compiler.timeout)
+            run = c_compiler.run_compiler(
+                [*compiler.command, *flags, "-o", str(library), str(source), "-lm"], compiler.timeout
+            )
             if run.returncode != 0:
-                raise CompilerError(
-                    f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {summarise_errors(run)}"
+                raise c_compiler.CompilerError(
+                    f"C compiler {' '.join(compiler.command)} ended with code {run.returncode} {c_compiler.summarise_errors(run)}"
                 )
             return library.read_bytes()
-    except NoCompilerError:
+    except c_compiler.NoCompilerError:
         raise
-    except CompilerError as error:
+    except c_compiler.CompilerError as error:
         raise OutputError(errno.EIO, f"its library cannot be compiled: {error}", str(target)) from error
     except OSError as error:
         reason = f"its library cannot be made in {tempfile.gettempdir()}: {error.strerror or error}"

@@ -27,22 +27,12 @@ from greybox.estimation.predictor import (
 )
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, SteppedSignals, make_discrete_step
+from greybox.extensions.export.target import read_template
 from greybox.model.expressions.operations import OPERATIONS
 from greybox.model.model import Model
 from greybox.model.python_text import docstring
 from greybox.model.signals import Input, Output, State
-from greybox.simulation.filtering.kalman_filter import (
-    FilterRow,
-    Moments,
-    compute_interval_noise,
-    correct_by_measurement,
-    discretise_process_noise,
-    make_filter_step,
-    to_lower_triangle,
-    to_lower_triangle_array,
-    to_symmetric,
-    to_symmetric_arrays,
-)
+from greybox.simulation.filtering import kalman_filter as kalman
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.tape import Tape, read_tape
 
@@ -108,7 +98,7 @@ class Observer:
     def split(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States (nx,) and their covariance (nx, nx)."""
         nx = len(self.plant.model.all_states)
-        return z[..., :nx], to_symmetric_arrays(z[..., nx:], nx)
+        return z[..., :nx], kalman.to_symmetric_arrays(z[..., nx:], nx)
 
     def run(self, inputs: np.ndarray, measured: np.ndarray) -> ObserverRun:
         """Run over inputs (N, nu) and measurements (N, ny), NaN where there is none.
@@ -196,7 +186,7 @@ def design_observer(
     system, step = interval.model.system, interval.step
     # The filter's constants: those of the model, then the deviations of its sensors.
     pn = np.append(interval.p, [noise[name] for name in outputs])
-    filter_step = make_filter_step(system, step)
+    filter_step = kalman.make_filter_step(system, step)
     # Constants and noise are numbers from here on: what runs beside a controller has nothing to compute them from.
     q = ca.SX(ca.DM(filter_step.coefficients(pn, np.array([interval.dt]), NONE)[0][0]))
     z, w = ca.SX.sym("z", nx + nx * (nx + 1) // 2), ca.SX.sym("w", nu + ny)
@@ -215,12 +205,12 @@ def design_observer(
     correction = _make_correction(step, nx, nu, ny, len(interval.p))
     after = correction(z, u, y, present, ca.DM(interval.p), ca.DM(pn[len(interval.p) :]))
     # z = [x; P], of the symmetric P the lower triangle column by column.
-    start = np.append(interval.x0, to_lower_triangle_array(_first_covariance(interval, initial_std)))
+    start = np.append(interval.x0, kalman.to_lower_triangle_array(_first_covariance(interval, initial_std)))
     signals = _name_signals(model)
 
     def make_interval(state: ca.SX) -> DiscreteStep:
         # std_i = sqrt(P_ii)
-        spread = ca.sqrt(ca.vertcat(*[to_symmetric(state[nx:], nx)[i, i] for i in range(nx)]))
+        spread = ca.sqrt(ca.vertcat(*[kalman.to_symmetric(state[nx:], nx)[i, i] for i in range(nx)]))
         advance = ca.Function(
             "advance",
             [z, w, ca.SX.sym("ub", nu + ny), ca.SX.sym("q", 0), ca.SX.sym("h")],
@@ -245,9 +235,11 @@ def _make_correction(step: Step, nx: int, nu: int, ny: int, constants: int) -> c
     sizes = (nx + nx * (nx + 1) // 2, nu, ny, ny, constants, ny)
     names = ("z", "u", "y", "present", "p", "noise")
     z, u, y, present, p, noise = symbols = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    row = FilterRow(u, y, present, ca.SX(0), ca.SX(0))
-    moments, _ = correct_by_measurement(step, Moments(z[:nx], to_symmetric(z[nx:], nx)), row, p, noise)
-    return ca.Function("correct", symbols, [ca.vertcat(moments.x, to_lower_triangle(moments.P))])
+    row = kalman.FilterRow(u, y, present, ca.SX(0), ca.SX(0))
+    moments, _ = kalman.correct_by_measurement(
+        step, kalman.Moments(z[:nx], kalman.to_symmetric(z[nx:], nx)), row, p, noise
+    )
+    return ca.Function("correct", symbols, [ca.vertcat(moments.x, kalman.to_lower_triangle(moments.P))])
 
 
 def _find_noise(
@@ -299,11 +291,11 @@ def _first_covariance(interval: DiscreteStep, initial_std: Mapping[str, float] |
         return np.diag([initial_std.get(name, 0.0) ** 2 for name in names])
     if step.per_interval:
         # Q of one interval, exactly: integral of Phi W Phi' over it.
-        lower = discretise_process_noise(system)(interval.p, np.array([dt]), NONE)[0][0]
-        return to_symmetric_arrays(lower, nx)
+        lower = kalman.discretise_process_noise(system)(interval.p, np.array([dt]), NONE)[0][0]
+        return kalman.to_symmetric_arrays(lower, nx)
     u, q, h = ca.SX.sym("u", step.advance.size1_in(1)), ca.SX.sym("q", step.advance.size1_in(3)), ca.SX.sym("h")
     # Of a Runge-Kutta step: through the same substeps as the state.
-    noise = ca.Function("noise", [system.x, u, q, system.p, h], [compute_interval_noise(step, system, u, q, h)])
+    noise = ca.Function("noise", [system.x, u, q, system.p, h], [kalman.compute_interval_noise(step, system, u, q, h)])
     return np.asarray(noise(interval.x0, 0, interval.coefficients(), interval.p, dt))
 
 
@@ -345,67 +337,29 @@ GATE = "({1} if {0} else 0.0)"
 
 def write_observer_class(observer: Observer) -> str:
     """The text of the file."""
-    signals = observer.corrected.signals
-    nx = len(observer.plant.model.all_states)
-    state_names = [s.name for s in observer.plant.model.all_states]
-    name = to_identifier(signals.name)
-    title = "".join(part.capitalize() for part in name.split("_"))
-    names = {
-        "STATES": state_names,
-        "INPUTS": [i.name for i in observer.plant.model.inputs],
-        "MEASUREMENTS": [o.name for o in observer.plant.model.outputs],
-    }
+    signals, model = observer.corrected.signals, observer.plant.model
     noise = [f"sensor {n}: {v:.6g}" for n, v in observer.noise.items()]
     noise += [f"process {n}: {v:.6g} per root second" for n, v in observer.process_noise.items() if v]
     filtered = f"Kalman filter of {signals.title.removesuffix(', observer')}, sampled every {observer.dt:g} s."
-    return "\n".join(
-        [
-            *docstring(
-                f"{filtered} Generated by greybox.",
-                [[*observer.plant.origin()], ["Standard deviations of the noise:", *noise]],
-            ),
-            "",
-            "import numpy as np",
-            "",
-            f"SAMPLING_TIME = {observer.dt!r}",
-            *(f"{key} = {tuple(value)!r}" for key, value in names.items()),
-            f"START = np.array({observer.start.tolist()!r})",
-            f"TRIANGLE = [(i, j) for j in range({nx}) for i in range(j, {nx})]",
-            "",
-            "",
-            f"class {title}:",
-            '    """At each sample ``estimate, covariance = observer.correct(u, y)``, then ``observer.advance(u, y)``.',
-            "",
-            '    A measurement that is missing is NaN."""',
-            "",
-            "    def __init__(self):",
-            "        self.state = START.copy()",
-            "",
-            "    def correct(self, u, y):",
-            '        """States and their covariance after the measurements."""',
-            "        return _split(_correct(self.state.tolist(), [*map(float, u), *map(float, y)]))",
-            "",
-            "    def advance(self, u, y):",
-            '        """Move to the next sample; gives the states predicted for it and their covariance."""',
-            "        self.state = np.array(_advance(self.state.tolist(), [*map(float, u), *map(float, y)]))",
-            "        return _split(self.state)",
-            "",
-            "",
-            "def _split(state):",
-            f"    covariance = np.zeros(({nx}, {nx}))",
-            f"    for (i, j), value in zip(TRIANGLE, state[{nx}:]):",
-            "        covariance[i, j] = covariance[j, i] = value",
-            f"    return np.array(state[:{nx}]), covariance",
-            "",
-            *_write_function("_correct", read_tape(observer.correct_function)),
-            *_write_function("_advance", read_tape(observer.advance_function)),
-        ]
+    origin = [list(observer.plant.origin()), ["Standard deviations of the noise:", *noise]]
+    return read_template(
+        "observer_class.txt",
+        about="\n".join(docstring(f"{filtered} Generated by greybox.", origin)),
+        title="".join(part.capitalize() for part in to_identifier(signals.name).split("_")),
+        dt=repr(observer.dt),
+        states=tuple(s.name for s in model.all_states),
+        inputs=tuple(i.name for i in model.inputs),
+        measurements=tuple(o.name for o in model.outputs),
+        start=observer.start.tolist(),
+        nx=len(model.all_states),
+        correct=_write_function("_correct", read_tape(observer.correct_function)),
+        advance=_write_function("_advance", read_tape(observer.advance_function)),
     )
 
 
-def _write_function(name: str, tape: Tape) -> list[str]:
+def _write_function(name: str, tape: Tape) -> str:
     """``def name(z, w)``, one line for each instruction."""
-    lines = ["", f"def {name}(z, w):"]
+    lines = [f"def {name}(z, w):"]
     texts: dict[int, str] = {}
     for kind, k in tape.order:
         node = tape.nodes[k]
@@ -420,4 +374,4 @@ def _write_function(name: str, tape: Tape) -> list[str]:
             template = GATE if node.op == ca.OP_IF_ELSE_ZERO else OPERATIONS[node.op].numpy or OPERATIONS[node.op].c
             lines.append(f"    t{k} = {template.format(*(texts[a] for a in node.args))}")
             texts[k] = f"t{k}"
-    return [*lines, f"    return [{', '.join(texts[node] for node, _ in tape.outputs[0])}]", ""]
+    return "\n".join([*lines, f"    return [{', '.join(texts[node] for node, _ in tape.outputs[0])}]"])

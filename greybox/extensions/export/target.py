@@ -1,10 +1,11 @@
-"""What an export target is: how a plant is handed over to another program, in one value."""
+"""What an export target is: how a plant is handed over to another program, in one value; and the texts that such targets fill in."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from string import Template
 
 
 @dataclass(frozen=True)
@@ -37,3 +38,9 @@ class ExportTarget:
     options: frozenset[str] = frozenset()
     stepped: str = ""
     ending: str = ""
+
+
+def read_template(name: str, /, **values: object) -> str:
+    """The text of a file beside this one; ``values`` take the places of ``$NAME`` in it."""
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
+    return Template(text).substitute(values) if values else text

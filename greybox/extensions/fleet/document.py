@@ -65,8 +65,12 @@ def _sections(fleet: FleetResult, command: str) -> Iterator[Section]:
     figure = plot_population_of_fleet(fleet)
     figures = [] if figure is None else [FigureBlock(figure)]
     yield Section("population", "The constants over the records", [*figures, *_tables(fleet)])
-    if fleet.without_result:
-        yield Section("without", "Records without a result", [_table_without_result(fleet)])
+    if failed := fleet.without_result:
+        rows = [[r.name, r.status.replace("_", " "), r.reason] for r in failed[:LISTED_RECORDS]]
+        more = len(failed) - LISTED_RECORDS
+        note = f"{more} more are in the table beside this page." if more > 0 else ""
+        table = TableBlock("They were left out, the others are done", ["record", "status", "reason"], rows, note)
+        yield Section("without", "Records without a result", [table])
     counts = [f for f in fleet.findings if f.code == FleetCode.FINDING_COUNT]
     if counts:
         yield Section("findings", "What is counts of how many records", [BulletList(counts)])
@@ -160,17 +164,6 @@ def _histogram(name: str, axis: Axis, values: Sequence[float], median: float) ->
     bars = Bars((edges[:-1] + edges[1:]) / 2, counts.astype(float), [Role.RESIDUAL] * len(counts), width=np.diff(edges))
     series: tuple[Series, ...] = (bars, Reference(median, upright=True))
     return Panel(name, series, axis, Axis("records"))
-
-
-def _table_without_result(fleet: FleetResult) -> TableBlock:
-    records = fleet.without_result
-    rows = [[r.name, r.status.replace("_", " "), r.reason] for r in records[:LISTED_RECORDS]]
-    note = (
-        f"{len(records) - LISTED_RECORDS} more are in the table beside this page."
-        if len(records) > LISTED_RECORDS
-        else ""
-    )
-    return TableBlock("They were left out, the others are done", ["record", "status", "reason"], rows, note)
 
 
 def _table_of_records(fleet: FleetResult) -> TableBlock:

@@ -126,10 +126,22 @@ def find_records(
     files = list_record_files([paths] if isinstance(paths, str | os.PathLike) else paths)
     if not files:
         raise DataError("no records; give a file or a folder of records")
-    references = [each for file in files for each in (_list_parts(file, record) if record else _list_file(file))]
-    for prefix in (_add_parent, _add_path):
-        counts = Counter(each.name for each in references)
-        references = [prefix(each) if counts[each.name] > 1 else each for each in references]
+    references: list[RecordReference] = []
+    for file in files:
+        if record:
+            references += _list_parts(file, record)
+        else:
+            references.append(RecordReference(file.stem, file.absolute()))
+    # Two of one name get their folder's name in front, or that of the file that holds both; two that still share it their whole path.
+    counts = Counter(each.name for each in references)
+    for k, each in enumerate(references):
+        if counts[each.name] > 1:
+            place = each.path.parent.name if each.rows is None else each.path.stem
+            references[k] = replace(each, name=f"{place}/{each.name}")
+    counts = Counter(each.name for each in references)
+    for k, each in enumerate(references):
+        if counts[each.name] > 1:
+            references[k] = replace(each, name=f"{each.path}{'' if each.rows is None else ' ' + each.name}")
     layout = {
         "columns": columns,
         "sampling_time": sampling_time,
@@ -139,10 +151,6 @@ def find_records(
         "reading": reading,
     }
     return RecordCollection(tuple(references), layout)
-
-
-def _list_file(file: Path) -> list[RecordReference]:
-    return [RecordReference(file.stem, file.absolute())]
 
 
 def _list_parts(file: Path, record: str) -> list[RecordReference]:
@@ -159,12 +167,3 @@ def _list_parts(file: Path, record: str) -> list[RecordReference]:
     except DataError as error:
         return [RecordReference(file.stem, file.absolute(), problem=str(error))]
     return [RecordReference(name, file.absolute(), part, record) for name, part in rows.items()]
-
-
-def _add_parent(reference: RecordReference) -> RecordReference:
-    place = reference.path.parent.name if reference.rows is None else reference.path.stem
-    return replace(reference, name=f"{place}/{reference.name}")
-
-
-def _add_path(reference: RecordReference) -> RecordReference:
-    return replace(reference, name=f"{reference.path}{'' if reference.rows is None else ' ' + reference.name}")

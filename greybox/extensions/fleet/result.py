@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, BinaryIO, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -332,7 +332,14 @@ class FleetResult(Printable):
         """
         columns = self.table()
         if Path(path).suffix.lower() == ".parquet":
-            return write_file(path, lambda file: _write_parquet(columns, file))
+            try:
+                import pyarrow as pa
+                import pyarrow.parquet as pq
+            except ModuleNotFoundError as error:
+                raise GreyboxError(
+                    f"a Parquet file needs the package {error.name}; install it with: pip install 'greybox-sysid[parquet]', or write CSV"
+                ) from error
+            return write_file(path, lambda file: pq.write_table(pa.table(dict(columns)), file))
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(columns)
@@ -361,17 +368,6 @@ def _label(name: str, unit: str) -> str:
 
 def _finite(values: Sequence[float | None]) -> list[float | None]:
     return [None if v is None or not math.isfinite(v) else float(v) for v in values]
-
-
-def _write_parquet(columns: Mapping[str, Sequence[Any]], file: BinaryIO) -> None:
-    try:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-    except ModuleNotFoundError as error:
-        raise GreyboxError(
-            f"a Parquet file needs the package {error.name}; install it with: pip install 'greybox-sysid[parquet]', or write CSV"
-        ) from error
-    pq.write_table(pa.table(dict(columns)), file)
 
 
 def load_fleet(path: str | Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from functools import cache
 
 from greybox.base.errors import ModelError, nearest
-from greybox.base.extensions import ExtensionKind, load_extensions
+from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.model.effect import Effect
 from greybox.model.effects.elasticity import CONTACT, ELASTICITY
 from greybox.model.effects.electrical import ELECTRICAL, THERMAL
@@ -41,6 +41,7 @@ CATALOGUE: tuple[Effect, ...] = (
     *BETWEEN_SAMPLES,
 )
 """Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`."""
+reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))
 
 __all__ = [
     "BETWEEN_SAMPLES",
@@ -75,24 +76,9 @@ __all__ = [
 
 @cache
 def all_effects() -> tuple[Effect, ...]:
-    """The shipped effects, and those of extensions after them.
-
-    Raises
-    ------
-    ModelError
-        Where an extension gives something else than an effect, or a name that is taken.
-    """
-    entries = list(CATALOGUE)
-    for name, value in load_extensions(ExtensionKind.EFFECTS).items():
-        for entry in (value,) if isinstance(value, Effect) else tuple(value):
-            if not isinstance(entry, Effect):
-                raise ModelError(f"extension {name}: {entry!r} is no effect; give a greybox.Effect, or several")
-            if any(entry.name == known.name for known in entries):
-                raise ModelError(
-                    f"extension {name}: the catalogue has an effect {entry.name!r} already; choose another name"
-                )
-            entries.append(entry)
-    return tuple(entries)
+    """The shipped effects, and those of extensions after them."""
+    further = load_extensions(ExtensionKind.EFFECTS).values()
+    return (*CATALOGUE, *(e for value in further for e in ((value,) if isinstance(value, Effect) else value)))
 
 
 def effect(name: str) -> Effect:

@@ -19,6 +19,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -26,7 +27,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
-from greybox.base.document import Block, Details, Document, FigureBlock, Text
+from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, Text
 from greybox.base.errors import DataError
 from greybox.base.files import write_file
 from greybox.base.findings import Finding
@@ -159,6 +160,8 @@ UNBROKEN = re.compile(r" (?=[±×])|(?<=[±×]) |(?<=\d) (?=\S{1,8}$)")
 
 def cell(text: str, head: str = "") -> str:
     """A cell of a table below ``head``, with numbers and units as print has them; a value is not torn from its unit or its uncertainty."""
+    if isinstance(text, FileLink):
+        return Markup('<a href="{}">{}</a>').format(quote(text), text)
     if head == "unit":
         return raise_powers(text)
     return UNBROKEN.sub("\N{NO-BREAK SPACE}", typeset_number(text)) if text != "-" else "–"

@@ -208,9 +208,12 @@ def poles_table(poles: np.ndarray, dt: float) -> TableBlock:
 def channel_lines(channel: TransferChannel) -> list[str]:
     """Lines about one channel."""
     per_second = f"/s**{channel.integrators}" if channel.integrators else ""
-    unit = format_unit(f"({channel.unit}){per_second}")
+    # A gain without a unit is a number alone, not "1.26 1".
+    unit, own_unit = (
+        f" {text}" if text != "1" else "" for text in map(format_unit, (f"({channel.unit}){per_second}", channel.unit))
+    )
     kind = "integrator gain" if channel.integrators else "gain"
-    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g} {unit}"]
+    lines = [f"  {channel.input} -> {channel.output}: {kind} {channel.gain:.10g}{unit}"]
     lines.append("    zeros " + (", ".join(map(complex_text, channel.zeros)) or "none"))
     bandwidth, (frequency, gain) = channel.bandwidth, channel.peak
     if np.isfinite(bandwidth):
@@ -218,7 +221,7 @@ def channel_lines(channel: TransferChannel) -> list[str]:
     elif np.isinf(bandwidth):
         lines.append("    bandwidth: the gain never falls 3 dB below its static value")
     if np.isfinite(gain) and gain > 1.01 * abs(channel.gain):
-        lines.append(f"    largest gain {gain:.6g} {format_unit(channel.unit)} at {frequency:.6g} rad/s")
+        lines.append(f"    largest gain {gain:.6g}{own_unit} at {frequency:.6g} rad/s")
     return lines
 
 

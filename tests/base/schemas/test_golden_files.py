@@ -19,7 +19,7 @@ from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.uncertainty import Bootstrap, Profile, load_bootstrap, load_profile
 from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.design.campaign import Campaign
-from greybox.extensions.design.result import Design
+from greybox.extensions.design.problem import Design
 from greybox.extensions.export.linear_files import LinearFile
 from greybox.extensions.fmu.effects import FmuWithEffects
 from greybox.shell.answers import FitAnswer

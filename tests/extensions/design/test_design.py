@@ -21,8 +21,7 @@ from greybox.extensions.design.goals import (
     make_precision,
 )
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.problem import DesignPolicy, DesignProblem, GoalName
-from greybox.extensions.design.result import Design
+from greybox.extensions.design.problem import Design, DesignPolicy, DesignProblem, GoalName
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
 from tests.support.result_schema import strict_offences
@@ -100,6 +99,20 @@ def test_information_of_earlier_records_is_added() -> None:
     assert after.experiment.rows == 160 and after.experiment.sampling_time == pytest.approx(0.05)
     chosen = gb.design(fit, limits={"u": (-1, 1)}, constants=["d"], policy=QUICK)
     assert chosen.predicted["d"].std_after <= 1.02 * after.predicted["d"].std_after
+
+
+def test_a_model_that_falls_short_is_known_as_its_fit_says_and_no_better() -> None:
+    """What the fit prints as standard deviations is what the design begins with, though the sensor's noise is far smaller."""
+    time = 0.05 * np.arange(160)
+    record = gb.simulate(PLANT, {"time": time, "u": np.sin(time)})
+    disturbed = record.record({"x": 1e-3}, np.random.default_rng(1))
+    disturbed = disturbed.with_outputs({"x": disturbed.outputs["x"] + 4e-3 * np.sin(7 * time)})
+    fit = gb.fit(PLANT.fix("c"), disturbed, noise={"x": 1e-3}, options=REST)
+    assert fit.misfit["x"].noise_ratio > 2
+    plan = gb.design(fit, limits={"u": (-1, 1)}, policy=QUICK)
+    for name, constant in plan.predicted.items():
+        assert constant.std_before == pytest.approx(fit.parameters[name].std, rel=1e-6)
+        assert constant.std_after < constant.std_before
 
 
 def test_rivals_are_told_apart_better_than_by_the_other_kinds() -> None:

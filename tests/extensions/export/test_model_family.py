@@ -12,7 +12,7 @@ import greybox as gb
 from greybox.data.signals import multisine
 from greybox.estimation.linear.model_family import make_parameter_distribution
 from greybox.estimation.linear.plant import ExportFinding, to_plant
-from greybox.simulation.twin import simulate_twin
+from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator
 
 NOISE = {"x": 2e-6, "i": 5e-2}

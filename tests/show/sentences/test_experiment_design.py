@@ -6,8 +6,7 @@ import pytest
 
 from greybox.base.findings import Finding
 from greybox.extensions.design.document import name_alternative
-from greybox.extensions.design.problem import CampaignCode, DesignCode
-from greybox.extensions.design.result import Alternative, AlternativeKind
+from greybox.extensions.design.problem import Alternative, AlternativeKind, CampaignCode, DesignCode
 from greybox.show.sentences.registry import sentence
 
 GOLDEN = [
@@ -21,7 +20,7 @@ GOLDEN = [
     ),
     (
         Finding(DesignCode.CONSTANT_NOT_DETERMINED, subject="M", values={"constants": ["M"], "remedies": []}),
-        "no input within these limits determines M: fix one of them, or add a sensor",
+        "no input within these limits determines M: fix it, or add a sensor",
     ),
     (
         Finding(DesignCode.WOULD_NOT_DECIDE, subject="a | b", values={"cost": 3.21, "limit": 20.0}),
@@ -81,10 +80,12 @@ def test_every_code_is_here() -> None:
 
 def test_alternatives_are_named() -> None:
     named = {kind: name_alternative(Alternative(kind, "7", 1.234)) for kind in AlternativeKind}
+    spectrum = Alternative(AlternativeKind.INPUT, "multisine with optimal spectrum", 0.6)
+    assert name_alternative(spectrum) == "multisine input with optimal spectrum"
     assert list(named.values()) == [
         "7 input",
         "this record 7 times",
-        "7 s instead",
+        "a record of 7 s",
         "a row every 7 s",
         "with a sensor for 7",
     ]
