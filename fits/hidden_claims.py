@@ -23,13 +23,13 @@ from scipy.special import expit
 import greybox as gb
 from fits.hidden_cases import Case
 from greybox.base.errors import ModelError
+from greybox.base.json_shape import to_values
 from greybox.discovery.claims import (
     ESTABLISHED_FROM,
     Claim,
     Depth,
     EffectForm,
     Features,
-    claim_values,
     describe_effect,
     to_features,
     to_probability,
@@ -47,7 +47,7 @@ Row = Mapping[str, Any]
 ACTS_AS = {
     "power_damping": "coulomb_friction",
     "resting_friction": "coulomb_friction",
-    "magnet": "constant_load",
+    "magnet": "cubic_stiffness",
     "ishlinskii_spring": "cubic_stiffness",
     "coarse_drive": "input_dead_zone",
     "sensor_on_change": "backlash",
@@ -69,12 +69,8 @@ def true_forms(case: Case, model: gb.Model) -> list[EffectForm] | None:
             except ModelError:
                 continue
             form = describe_effect(extended, extended.bound_effects[-1])
-            forms.append(form if listed else EffectForm("", form.site, _variables_of(name, form), form.form, ()))
+            forms.append(form if listed else EffectForm("", form.site, form.variables, form.form, ()))
     return forms or (None if case.effects else [])
-
-
-def _variables_of(name: str, form: EffectForm) -> tuple[str, ...]:
-    return form.variables if name != "magnet" else ()
 
 
 def is_right(claim: Claim, forms: Sequence[EffectForm] | None) -> bool | None:
@@ -98,7 +94,7 @@ def describe_claims(case: Case, model: gb.Model, claims: Sequence[Claim]) -> lis
     forms = true_forms(case, model)
     return [
         {
-            **claim_values(claim),
+            **to_values(claim),
             "frequency": claim.frequency,
             "left": claim.left,
             "right": is_right(claim, forms),

@@ -17,7 +17,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -410,10 +410,18 @@ class Ended:
     warned: bool
 
 
-def fit_from(problem: Problem, start: Sequence[float]) -> Ended:
-    """Fit ``problem`` from ``start``; every record begins as declared."""
+# Steps that a search may take where the usual limit ends it: the curved valley of MGH10 takes Levenberg and Marquardt hundreds.
+ITERATIONS = {"MGH10": 3000}
+
+
+def fit_from(name: str, start: Sequence[float]) -> Ended:
+    """Fit a problem from ``start``; every record begins as declared."""
+    problem = PROBLEMS[name]
     model = problem.model().start(**dict(zip(problem.names, start, strict=True)))
-    found = gb.fit(model, problem.record(), options=gb.FitOptions(at_rest=True, common_noise=True))
+    options = gb.FitOptions(at_rest=True, common_noise=True)
+    if name in ITERATIONS:
+        options = replace(options, iterations=ITERATIONS[name])
+    found = gb.fit(model, problem.record(), options=options)
     constants = [found.parameters[n].value for n in problem.names]
     ratio = float(np.sum(problem.residual(constants) ** 2)) / problem.squares
     has_noise = problem.squares > EXACT_SQUARES
@@ -450,8 +458,8 @@ def draw_start(problem: Problem, generator: np.random.Generator) -> list[float]:
 def study(name: str, random: int) -> dict[str, Any]:
     """One line of the table."""
     problem, generator = PROBLEMS[name], np.random.default_rng(1)
-    published = [fit_from(problem, start) for start in problem.starts]
-    drawn = [fit_from(problem, draw_start(problem, generator)) for _ in range(random)]
+    published = [fit_from(name, start) for start in problem.starts]
+    drawn = [fit_from(name, draw_start(problem, generator)) for _ in range(random)]
     missed = [e for e in (*published, *drawn) if not e.reached]
     return {
         "problem": name,
@@ -475,7 +483,7 @@ Statistical Reference Datasets (NIST/ITL StRD) and {kinetics} reaction mechanism
 1973; nitric oxide: Bellman and others, Mathematical Biosciences 1, 1967; gas oil and chain: Tjoa and Biegler, Industrial and
 Engineering Chemistry Research 30, 1991, the first with the optimum of COPS 3; methanol: Maria, Chemical Engineering Science 44,
 1989). Every fit is `gb.fit(model, data, options=gb.FitOptions(at_rest=True, common_noise=True))`: a plain sum of squares of all
-outputs.
+outputs; of MGH10, whose curved valley is long, with `iterations={iterations}` instead of 200.
 
 - A fit has *reached* the optimum where its sum of squares is within 0.1 % of the published one.
 - *Published starts*: the one or two that the source gives. *Random starts*: each constant between a tenth and ten times its
@@ -524,7 +532,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.stdout.flush()
     published, drawn = (add_up([line[key] for line in lines]) for key in ("published", "random"))
     rows = "\n".join(map(write_row, lines))
-    counts = {"regressions": len(REGRESSIONS), "kinetics": len(KINETICS)}
+    counts = {"regressions": len(REGRESSIONS), "kinetics": len(KINETICS), "iterations": ITERATIONS["MGH10"]}
     if given.page:
         text = PAGE.format(published=published, random=drawn, rows=rows, **counts)
         given.page.write_text(text, encoding="utf-8")

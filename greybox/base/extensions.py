@@ -16,8 +16,8 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
 
+# The distribution whose entries come first.
 OWN = "greybox-sysid"
-"""The distribution whose entries come first."""
 
 
 class ExtensionKind(StrEnum):
@@ -28,7 +28,7 @@ class ExtensionKind(StrEnum):
     EXPORTS = "exports"
     """Targets of an export: a `greybox.extensions.export.ExportTarget`."""
     PLANTS = "plants"
-    """What may stand in the place of a model file: a `greybox.shell.plants.PlantKind`."""
+    """What may stand in the place of a model: a `greybox.simulation.plant.Plant`, or the `greybox.shell.plants.PlantKind` of a file."""
     COMMANDS = "commands"
     """Commands of the terminal: a `greybox.shell.commands.Command`."""
     EFFECTS = "effects"
@@ -88,7 +88,10 @@ def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
             value = entry.load()
             given = value if kind is ExtensionKind.EFFECTS and isinstance(value, list | tuple) else (value,)
             for each in given:
-                if all(base.__name__ != VALUES[kind] for base in type(each).__mro__):
+                by_class = any(base.__name__ == VALUES[kind] for base in type(each).__mro__)
+                # What has the one method of a plant is one, whatever its class.
+                is_plant = kind is ExtensionKind.PLANTS and hasattr(each, "simulate") and not isinstance(each, type)
+                if not (by_class or is_plant):
                     raise GreyboxError(f"its value is a {type(each).__name__}; the class {VALUES[kind]} is needed")
             names = [each.name for each in given] if kind is ExtensionKind.EFFECTS else [entry.name]
             for name in names:

@@ -2,13 +2,12 @@
 
 from greybox.comparison.black_box_candidates import fit_black_boxes
 from greybox.comparison.compare import compare
-from greybox.comparison.findings import ComparisonFinding
 from greybox.comparison.result import (
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonFinding,
     ComparisonPolicy,
-    ComparisonRun,
     ComparisonScore,
     load_comparison,
     save_comparison,
@@ -20,7 +19,6 @@ __all__ = [
     "ComparisonEntry",
     "ComparisonFinding",
     "ComparisonPolicy",
-    "ComparisonRun",
     "ComparisonScore",
     "compare",
     "fit_black_boxes",

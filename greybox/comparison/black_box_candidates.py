@@ -9,21 +9,25 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import SAME_SAMPLING_TIME
+from greybox.base.numerics import SAME_SAMPLING_TIME, TINY
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.monte_carlo_smoothing import monte_carlo_smoothing
-from greybox.comparison.blackbox.resample import keep_measured_rows, resample
+from greybox.comparison.blackbox.resample import keep_measured_rows, match_sampling_time, resample
 from greybox.comparison.blackbox.subspace import WEIGHTS, StateSpaceModel, SubspaceOutput, subspace
 from greybox.comparison.compare import NamedModel
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonPolicy
-from greybox.comparison.runs import match_sampling_time
+from greybox.comparison.result import DEFAULT_COMPARISON, BlackBoxModel, ComparisonFinding, ComparisonPolicy
 from greybox.data.experiment import Experiment
+from greybox.estimation.errors import OutputScore
+from greybox.estimation.score import run_by_itself
 
 SMOOTHING = "monte_carlo_smoothing"
 STATE_SPACE = "subspace"
 
 BlackBoxProgress = Callable[[str, int, int], None]
+
+
+# Share of its range by which an output may begin away from zero and still count as at rest.
+REST_SHARE = 0.1
 
 
 def fit_black_boxes(
@@ -78,7 +82,8 @@ def fit_black_boxes(
         records, sparse = _select_rows(regular, output)
         findings += sparse
         # Zeros before a record that begins elsewhere would be an input that never was.
-        rest = at_rest and _begins_at_rest(records, output)
+        readings = [y[np.isfinite(y)] for y in (record.outputs[output] for record in records)]
+        rest = at_rest and not any(len(y) and abs(y[0]) > REST_SHARE * np.ptp(y) for y in readings)
         try:
             scans = best_black_boxes(
                 records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
@@ -155,20 +160,6 @@ def _select_rows(records: Sequence[Experiment], output: str) -> tuple[tuple[Expe
     return tuple(sparse), [Finding(ComparisonFinding.MEASURED_ROWS_ONLY, subject=output, values=values)]
 
 
-# Share of its range by which an output may begin away from zero and still count as at rest.
-REST_SHARE = 0.1
-
-
-def _begins_at_rest(records: Sequence[Experiment], output: str) -> bool:
-    """Whether the ``output`` begins near zero, compared with how far it moves."""
-    for record in records:
-        y = record.outputs[output]
-        y = y[np.isfinite(y)]
-        if len(y) and abs(y[0]) > REST_SHARE * np.ptp(y):
-            return False
-    return True
-
-
 def _identify_state_space(
     records: Sequence[Experiment], outputs: Sequence[str], inputs: Sequence[str]
 ) -> tuple[tuple[SubspaceOutput, ...], list[Finding]]:
@@ -178,18 +169,14 @@ def _identify_state_space(
     except DataError as error:
         values = {"reason": str(error)}
         return (), [Finding(ComparisonFinding.NO_STATE_SPACE, Severity.NOTE, "", values)]
+
+    def measure(model: StateSpaceModel) -> float:
+        """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
+        scores = [OutputScore.of([run for r in records for run in run_by_itself(box, r)]) for box in model.boxes()]
+        return sum((s.rmse / max(s.movement, TINY)) ** 2 for s in scores)
+
     # The free run decides, as it does in the comparison.
-    return min(models, key=lambda model: _measure_error(model, records)).boxes(), []
-
-
-def _measure_error(model: StateSpaceModel, records: Sequence[Experiment]) -> float:
-    """Mean square of the free run's error over that of the outputs' movement; infinite for a run that overflows."""
-    total = 0.0
-    for box in model.boxes():
-        y = np.concatenate([r.outputs[box.output] for r in records])
-        run = np.concatenate([box.simulate(r)[box.output] for r in records])
-        total += float(np.nanmean((y - run) ** 2) / max(float(np.nanvar(y)), np.finfo(float).tiny))
-    return total if np.isfinite(total) else np.inf
+    return min(models, key=measure).boxes(), []
 
 
 # Seed of Monte-Carlo smoothing, so that a comparison can be repeated.

@@ -2,38 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity, with_code
-from greybox.comparison.findings import ComparisonFinding
+from greybox.base.numerics import INTEGRATING_POLE
+from greybox.comparison.blackbox.resample import match_sampling_time
 from greybox.comparison.result import (
     DEFAULT_COMPARISON,
     BlackBoxModel,
     BoxKind,
     Comparison,
     ComparisonEntry,
+    ComparisonFinding,
     ComparisonPolicy,
-    ComparisonRun,
     ComparisonScore,
-    compute_score,
-)
-from greybox.comparison.runs import (
-    choose_predictor,
-    compute_feedthrough,
-    is_stable,
-    resolve_options,
-    run_black_box,
-    run_grey_box,
 )
 from greybox.data.experiment import Experiment, name_records
+from greybox.estimation.errors import OutputRun
+from greybox.estimation.optimum import has_free_run
 from greybox.estimation.options import FitOptions
-from greybox.estimation.residuals import check_steps_ahead
+from greybox.estimation.predictor import PredictionCorrection, Predictor, predictor
 from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.estimation.score import check_steps_ahead, colour_correction, run_by_itself, run_model
 from greybox.model.model import Model
+from greybox.simulation.linearise import linearise_along
+from greybox.simulation.plant import PlantModel, as_model
+from greybox.simulation.simulate import declared_initial_state
 
 # What a comparison comes to: the best model of each output, and what to keep in mind of the others.
 
@@ -53,13 +54,29 @@ def judge_comparison(comparison: Comparison) -> tuple[Finding, ...]:
     tuple of Finding
         One `ComparisonFinding.BEST_MODEL` for each output and measure, then the remarks.
     """
-    best = [
+    findings = [
         finding
         for output in comparison.outputs
         for measure in MEASURES
         if (finding := _find_best(comparison, output, measure)) is not None
     ]
-    return (*best, *_remarks(comparison))
+    # What to keep in mind of the others.
+    entries = comparison.entries
+    outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
+    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
+    remarks: list[tuple[ComparisonFinding, dict[str, Any]]] = [
+        (ComparisonFinding.UNSTABLE_MODELS, {"models": [e.name for e in entries if not e.stable]}),
+        (ComparisonFinding.FEEDTHROUGH_MODELS, {"models": [e.name for e in entries if e.feedthrough]}),
+        (
+            ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS,
+            {"outputs": outputs if len({*map(tuple, outputs.values())}) > 1 else {}},
+        ),
+        (ComparisonFinding.FAILED_FITS, {"models": failed}),
+    ]
+    return (
+        *findings,
+        *(Finding(code, Severity.WARNING, values=values) for code, values in remarks if any(values.values())),
+    )
 
 
 # Relative difference of two errors that counts as none.
@@ -101,22 +118,6 @@ def _find_best(comparison: Comparison, output: str, measure: str) -> Finding | N
 
 def _identify(entry: ComparisonEntry) -> dict[str, str | int]:
     return {"name": entry.name, "kind": str(entry.kind), "parameters": entry.parameters}
-
-
-def _remarks(comparison: Comparison) -> Iterator[Finding]:
-    entries = comparison.entries
-    unstable = [e.name for e in entries if not e.stable]
-    if unstable:
-        yield Finding(ComparisonFinding.UNSTABLE_MODELS, Severity.WARNING, values={"models": unstable})
-    direct = [e.name for e in entries if e.feedthrough]
-    if direct:
-        yield Finding(ComparisonFinding.FEEDTHROUGH_MODELS, Severity.WARNING, values={"models": direct})
-    outputs = {e.name: sorted(e.training) for e in entries if np.isfinite(e.bic)}
-    if len(set(map(tuple, outputs.values()))) > 1:
-        yield Finding(ComparisonFinding.BIC_OF_DIFFERENT_OUTPUTS, Severity.WARNING, values={"outputs": outputs})
-    failed = [e.name for e in entries if with_code(e.findings, ComparisonFinding.FIT_FAILED)]
-    if failed:
-        yield Finding(ComparisonFinding.FAILED_FITS, Severity.WARNING, values={"models": failed})
 
 
 ComparedModel = Model | Fit | BlackBoxModel | Sequence[BlackBoxModel]
@@ -186,7 +187,14 @@ def compare(
     >>> print(comparison)  # doctest: +SKIP
     >>> comparison["physics"].validation["x"].rmse  # doctest: +SKIP
     """
-    named = models.items() if isinstance(models, Mapping) else ((_default_name(m), m) for m in models)
+
+    def name_of(model: ComparedModel) -> str:
+        """Its title, or the kind of a black box."""
+        if isinstance(model, (Fit, Model)):
+            return as_model(model).title
+        return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")
+
+    named = models.items() if isinstance(models, Mapping) else ((name_of(m), m) for m in models)
     return compare_named(
         [NamedModel(name, model) for name, model in named],
         name_records(experiments),
@@ -236,8 +244,13 @@ def compare_named(
     for group in (validation, training):
         check_steps_ahead(steps, group)
     # The same beginning for all models: a difference in it would look like one of the models.
-    at_rest = options.at_rest if options is not None else any(resolve_options(f, None).at_rest for f in fits)
-    known_units = _collect_units(models, units or {})
+    at_rest = (
+        options.at_rest
+        if options is not None
+        else any(FitOptions.from_data(f.provenance.options).at_rest for f in fits)
+    )
+    stated = [as_model(named.model) for named in models if isinstance(named.model, (Model, Fit))]
+    known_units = {o.name: o.unit for model in stated for o in model.outputs} | dict(units or {})
     setup = _Setup(
         tuple(validation),
         tuple(training),
@@ -284,136 +297,139 @@ class _Setup:
     policy: ComparisonPolicy
 
 
+# Rows of all records up to which the best prediction filter is searched for; the search takes longer with more.
+FILTERED_ROWS = 50000
+
+
 def _grey_box_entry(named: NamedModel, model: Model | Fit, setup: _Setup) -> ComparisonEntry:
-    options = resolve_options(model, setup.options)
-    rows = sum(e.rows for e in (*setup.training, *setup.validation))
-    filter_predictor = choose_predictor(model, rows)
-    fitted, validated = (
-        run_grey_box(
-            model,
-            group,
-            training=training,
-            skip=0 if training else setup.skip,
-            beginning=setup.beginning,
-            options=options,
-            filter_predictor=filter_predictor,
-            steps=setup.steps,
-        )
-        for group, training in ((setup.training, True), (setup.validation, False))
-    )
-    plant = model.model if isinstance(model, Fit) else model
-    findings = list(named.findings)
-    if isinstance(model, Fit) and not model.success:
-        values = {"status": str(model.status)}
-        findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
-    if filter_predictor:
-        values = {"filter": str(filter_predictor.correction)}
+    """A physical model: a record that a fit was made of keeps the initial state of that fit, others are run as by `validate`."""
+    plant, findings = as_model(model), list(named.findings)
+    correction: Predictor | PredictionCorrection | None = None
+    known: Sequence[Trace] = ()
+    if isinstance(model, Fit):
+        known = model.traces if has_free_run(model) else ()
+        rows = sum(e.rows for e in (*setup.training, *setup.validation)) + sum(len(t.time) for t in model.traces)
+        # Corrections are learnt on the estimation records: the one judged has no part in it.
+        filtered = model.success and not model.constraints.per_experiment and not isinstance(plant, PlantModel)
+        correction = predictor(model) if filtered and rows <= FILTERED_ROWS else colour_correction(model)
+        if not model.success:
+            values = {"status": str(model.status)}
+            findings.append(Finding(ComparisonFinding.FIT_FAILED, Severity.ERROR, named.name, values))
+    if isinstance(correction, Predictor):
+        values = {"filter": str(correction.correction)}
         findings.append(Finding(ComparisonFinding.PREDICTION_FILTER, subject=named.name, values=values))
-    parameters = len(plant.free_parameters)
-    return _assemble_entry(
-        ComparisonEntry(
-            named.name,
-            BoxKind.GREY,
-            structure={o.name: plant.title for o in plant.outputs},
-            parameters=parameters,
-            training={},
-            validation={},
-            records={},
-            bic=np.nan,
-            stable=is_stable(plant, [*fitted, *validated]),
-            feedthrough=compute_feedthrough(plant),
-            seconds=named.seconds,
-            findings=tuple(findings),
-            training_runs=tuple(fitted),
-            validation_runs=tuple(validated),
-        ),
-        setup.units,
+    steps, begin = (1, *setup.steps), setup.beginning
+    fitted = run_model(model, setup.training, steps, correction, known, initial_rows=begin, options=setup.options)
+    validated = run_model(
+        model, setup.validation, steps, correction, skip=setup.skip, initial_rows=begin, options=setup.options
     )
+    stable, feedthrough = all(np.isfinite(run.simulated).all() for run in (*fitted, *validated)), {}
+    if not isinstance(plant, PlantModel):
+        p, u = np.array(list(plant.values.values())), np.zeros((1, len(plant.inputs)))
+        a, _, _, (direct, *_) = linearise_along(plant.system, declared_initial_state(plant)[None], u, p)
+        if plant.system.linear:
+            eigenvalues = np.linalg.eigvals(a[0])
+            # An integrator's eigenvalue is zero but for rounding: it counts as stable.
+            stable = bool((eigenvalues.real <= INTEGRATING_POLE * np.abs(eigenvalues).max(initial=0.0)).all())
+        feedthrough = {
+            f"{o.name}/{i.name}": float(direct[j, k])
+            for j, o in enumerate(plant.outputs)
+            for k, i in enumerate(plant.inputs)
+            if direct[j, k]
+        }
+    return _assemble_entry(
+        named,
+        BoxKind.GREY,
+        structure={o.name: plant.title for o in plant.outputs},
+        parameters=len(plant.free_parameters),
+        stable=stable,
+        feedthrough=feedthrough,
+        findings=findings,
+        runs=(fitted, validated),
+        units=setup.units,
+    )
+
+
+# Rows that determine the initial state of a validation record, where ``skip`` is 0.
+COMPARISON_INITIAL_ROWS = 50
 
 
 def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
+    """Black boxes of one output each, every record on the time grid that each was identified at.
+
+    The initial state comes from all rows of an estimation record, and from the first rows of another; at rest all was zero before.
+    """
     model = named.model
     boxes: tuple[BlackBoxModel, ...] = tuple(model) if isinstance(model, Sequence) else (model,)  # type: ignore[assignment]
-    fitted, validated = (
-        [
-            run
-            for box in boxes
-            for run in run_black_box(
-                box,
-                group,
-                training=training,
-                skip=setup.skip,
-                beginning=setup.beginning,
-                at_rest=setup.at_rest,
-                steps=setup.steps,
-            )
-        ]
-        for group, training in ((setup.training, True), (setup.validation, False))
-    )
+    runs: tuple[list[OutputRun], list[OutputRun]] = ([], [])
+    for group, records, training in zip(runs, (setup.training, setup.validation), (True, False), strict=True):
+        for box, experiment in product(boxes, records):
+            if box.output not in experiment.outputs or not np.isfinite(experiment.outputs[box.output]).any():
+                continue
+            record = match_sampling_time(experiment, box.output, box.sampling_time, box.label)
+            # Rows count in the record as it was given: one resampled has others for the same time.
+            rows = setup.beginning or setup.skip or COMPARISON_INITIAL_ROWS
+            begin = {
+                "initial": "zero" if setup.at_rest else "estimated",
+                "rows": None if training else max(1, round(record.rows / experiment.rows * rows)),
+            }
+            first_time = experiment.time[min(setup.skip, experiment.rows - 1)]
+            skip = 0 if training else int(np.searchsorted(record.time, first_time))
+            group += run_by_itself(box, record, (1, *setup.steps), skip, **begin)
     return _assemble_entry(
-        ComparisonEntry(
-            named.name,
-            BoxKind.BLACK,
-            structure={b.output: b.label for b in boxes},
-            parameters=sum(b.parameters for b in boxes),
-            training={},
-            validation={},
-            records={},
-            bic=np.nan,
-            stable=all(b.stable for b in boxes),
-            feedthrough={f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share},
-            seconds=named.seconds,
-            findings=(*named.findings, *(finding for b in boxes for finding in b.findings)),
-            training_runs=tuple(fitted),
-            validation_runs=tuple(validated),
-        ),
-        setup.units,
+        named,
+        BoxKind.BLACK,
+        structure={b.output: b.label for b in boxes},
+        parameters=sum(b.parameters for b in boxes),
+        stable=all(b.stable for b in boxes),
+        feedthrough={f"{b.output}/{name}": share for b in boxes for name, share in b.feedthrough.items() if share},
+        findings=[*named.findings, *(finding for b in boxes for finding in b.findings)],
+        runs=runs,
+        units=setup.units,
     )
 
 
-def _assemble_entry(entry: ComparisonEntry, units: Mapping[str, str]) -> ComparisonEntry:
-    """``entry`` with the scores of its runs."""
+def _assemble_entry(
+    named: NamedModel,
+    kind: BoxKind,
+    *,
+    structure: Mapping[str, str],
+    parameters: int,
+    stable: bool,
+    feedthrough: Mapping[str, float],
+    findings: Sequence[Finding],
+    runs: tuple[Sequence[OutputRun], Sequence[OutputRun]],
+    units: Mapping[str, str],
+) -> ComparisonEntry:
+    """A model with the scores of its runs over the estimation and the validation records."""
 
-    def scores(runs: Sequence[ComparisonRun]) -> dict[str, ComparisonScore]:
+    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, ComparisonScore]:
         outputs = dict.fromkeys(run.output for run in runs)
-        return {name: compute_score([r for r in runs if r.output == name], units.get(name, "")) for name in outputs}
+        return {n: ComparisonScore.of([r for r in runs if r.output == n], units.get(n, "")) for n in outputs}
 
     records: dict[str, dict[str, ComparisonScore]] = {}
-    for run in (*entry.training_runs, *entry.validation_runs):
-        records.setdefault(run.record, {})[run.output] = compute_score([run], units.get(run.output, ""))
-    training = scores(entry.training_runs)
-    return replace(
-        entry,
-        training=training,
-        validation=scores(entry.validation_runs),
-        records=records,
-        bic=_compute_bic(training, entry.parameters),
+    for run in (*runs[0], *runs[1]):
+        records.setdefault(run.record, {})[run.output] = ComparisonScore.of([run], units.get(run.output, ""))
+    training, validation = map(score_outputs, runs)
+    count, bic = sum(s.samples for s in training.values()), np.nan
+    if count:
+        with np.errstate(divide="ignore"):
+            # Outputs have their own noise: N ln V each, one price p ln N for all parameters.
+            misfit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
+        bic = float(misfit + parameters * np.log(count))
+    return ComparisonEntry(
+        named.name,
+        kind,
+        structure,
+        parameters,
+        training,
+        validation,
+        records,
+        bic,
+        stable,
+        feedthrough,
+        named.seconds,
+        tuple(findings),
+        tuple(runs[0]),
+        tuple(runs[1]),
     )
-
-
-def _compute_bic(training: Mapping[str, ComparisonScore], parameters: int) -> float:
-    """``sum N ln(mean square free-run error) + p ln(sum N)``; NaN without training records."""
-    count = sum(s.samples for s in training.values())
-    if not count:
-        return np.nan
-    with np.errstate(divide="ignore"):
-        # Outputs have their own noise: N ln V each, one price for all parameters.
-        fit = sum(s.samples * np.log(s.rmse**2) for s in training.values() if s.samples)
-    return float(fit + parameters * np.log(count))
-
-
-def _collect_units(models: Sequence[NamedModel], given: Mapping[str, str]) -> dict[str, str]:
-    units: dict[str, str] = {}
-    for named in models:
-        plant = named.model.model if isinstance(named.model, Fit) else named.model
-        if isinstance(plant, Model):
-            units |= {o.name: o.unit for o in plant.outputs}
-    return {**units, **given}
-
-
-def _default_name(model: ComparedModel) -> str:
-    if isinstance(model, Fit):
-        return model.model.title
-    if isinstance(model, Model):
-        return model.title
-    return (model[0] if isinstance(model, Sequence) else model).kind.replace(" ", "_").replace("-", "_")

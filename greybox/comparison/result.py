@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -14,9 +14,39 @@ from greybox.base.findings import Finding
 from greybox.base.json_file import read_json, write_json
 from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
-from greybox.comparison.blackbox.policy import StructureScanPolicy
+from greybox.comparison.blackbox.structure_scan import StructureScanPolicy
 from greybox.data.experiment import Experiment
+from greybox.estimation.errors import OutputRun, OutputScore
 from greybox.estimation.options import FitOptions
+
+
+class ComparisonFinding(StrEnum):
+    """Verdict and findings of a comparison; their sentences are in `greybox.show.sentences.comparison`."""
+
+    BEST_MODEL = "best_model"
+    """The model with the smallest error of one output, and the best model of the other kind."""
+    UNSTABLE_MODELS = "compared_unstable"
+    """Models that are unstable."""
+    FEEDTHROUGH_MODELS = "compared_feedthrough"
+    """Models whose output depends on the input of the same row."""
+    BIC_OF_DIFFERENT_OUTPUTS = "compared_bic_outputs"
+    """Models whose BIC sums over different outputs."""
+    FAILED_FITS = "compared_fits_failed"
+    """Models whose fit did not succeed."""
+    FIT_FAILED = "compared_fit_failed"
+    """The fit of this model did not succeed."""
+    PREDICTION_FILTER = "compared_prediction_filter"
+    """What the one-step predictions of this model are made with."""
+    NO_BLACK_BOX = "compared_no_black_box"
+    """No black box could be fitted to an output."""
+    NO_STATE_SPACE = "compared_no_state_space"
+    """No state-space model of all inputs and outputs could be identified."""
+    RECORD_RESAMPLED = "compared_record_resampled"
+    """A record was resampled for the black boxes."""
+    MEASURED_ROWS_ONLY = "compared_measured_rows_only"
+    """Black boxes use the rows at which a slow sensor was read."""
+    NO_SMOOTHING = "compared_no_smoothing"
+    """Monte-Carlo smoothing was not possible."""
 
 
 @dataclass(frozen=True)
@@ -81,24 +111,8 @@ class BlackBoxModel(Protocol):
         """Prediction ``{output: (N,)}``."""
 
 
-@dataclass(frozen=True, eq=False)
-class ComparisonRun:
-    """One output of one record beside a model's free run and one-step prediction: ``time``, ``measured``, ``simulated``,
-    ``predicted`` (N,); the first ``skip`` rows do not count. ``predicted`` is NaN where nothing is predicted. ``ahead``: further
-    predictions (N,) by the number of samples ahead."""
-
-    record: str
-    output: str
-    time: np.ndarray
-    measured: np.ndarray
-    simulated: np.ndarray
-    predicted: np.ndarray
-    skip: int = 0
-    ahead: Mapping[int, np.ndarray] = field(default_factory=dict)
-
-
 @dataclass(frozen=True)
-class ComparisonScore:
+class ComparisonScore(OutputScore):
     """Errors of one output over one or more records; infinite where a run leaves all bounds.
 
     Attributes
@@ -117,14 +131,12 @@ class ComparisonScore:
         Errors of predictions further ahead, by the number of samples.
     """
 
-    rmse: float
-    best_fit_percent: float
-    one_step_rmse: float
-    samples: int
-    unit: str = ""
-    ahead_rmse: Mapping[int, float] = field(default_factory=dict)
-
     KEYS: ClassVar[str] = "rmse best_fit_percent one_step_rmse samples unit ahead_rmse?"
+
+    @property
+    def ahead_rmse(self) -> Mapping[int, float]:
+        """Errors of predictions further ahead than one sample, by the number of samples."""
+        return {k: error for k, error in self.ahead.items() if k != 1}
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +184,8 @@ class ComparisonEntry:
     feedthrough: Mapping[str, float]
     seconds: float = 0.0
     findings: tuple[Finding, ...] = ()
-    training_runs: tuple[ComparisonRun, ...] = ()
-    validation_runs: tuple[ComparisonRun, ...] = ()
+    training_runs: tuple[OutputRun, ...] = ()
+    validation_runs: tuple[OutputRun, ...] = ()
 
     KEYS: ClassVar[str] = """
         kind parameters structure validation training records bic stable feedthrough seconds notes=str(findings) findings
@@ -240,47 +252,6 @@ class Comparison(Printable):
     def deciding_scores(self, entry: ComparisonEntry) -> Mapping[str, ComparisonScore]:
         """The scores that decide: on the validation records, or on the estimation records where there are no others."""
         return entry.validation if self.validation else entry.training
-
-
-def compute_score(runs: Sequence[ComparisonRun], unit: str) -> ComparisonScore:
-    """Errors of one output over its ``runs``."""
-    squares = movement = 0.0
-    count = 0
-    for run in runs:
-        y, yhat = (values[run.skip :] for values in (run.measured, run.simulated))
-        measured = np.isfinite(y)
-        if not measured.any():
-            continue
-        squares += _sum_of_squares(y[measured] - yhat[measured])
-        # About each record's own mean: records at different levels would make any model look good.
-        movement += _sum_of_squares(y[measured] - y[measured].mean())
-        count += int(measured.sum())
-    if not count:
-        return ComparisonScore(np.nan, np.nan, np.nan, 0, unit)
-    # 100 (1 - |y - yhat| / |y - mean y|)
-    fit = 100 * (1 - np.sqrt(squares / movement)) if movement > 0 else np.nan
-    one_step = _prediction_rmse([(run, run.predicted) for run in runs])
-    steps_ahead = dict.fromkeys(steps for run in runs for steps in run.ahead)
-    ahead = {k: _prediction_rmse([(run, run.ahead[k]) for run in runs if k in run.ahead]) for k in steps_ahead}
-    return ComparisonScore(float(np.sqrt(squares / count)), float(fit), one_step, count, unit, ahead)
-
-
-def _prediction_rmse(predictions: Sequence[tuple[ComparisonRun, np.ndarray]]) -> float:
-    """Root mean square error of predictions (N,), where there are any."""
-    squares, count = 0.0, 0
-    for run, ahead in predictions:
-        y, yhat = run.measured[run.skip :], ahead[run.skip :]
-        # NaN is no prediction; an infinite one is a wrong one.
-        known = np.isfinite(y) & ~np.isnan(yhat)
-        squares += _sum_of_squares(y[known] - yhat[known])
-        count += int(known.sum())
-    return float(np.sqrt(squares / count)) if count else np.nan
-
-
-def _sum_of_squares(error: np.ndarray) -> float:
-    with np.errstate(over="ignore", invalid="ignore"):
-        squares = float(error @ error)
-    return squares if np.isfinite(squares) else np.inf
 
 
 # A comparison as JSON: ``compare.json``.

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 
-import casadi as ca
 import numpy as np
 from scipy.linalg import eigh, expm
 
@@ -23,6 +22,7 @@ from greybox.discovery.problem import CandidateFit
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
 from greybox.model.system import System
+from greybox.simulation.linearise import linearise_along
 
 
 class SiteKind(StrEnum):
@@ -104,7 +104,8 @@ def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -
     time = problem.experiments[record].time[stretch]
     p = variables.parameters(variables.here, record)
     sites = list_disturbance_sites(model, [o.name for o in model.outputs])
-    a, b, c, storage = _slopes(system, x, u, p)
+    a, b, c, _, storages = map(np.nan_to_num, linearise_along(system, x, u, p, slide=True, others=[system.storages]))
+    storage = storages[:, :, 0]
     steps = np.diff(time)
     if len(a) == 1 and np.allclose(steps, steps[0], rtol=1e-6):
         steps = steps[:1]
@@ -132,34 +133,6 @@ def are_indistinguishable(one: np.ndarray, other: np.ndarray) -> bool:
         return False
     a, b = one / np.linalg.norm(one), other / np.linalg.norm(other)
     return bool(min(np.abs(a - b).max(), np.abs(a + b).max()) < SAME_DIRECTION)
-
-
-def _let_slide(system: System, expression: ca.SX) -> ca.SX:
-    """``expression`` with every state that is set after each step where that puts one from far away: at the end of its play."""
-    for update in system.updates:
-        state = system.x[update.state]
-        expression = ca.substitute(expression, state, ca.substitute(update.value, state, ca.inf))
-    return expression
-
-
-def _slopes(
-    system: System, x: np.ndarray, u: np.ndarray, p: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """``d rhs/dx`` (R, nx, nx), ``d rhs/du``, ``d y/dx`` and the storages (R, nx); one entry each for an affine model."""
-    smooth = _let_slide(system, ca.substitute(system.rhs, system.direction, ca.SX.zeros(len(system.dry))))
-    matrices = [
-        ca.jacobian(smooth, system.x),
-        ca.jacobian(smooth, system.u),
-        ca.jacobian(_let_slide(system, system.outputs), system.x),
-        system.storages,
-    ]
-    signals = ca.vertcat(system.x, system.u)
-    rows = slice(0, 1) if not any(ca.depends_on(m, signals) for m in matrices) else slice(None)
-    slopes = []
-    for m in matrices:
-        values = ca.Function("m", [system.x, system.u, system.p], [ca.vec(m.T)])(x[rows].T, u[rows].T, p).full().T
-        slopes.append(np.nan_to_num(values).reshape(len(values), *m.shape))
-    return slopes[0], slopes[1], slopes[2], slopes[3][:, :, 0]
 
 
 def _direction(site: DisturbanceSite, b: np.ndarray, storage: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions
@@ -215,6 +216,13 @@ class HoldoutError(Printable):
     unit: str
     is_floor_known: bool = True
 
+    KEYS: ClassVar[str] = "before after floor=known_floor unit share"
+
+    @property
+    def known_floor(self) -> float | None:
+        """Error of the noise alone; None where it is not known."""
+        return self.floor if self.is_floor_known else None
+
     @property
     def share(self) -> float:
         """Share of the error that the extended model takes away, 0 to 1; negative where it is worse."""
@@ -323,8 +331,7 @@ class HoldoutScores:
         run = self.run(candidate)
         if run is None:
             return np.inf
-        score = float(np.sqrt(np.mean([m.noise_ratio**2 for m in run.misfit.values()])))
-        return score if np.isfinite(score) else np.inf
+        return run.noise_ratio if np.isfinite(run.noise_ratio) else np.inf
 
     def adapt(self, candidate: CandidateFit) -> AdaptedRun | None:
         """Its run on the counted rows once constants and first states moved within their uncertainty; None where it fails.
@@ -381,18 +388,15 @@ class HoldoutScores:
 
         Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
         """
-        every = self._free_residuals(candidate)
-        charge = dict.fromkeys(every, 0.0)
         run = self.adapt(candidate) if adapted else None
-        if run is not None:
-            every, charge = run.residuals, self.charge(run)
-        return _square_in_blocks(every, charge, blocks)
+        if run is None:
+            return errors_by_block(self._free_residuals(candidate), blocks)
+        return errors_by_block(run.residuals, blocks, self.charge(run))
 
 
 def block_errors(validation: Validation, uncounted: int, blocks: int) -> dict[str, np.ndarray]:
     """By output the mean square error (B,) of a free run in about ``blocks`` equal blocks, without the ``uncounted`` first rows."""
-    every = _counted_residuals(validation, uncounted)
-    return _square_in_blocks(every, dict.fromkeys(every, 0.0), blocks)
+    return errors_by_block(_counted_residuals(validation, uncounted), blocks)
 
 
 def _counted_residuals(validation: Validation, uncounted: int) -> Residuals:
@@ -400,20 +404,6 @@ def _counted_residuals(validation: Validation, uncounted: int) -> Residuals:
         name: [trace.residual(name)[uncounted:] for trace in validation.traces if name in trace.measured]
         for name in validation.misfit
     }
-
-
-def _square_in_blocks(every: Residuals, charge: Mapping[str, float], blocks: int) -> dict[str, np.ndarray]:
-    """Mean square of residuals by output in about ``blocks`` blocks of equal length, the ``charge`` of each output added."""
-    rows = sum(len(r) for r in next(iter(every.values()), []))
-    length = max(math.ceil(rows / blocks), 1)
-    errors: dict[str, list[float]] = {name: [] for name in every}
-    for name, residuals in every.items():
-        for residual in residuals:
-            parts = np.array_split(residual, max(round(len(residual) / length), 1))
-            errors[name] += [
-                charge[name] + float(np.mean(part[np.isfinite(part)] ** 2)) for part in parts if np.isfinite(part).any()
-            ]
-    return {name: np.array(values) for name, values in errors.items() if values}
 
 
 def _key_of(candidate: CandidateFit) -> tuple[Any, ...]:

@@ -18,11 +18,12 @@ import numpy as np
 
 from greybox.base.errors import DataError, ModelError
 from greybox.base.findings import Check, Finding, Severity
+from greybox.base.json_shape import to_values
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Claim, claim_values, deepest_established, name_by_evidence, weigh_claims
+from greybox.discovery.claims import Claim, deepest_established, name_by_evidence, weigh_claims
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import (
     Conclusion,
@@ -41,7 +42,6 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.evidence import (
-    MOST_CORRELATION,
     EffectEvidence,
     EvidenceInputs,
     gather_evidence,
@@ -52,7 +52,6 @@ from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJo
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
-    VISIBLE_RMS,
     HoldoutError,
     HoldoutScores,
     ValidationSet,
@@ -686,7 +685,7 @@ def _weigh(
     if not draws.sets:
         return ()
     leading = draws.sets[draws.leading].candidate
-    left = measure_structure(table.scores, leading, VISIBLE_RMS, MOST_CORRELATION)
+    left = measure_structure(table.scores, leading, only_visible=True)
     claims = weigh_claims(draws, location.sets, leading.given, left)
     return name_by_evidence(claims, {e.effect for e in evidence if e.grade is Grade.ESTABLISHED})
 
@@ -803,7 +802,7 @@ def _may_hold_more(judged: JudgedSelection) -> bool:
     if not judged.selected.effects or is_level_known(judged.selection.problem.noise_model):
         return False
     corrected, attempt = judged.corrected, judged.selection.problem.failures.attempt
-    measure = partial(measure_structure, judged.scores, corrected, 1.0, most_correlation=0.0)
+    measure = partial(measure_structure, judged.scores, corrected, only_visible=False)
     structure: float = attempt(SearchStage.REFINEMENT, corrected.effects, measure, 0.0)
     return structure > WHITE_CORRELATION
 
@@ -855,7 +854,7 @@ def _under_less_noise(final: FinalModel) -> CandidateFit:
     problem = candidate.problem
     if problem.noise.is_level_known:
         return candidate
-    structure = measure_structure(final.scores, candidate, 1.0, most_correlation=0.0)
+    structure = measure_structure(final.scores, candidate, only_visible=False)
     factor = max(1 - structure**2, LEAST_NOISE_SHARE) ** 0.5
     noise = replace(problem.noise, std=factor * problem.noise.std)
     return replace(candidate, problem=replace(problem, noise=noise), cost=candidate.cost / factor**2)
@@ -942,7 +941,7 @@ def _summarise(
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
     headline: list[Finding] = []
     if deepest is not None:
-        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=claim_values(deepest)))
+        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=to_values(deepest)))
     probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
@@ -965,7 +964,7 @@ def _summarise(
     headline = headline or [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if surrogate is None:
         return (*headline, *look_alike, *missing)
-    missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
+    missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=to_values(surrogate)))
     says_more = surrogate.share > error.share  # what explains more comes first
     return (*headline, *(missing + look_alike if says_more else look_alike + missing))
 
@@ -1006,7 +1005,7 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
         values["variable"] = surrogate.variable
     elif location.dependences and location.dependences[0].is_relevant:
         values["variable"] = location.dependences[0].variable
-        values["dependence"] = location.dependences[0].to_values()
+        values["dependence"] = to_values(location.dependences[0])
     return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(labels), values=values)
 
 

@@ -14,9 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from greybox.base.errors import FitError
-from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
+from greybox.estimation.errors import compute_misfits
 from greybox.estimation.objective import (
     LikelihoodMaximum,
     Objective,
@@ -35,8 +35,6 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution, prepare_problem
 from greybox.estimation.transcription.simulation_error import Evaluation
 from greybox.model.model import Model
-
-# The model beside the data: traces of each record and misfit of each output.
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:
@@ -64,69 +62,6 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
             )
         )
     return tuple(result)
-
-
-def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
-    """Free-run error of each output over all records, their first ``skip`` rows left out."""
-    noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
-    units = {o.name: o.unit for o in problem.model.outputs}
-    return {
-        name: compute_misfit(traces, name, units[name], noise[name], skip, problem.noise.growth.get(name))
-        for name in noise
-        if any(name in trace.measured for trace in traces)
-    }
-
-
-def compute_misfit(
-    traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0, growth: GrowingNoise | None = None
-) -> Misfit:
-    """Error of one output over the records that have it; over the noise of each row where that is not the same in all."""
-    seen = [trace for trace in traces if output in trace.measured]
-    error = _join([_select_measured(t.residual(output), t.measured[output], skip) for t in seen])
-    samples = len(error)
-    if samples == 0:
-        return Misfit(np.nan, unit, np.nan, np.nan, 0)
-    rmse, size = float(np.sqrt(np.mean(error**2))), float(np.linalg.norm(error))
-    del error  # a long record is in memory a few times only
-    measured = [_select_measured(t.measured[output], t.measured[output], skip) for t in seen]
-    spread = float(np.linalg.norm(_join([values - values.mean() if len(values) else values for values in measured])))
-    # NRMSE fit: 100 (1 - |y - yhat| / |y - mean(y)|), each record about its mean.
-    best_fit = 100 * (1 - size / spread) if spread > 0 else np.nan
-    ratio = rmse / noise
-    if any(output in t.noise for t in seen) or (growth is not None and not growth.unknown):
-        scaled = [_select_measured(_scale_error(t, output, noise, growth), t.measured[output], skip) for t in seen]
-        ratio = float(np.sqrt(np.mean(_join(scaled) ** 2)))
-    return Misfit(rmse, unit, best_fit, ratio, samples)
-
-
-def _scale_error(trace: Trace, output: str, noise: float, growth: GrowingNoise | None) -> np.ndarray:
-    """The error (N,) of each row over its noise."""
-    if growth is not None and not growth.unknown:
-        return growth.scale_errors(trace.measured[output], trace.simulated[output])
-    return trace.residual(output) / trace.noise.get(output, noise)
-
-
-def _select_measured(values: np.ndarray, measured: np.ndarray, skip: int) -> np.ndarray:
-    """The ``values`` (N,) of the samples that were ``measured`` (N,), from row ``skip`` on."""
-    usable = np.isfinite(measured[skip:])
-    return values[skip:] if usable.all() else values[skip:][usable]
-
-
-def _join(parts: Sequence[np.ndarray]) -> np.ndarray:
-    return parts[0] if len(parts) == 1 else np.concatenate(parts)
-
-
-def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
-    """Misfit of one record of a fit by output, without its first ``skip`` rows."""
-    units = {o.name: o.unit for o in fit.model.outputs}
-    # An output that the fitted records lack has the noise by which the validation judged it.
-    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
-    noise = {**judged, **fit.noise.std}
-    growth = fit.noise.growth
-    return {
-        name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip, growth.get(name))
-        for name in trace.measured
-    }
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.special import ndtri
@@ -180,8 +180,12 @@ def _name_levels(model: Model, level: np.ndarray, records: Sequence[Record]) -> 
 InitialState = Mapping[str, float]
 
 
+@runtime_checkable
 class PredictingModel(Protocol):
     """What a black-box model and a `Predictor` have in common."""
+
+    def simulate(self, experiment: Experiment) -> Mapping[str, np.ndarray]:
+        """Outputs by name (N,) of the free run."""
 
     def predict(self, experiment: Experiment, steps: int = 1) -> Mapping[str, np.ndarray]:
         """Outputs by name (N,), each row from the measurements up to ``steps`` rows before it."""

@@ -242,8 +242,23 @@ def _list_units(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
+    """The fit that ``data`` holds; a model with other ties is refused with DataError."""
     parameters = {n: from_json_data(Estimate, e) for n, e in data["parameters"].items()}
-    model = _restore_constraints(_restore_process_noise(model, data), data)
+    # Process noise of the fit, where it was added to the model (`Model.with_process_noise`).
+    states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
+    estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
+    known = {
+        s: data["process_noise"][s] for s in states if s not in estimated and intensity_name(s) not in model.values
+    }
+    model = model.with_process_noise(*estimated, **known) if states else model
+    ties, stated = dict(data.get("ties", {})), {tie.name: tie.formula for tie in model.ties}
+    if stated and stated != ties:
+        text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
+        raise DataError(f"it has other ties than the model ({text}); give the model without ties, or with these")
+    model = model if stated or not ties else model.start(**_known(model, data)).with_ties(ties)
+    # Of a constant that each experiment has for itself the label is 'B (day 1)'.
+    priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
+    model = model.prior(**priors) if priors else model
     fixed = [n for n, e in parameters.items() if e.fixed]
     fitted = model.free(*(n for n, e in parameters.items() if not e.fixed)).fix(*fixed)
     given: dict[str, Any] = {
@@ -266,29 +281,6 @@ def _finding(data: Mapping[str, Any]) -> Finding:
         code = shorten(data["code"])
         return Finding(ResultCode.FOREIGN_FINDING, finding.severity, shorten(finding.subject), {"code": code})
     return finding
-
-
-def _restore_process_noise(model: Model, data: Mapping[str, Any]) -> Model:
-    """``model`` with the process noise of a fit, where it was added to it (`Model.with_process_noise`)."""
-    states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
-    estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
-    known = {
-        s: data["process_noise"][s] for s in states if s not in estimated and intensity_name(s) not in model.values
-    }
-    return model.with_process_noise(*estimated, **known) if states else model
-
-
-def _restore_constraints(model: Model, data: Mapping[str, Any]) -> Model:
-    """``model`` with the ties and priors of a fit; a model with other ties is refused with DataError."""
-    ties = dict(data.get("ties", {}))
-    stated = {tie.name: tie.formula for tie in model.ties}
-    if stated and stated != ties:
-        text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
-        raise DataError(f"it has other ties than the model ({text}); give the model without ties, or with these")
-    model = model if stated or not ties else model.start(**_known(model, data)).with_ties(ties)
-    # Of a constant that each experiment has for itself the label is 'B (day 1)'.
-    priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
-    return model.prior(**priors) if priors else model
 
 
 def _known(model: Model, data: Mapping[str, Any]) -> dict[str, float]:

@@ -212,6 +212,11 @@ class Validation(ReadOnly):
     def __bool__(self) -> bool:
         return bool(self.misfit)
 
+    @property
+    def noise_ratio(self) -> float:
+        """Rms error over noise, all outputs together."""
+        return float(np.sqrt(np.mean([m.noise_ratio**2 for m in self.misfit.values()])))
+
 
 @dataclass(frozen=True)
 class FitNoise(Printable, ReadOnly):

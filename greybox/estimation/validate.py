@@ -11,9 +11,10 @@ from greybox.base.errors import DataError
 from greybox.base.linear_algebra import decompose_symmetric
 from greybox.data.experiment import Experiment
 from greybox.data.noise.growing import GrowingNoise
+from greybox.estimation.errors import compute_misfits
 from greybox.estimation.noise_loop import estimate_by_simulation_error, solve
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.optimum import compute_misfits, make_traces
+from greybox.estimation.optimum import make_traces
 from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector

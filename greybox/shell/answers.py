@@ -12,9 +12,10 @@ from greybox.base.json_shape import FileKind
 from greybox.base.values import Printable
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
-from greybox.estimation.residuals import PredictionScores, ResidualTests
+from greybox.estimation.residuals import ResidualTests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit
+from greybox.estimation.score import Scores
 from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
 from greybox.simulation.simulate import Simulation
 
@@ -69,8 +70,8 @@ class FitAnswer(Printable):
     zero_noise: tuple[str, ...] = ()
     bootstrap: Bootstrap | None = None
     refusal: str = ""
-    scores: PredictionScores | None = None
-    validation_scores: PredictionScores | None = None
+    scores: Scores | None = None
+    validation_scores: Scores | None = None
     tests: ResidualTests | None = None
     misfits: Sequence[RecordMisfit] = ()
     validation_misfits: Sequence[RecordMisfit] = ()

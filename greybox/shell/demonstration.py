@@ -31,8 +31,8 @@ from greybox.shell.project import find_shipped_model
 from greybox.show.figures.pictures import draw_fit, draw_gap
 from greybox.simulation.simulate import simulate_twin, write_csv
 
+# The names of the two physical models in the comparison.
 PLAIN, EXTENDED = "plain model", "extended model"
-"""The names of the two physical models in the comparison."""
 
 Say = Callable[[str], None]
 
@@ -111,7 +111,7 @@ def run_demo(
 ) -> Demo:
     """Measure a simulated micro-motion actuator whose spring hardens, and let the program find that out.
 
-    The records come from `greybox.simulation.simulate.simulate_twin`, an integrator that the fits do not use, with white noise; they are written to
+    The records come from `simulate_twin`, an integrator that the fits do not use, with white noise; they are written to
     ``directory`` as CSV and read back, as a user's would be. The model that is fitted knows nothing of the hardening, and its
     start values are 40 % off.
 

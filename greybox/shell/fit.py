@@ -64,14 +64,15 @@ def fit(study: Study) -> Answer:
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    if kind := plant_kind(study):
-        return kind.fit(study)
+    kind = plant_kind(study)
+    if kind and study.effects:
+        return kind.fit_effects(study)
     from greybox.base.json_file import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart
 
-    model = constrain(build_model(study), study)
+    model = constrain(kind.model(study) if kind else build_model(study), study)
     check_substeps(study, model)
     folder = result_folder(study, model.name)
     records, validation = read_records(study, model)
@@ -184,7 +185,7 @@ def _residual_tests(result: Fit) -> ResidualTests | None:
 
 def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisfit]:
     """The misfit of each record without its first ``skip`` rows, where there are several records."""
-    from greybox.estimation.optimum import compute_record_misfits
+    from greybox.estimation.errors import compute_record_misfits
     from greybox.shell.answers import RecordMisfit
 
     if len(traces) < 2:
@@ -275,12 +276,10 @@ UNASKED_PREDICTION_ROWS = 50000
 
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
     """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
-    from greybox.estimation.residuals import score
-    from greybox.simulation.plant import PlantModel
+    from greybox.estimation.score import score
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
-    # A plant that is run from outside has no equations to predict from; who asks for it all the same is told.
-    unasked = [] if rows > UNASKED_PREDICTION_ROWS or isinstance(result.model, PlantModel) else [1]
+    unasked = [1] if rows <= UNASKED_PREDICTION_ROWS else []
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}

@@ -16,12 +16,14 @@ from types import ModuleType
 from typing import TypeVar
 
 from greybox.base.errors import GreyboxError, ModelError, nearest
+from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.values import Printable
 from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
+from greybox.simulation.plant import as_model, is_plant
 
+# The folder of a project with effects of its own.
 EFFECTS = "effects"
-"""The folder of a project with effects of its own."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 
@@ -150,8 +152,13 @@ def import_from_project(root: Path, file: Path) -> ModuleType:
 
 
 def import_standalone(file: Path) -> ModuleType:
-    """The module in ``file`` under a name of its own; it may import from its project, and from its folder."""
-    name = f"_greybox_file_{hashlib.sha256(str(file).encode()).hexdigest()[:12]}"
+    """The module in ``file`` as it stands now, under a name of its own; it may import from its project, and from its folder."""
+    # By what the file says, not by its path alone: a model that was written anew is another one.
+    try:
+        text = file.read_bytes()
+    except OSError as error:
+        raise _model_error(error, file) from error
+    name = f"_greybox_file_{hashlib.sha256(str(file).encode() + text).hexdigest()[:12]}"
     if name in sys.modules:
         return sys.modules[name]
     root = project_root(file.parent, named=True)
@@ -165,7 +172,8 @@ def import_standalone(file: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        spec.loader.exec_module(module)
+        # From these very bytes: kept bytecode goes by the second and the size of a file, and a refit may leave both.
+        exec(compile(text, str(file), "exec", dont_inherit=True), vars(module))
     except BaseException as error:  # a user's file may raise whatever it likes
         del sys.modules[name]
         if isinstance(error, KeyboardInterrupt):
@@ -175,11 +183,12 @@ def import_standalone(file: Path) -> ModuleType:
 
 
 def models_in(module: ModuleType) -> dict[str, Model]:
-    """The models that a module makes, by variable; private names and those it only imports are left out.
+    """The models and plants that a module makes, by variable; private names and those it only imports are left out.
 
     Raises ModelError for one that has no content.
     """
-    models = values_in(module, Model)
+    plants = {name: as_model(value) for name, value in values_in(module, object).items() if is_plant(value)}
+    models = {**values_in(module, Model), **plants}
     for name, model in models.items():
         if not all(hasattr(model, each.name) for each in fields(Model)):
             place = display_path(Path(module.__file__ or module.__name__))
@@ -284,8 +293,9 @@ def find_model(name: str, folder: Path | None = None) -> Model:
     Parameters
     ----------
     name
-        The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model. A path,
-        ``my/rig.py``, gives the model named like the file or the only one in it; ``my/rig.py:name`` selects one.
+        The name of a file in ``models/`` of the project, or of a model in one of them, else the name of a shipped model, or of a plant
+        of the entry points ``greybox.plants``. A path, ``my/rig.py``, gives the model or plant (`greybox.simulation.plant.Plant`) named
+        like the file or the only one in it; ``my/rig.py:name`` selects one.
     folder
         Where the project is looked for, upwards; the working folder if left out or where there is none.
 
@@ -318,8 +328,11 @@ def find_model(name: str, folder: Path | None = None) -> Model:
         model = source.find(name)
         if model is not None:
             return model
+    plants = {n: v for n, v in load_extensions(ExtensionKind.PLANTS).items() if is_plant(v)}
+    if name in plants:
+        return as_model(plants[name])
     known = list_models(folder)
-    close = nearest(name, [f.name for f in known.models])
+    close = nearest(name, [*(f.name for f in known.models), *plants])
     as_path = f"; or give the path {name}.py" if Path(f"{name}.py").is_file() else ""
     broken = "".join(f"\n  not read: {problem}" for problem in known.problems)
     raise ModelError(f"no model {name!r}; {close}{as_path}{broken}")

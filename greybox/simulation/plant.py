@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
+from scipy.signal import lsim
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
@@ -85,12 +86,38 @@ class CanDifferentiate(Protocol):
         """
 
 
+@dataclass(frozen=True, eq=False)
+class LinearResponse:
+    """``x' = A x + B du``, ``dy = C x + D du``: what small changes of the inputs change in the outputs along a run.
+
+    Attributes
+    ----------
+    A, B, C, D
+        Matrices (n, n), (n, nu), (ny, n), (ny, nu), continuous in time.
+    explained
+        Output -> share of the answer to such a change that it follows.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    explained: Mapping[str, float]
+
+    def run(self, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
+        """Outputs (N, ny) from rest to inputs (N, nu)."""
+        if not len(self.A):
+            return np.asarray(u @ self.D.T)
+        _, y, _ = lsim((self.A, self.B, self.C, self.D), u, time - time[0], interp=hold != "zero")
+        return np.asarray(y).reshape(len(time), -1)
+
+
 @runtime_checkable
 class CanLinearise(Protocol):
     """A linear system about a run of its own."""
 
-    def linearise(self, record: Experiment, values: Mapping[str, float]) -> Any:
-        """What a small change of the inputs changes in the outputs along a record."""
+    def linearise(self, record: Experiment, values: Mapping[str, float]) -> LinearResponse | None:
+        """The answer to small changes of the inputs along a record; None where no linear system follows it."""
 
 
 @runtime_checkable
@@ -103,13 +130,22 @@ class CanApproach(Protocol):
         """Better values of the constants ``free``, by name."""
 
 
+# What makes a plant.
+PLANT_ATTRIBUTES = ("name", "inputs", "outputs", "parameters", "simulate")
+
+
+def is_plant(value: Any) -> bool:
+    """Whether a value, and not a class, is a `Plant` without equations."""
+    return not isinstance(value, type) and all(hasattr(value, name) for name in PLANT_ATTRIBUTES)
+
+
 def as_model(plant: Model | Plant | Any) -> Model:
     """A model as it is; a plant as the model that states its signals and constants.
 
     Parameters
     ----------
     plant
-        A `Model`, a `Plant`, or what has the model of a plant as ``model``.
+        A `Model`, a `Plant`, or what has one as ``model``: a fit, a black box.
 
     Raises
     ------
@@ -119,9 +155,9 @@ def as_model(plant: Model | Plant | Any) -> Model:
     if isinstance(plant, Model):
         return plant
     stated = getattr(plant, "model", None)
-    if isinstance(stated, Model):
-        return stated
-    missing = [name for name in ("name", "inputs", "outputs", "parameters", "simulate") if not hasattr(plant, name)]
+    if stated is not None:
+        return as_model(stated)
+    missing = [name for name in PLANT_ATTRIBUTES if not hasattr(plant, name)]
     if missing:
         raise ModelError(f"{type(plant).__name__} is neither a model nor a plant: it has no {', '.join(missing)}")
     return PlantModel.of(plant)
@@ -155,6 +191,12 @@ class PlantModel(Model):
     def is_cheap(self) -> bool:
         """Whether a run takes no time to speak of."""
         return bool(getattr(self.plant, "cheap", False))
+
+    @property
+    def equations(self) -> Model | None:
+        """The equations behind the plant at the present values, where it has a model with equations as ``equations``."""
+        behind, constants = getattr(self.plant, "equations", None), {**self.values, **self.tied_values}
+        return behind.start(**{n: constants[n] for n in behind.values}) if isinstance(behind, Model) else None
 
     @property
     def identity(self) -> str:
@@ -391,7 +433,7 @@ class PlantKernel:
         self, record: Record, p: np.ndarray, dp: np.ndarray, x0: np.ndarray, dx0: np.ndarray
     ) -> np.ndarray:
         """Slopes (N, ny, L) of the outputs along the directions of ``dp`` and ``dx0``: the plant's own, else differences within the
-        bounds, to one side, the other where a run fails, both where ``central``; zero where neither side runs."""
+        bounds, to one side, the other where a run fails, both where ``central`` or cheap; zero where neither side runs."""
         along = dp if self._ties is None else np.asarray(self._ties(p)[1]) @ dp
         along = np.concatenate([along, dx0])
         # Constants that no direction moves cost no run.
@@ -434,7 +476,8 @@ class PlantKernel:
                     each.append((self._run_at(record, moved) - y) / (sign * width))
                 except PlantRunError:
                     continue
-                if not self.central:
+                # A run that costs nothing is worth the slope without the error of first order.
+                if not (self.central or self.model.is_cheap):
                     break
             if each:
                 # Both sides cancel the second order: half the sum of the two one-sided slopes.

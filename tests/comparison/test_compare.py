@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 import greybox as gb
 from greybox.base.findings import with_code
 from greybox.comparison.black_box_candidates import fit_black_boxes
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import Comparison, ComparisonPolicy, load_comparison, save_comparison
+from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonPolicy, load_comparison, save_comparison
 from greybox.shell.commands import app
 from greybox.show.figures.pictures import draw_comparison
 from greybox.simulation.simulate import write_csv

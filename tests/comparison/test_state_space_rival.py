@@ -10,8 +10,7 @@ from scipy.signal import cont2discrete
 
 import greybox as gb
 from greybox.comparison.black_box_candidates import fit_black_boxes
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import Comparison, ComparisonPolicy, save_comparison
+from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonPolicy, save_comparison
 from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 

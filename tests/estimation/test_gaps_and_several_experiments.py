@@ -9,7 +9,8 @@ import pytest
 from greybox import FitOptions, fit
 from greybox.estimation.check import check
 from greybox.estimation.fit_issues import EstimationCode
-from greybox.estimation.residuals import residual_tests, score
+from greybox.estimation.residuals import residual_tests
+from greybox.estimation.score import score
 from greybox.estimation.uncertainty import bootstrap, profile
 from greybox.show.figures.pictures import draw_residual_tests
 from tests.support.findings import codes, find
@@ -114,9 +115,9 @@ def test_free_run_and_prediction_are_scored_side_by_side(path):
     other = with_gaps(record(7, x0=[0.3, 0.3], **PATHS[path][1]))
     for table in (score(found, steps=(1, 5)), score(found, other, steps=(1, 5))):
         for name, outcome in table.outputs.items():
-            ahead, far = outcome.prediction[1], outcome.prediction[5]
-            assert 0.5 * LEVEL[name] < ahead <= 1.05 * far <= 1.1**2 * outcome.free_run
-            assert (ahead < 0.85 * outcome.free_run) == (path in ("sandwich", "known process noise"))
+            ahead, far = outcome.ahead[1], outcome.ahead[5]
+            assert 0.5 * LEVEL[name] < ahead <= 1.05 * far <= 1.1**2 * outcome.rmse
+            assert (ahead < 0.85 * outcome.rmse) == (path in ("sandwich", "known process noise"))
 
 
 def test_what_can_be_expected_is_what_a_fit_gives():

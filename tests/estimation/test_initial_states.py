@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
-from greybox.estimation.residuals import score
+from greybox.estimation.score import score
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, fit_first_rows, validate
 
@@ -141,8 +141,8 @@ def test_one_free_run_has_one_error():
         records.append(Experiment.from_arrays(STEP * np.arange(rows), inputs={"u": u}, outputs={"y": y}))
     found = fit(first_order(3.0), records[0], noise={"y": 1e-3}, validation=records[1])
     table = score(found, records[1], steps=(1,)).outputs["y"]
-    assert table.free_run == found.validation.misfit["y"].rmse
-    assert table.prediction[1] < table.free_run
+    assert table.rmse == found.validation.misfit["y"].rmse
+    assert table.ahead[1] < table.rmse
 
 
 def test_an_offset_that_an_initial_state_can_stand_for_is_not_determined() -> None:

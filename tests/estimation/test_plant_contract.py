@@ -17,6 +17,8 @@ from greybox.data.experiment import Experiment
 from greybox.estimation.check import check
 from greybox.estimation.optimum import restore_objective
 from greybox.estimation.options import FitOptions
+from greybox.estimation.profile_pairs import profile_pair
+from greybox.estimation.score import score
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.uncertainty import bootstrap, profile
 from tests.support.plant_cases import CASES, PlantCase
@@ -71,14 +73,10 @@ def test_signals_and_constants_have_names_units_bounds_and_starts(case):
 
 
 def test_it_runs_over_a_record_at_given_values(case):
-    run = gb.simulate(free_run(case).start(**case.truth), case.records[0], initial=begin(case))
+    run = gb.simulate(free_run(case).start(**case.truth), case.records[0], initial=case.begin)
     for name, y in case.records[0].outputs.items():
         # A free run leaves process noise out.
         assert np.std(y - run.outputs[name]) < case.noise[name] * (50 if predicts(case) else 1.2)
-
-
-def begin(case: PlantCase) -> dict[str, float]:
-    return {"angle0": 0.05} if case.name == "scipy" else {}
 
 
 def test_a_missing_input_and_foreign_outputs_are_refused(case):
@@ -299,11 +297,9 @@ def test_noise_that_nobody_tells_is_estimated(case):
 
 def test_an_initial_state_is_estimated_where_it_can_be(fitted):
     case, result = fitted
-    if "states" not in case.abilities:
-        assert not result.traces[0].initial_state
-        return
-    name, value = ("angle0", 0.05) if case.name == "scipy" else ("x", 0.0)
-    assert result.traces[0].initial_state[name] == pytest.approx(value, abs=0.005)
+    assert bool(result.traces[0].initial_state) == bool(case.begin)
+    for name, value in case.begin.items():
+        assert result.traces[0].initial_state[name] == pytest.approx(value, abs=0.005)
 
 
 def test_at_rest_begins_at_the_declared_state(case):
@@ -376,6 +372,39 @@ def test_it_is_saved_and_read_without_loss(fitted, tmp_path):
     assert objective.evaluate(objective.variables.here).cost == pytest.approx(result.solver.cost, rel=1e-6)
 
 
+def test_a_region_of_two_constants_lies_around_their_estimates(fitted):
+    case, result = fitted
+    one, other = list(case.truth)[:2]
+    region = profile_pair(result, one, other)
+    # Two constants at once: chi-square with two degrees of freedom, 2.448 standard deviations to either side.
+    for name, width in ((one, np.ptp(region.values)), (other, region.upper.max() - region.lower.min())):
+        assert width == pytest.approx(2 * 2.448 * result.parameters[name].std, rel=0.2)
+
+
+def test_it_is_scored_in_the_free_run_and_ahead(fitted):
+    result = fitted[1]
+    scores = score(result, steps=(1,))
+    for name, misfit in result.misfit.items():
+        assert scores.outputs[name].rmse == misfit.rmse
+        assert scores.outputs[name].ahead[1] < 1.1 * misfit.rmse
+
+
+def test_noise_that_grows_with_the_signal_weighs_the_rows(case):
+    if predicts(case):
+        pytest.skip("a likelihood has one level for each output")
+    growing = {name: gb.GrowingNoise(floor=std, share=0.0) for name, std in case.noise.items()}
+    same, told = (gb.fit(case.plant, case.records, noise=noise) for noise in (case.noise, growing))
+    for name in case.truth:
+        assert told.parameters[name].value == pytest.approx(same.parameters[name].value, rel=1e-5)
+        assert told.parameters[name].std == pytest.approx(same.parameters[name].std, rel=1e-3)
+
+
+def test_the_order_of_the_records_is_no_matter(fitted):
+    case, result = fitted
+    turned = gb.fit(case.plant, case.records[::-1], noise=case.noise)
+    assert turned.solver.cost == pytest.approx(result.solver.cost, rel=1e-6)
+
+
 def test_two_of_them_are_compared(fitted):
     case, result = fitted
     name = next(iter(case.truth))
@@ -397,8 +426,12 @@ def test_what_needs_equations_says_so(case):
     if "equations" in case.abilities:
         assert gb.linearise(free_run(case)).A.shape == (2, 2)
         return
+    if "linear" in case.abilities:
+        # What has no equations at all is linearised along a record.
+        along = case.records[0] if case.name == "fmu" else None
+        assert gb.linearise(case.model, along=along).A.shape == (2, 2)
     for refused in (
-        lambda: gb.linearise(case.model),
+        *([] if "linear" in case.abilities else [lambda: gb.linearise(case.model)]),
         lambda: case.model.with_process_noise("a"),
         lambda: case.model + gb.effect("coulomb_friction"),
         lambda: gb.predict(gb.fit(case.plant, case.records[0], noise=case.noise), case.records[0]),

@@ -1,4 +1,4 @@
-"""Packages of strangers, installed beside greybox: reader, export target, effect and command of one are used; broken ones hurt nothing."""
+"""Packages of strangers, installed beside greybox: what one adds is used; broken ones hurt nothing."""
 
 from __future__ import annotations
 
@@ -134,6 +134,33 @@ def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
     written = next(tmp_path.rglob("*.lst")).read_text(encoding="utf-8")
     assert all(re.fullmatch(r"\w+ = \S+", line) for line in written.splitlines())
     assert greybox(beside, tmp_path, "acme-info", "stage").stdout == "acme stage\n"
+
+
+def test_a_plant_of_strangers_is_fitted_by_its_name(beside: Path, tmp_path: Path) -> None:
+    area, hole, level, rows = 0.8, 0.004, 1.0, []
+    for k in range(120):
+        flow = 0.02 if k % 40 < 20 else 0.0
+        rows.append(f"{k},{flow},{level!r}")
+        for _ in range(200):
+            level += 0.005 * (flow - hole * (2 * 9.81 * level) ** 0.5) / area
+    (tmp_path / "tank.csv").write_text("\n".join(["time [s],q [m**3/s],h [m]", *rows]), encoding="utf-8")
+    done = greybox(beside, tmp_path, "fit", "acme_tank", "tank.csv", "--noise", "h=0.001", "--json", "--no-report")
+    assert done.returncode == 0, done.stderr
+    parameters = json.loads(done.stdout)["parameters"]
+    assert parameters["area"]["value"] == pytest.approx(area, rel=0.01)
+    assert parameters["hole"]["value"] == pytest.approx(hole, rel=0.01)
+    done = greybox(beside, tmp_path, "fit", "acme_tanc", "tank.csv")
+    assert done.returncode == 2 and "acme_tank" in done.stderr
+
+
+def test_what_the_page_types_prints_what_it_shows(beside: Path, tmp_path: Path) -> None:
+    (tmp_path / "run.acme").write_text(code("run.acme"), encoding="utf-8")
+    console = re.search(r"```console\n(.*?)```", PAGE, re.DOTALL)
+    assert console
+    for typed, shown in re.findall(r"^\$ greybox (.*?) *(?:#.*)?\n((?:(?!\$).*\n)*)", console[1], re.MULTILINE):
+        done = greybox(beside, tmp_path, *typed.split())
+        assert done.returncode == 0, done.stderr
+        assert shown in done.stdout
 
 
 def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reason(

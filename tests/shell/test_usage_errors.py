@@ -13,7 +13,7 @@ from greybox import FitOptions, compare, fit, linearise
 from greybox.base.errors import DataError
 from greybox.data.signals import multisine
 from greybox.estimation.linear.plant import ExportFinding
-from greybox.estimation.residuals import score
+from greybox.estimation.score import score
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.micro_actuator import micro_actuator

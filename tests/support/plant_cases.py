@@ -14,6 +14,9 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import odeint
 
+from greybox.comparison.blackbox.polynomial import PolynomialModel
+from greybox.comparison.frequency.fit_response import ResponsePlant
+from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment
 from greybox.model.balance import Balance
 from greybox.model.model import Model
@@ -25,8 +28,7 @@ from greybox.simulation.plant import Plant, PlantRunError, as_model
 class PlantCase:
     """A plant whose start values are off, two records, and the constants that made them.
 
-    ``noise`` is what was added to them; ``reach`` (ratio of the two) how far the plant may be from these constants by its own error.
-    ``can_be_tied``: two constants and a formula. ``states``: whether records begin where they want.
+    ``noise`` is what was added to them; ``begin`` a state with where every record begins, for plants that have some.
     """
 
     name: str
@@ -34,7 +36,7 @@ class PlantCase:
     truth: Mapping[str, float]
     records: tuple[Experiment, ...]
     noise: Mapping[str, float]
-    tie: tuple[str, str] = ("", "")
+    begin: Mapping[str, float] = field(default_factory=dict)
     abilities: frozenset[str] = field(default_factory=frozenset)
 
     @property
@@ -137,7 +139,7 @@ def make_pendulum() -> PlantCase:
         record = Experiment(f"r{seed}", time, {"T": 0.3 * torque}, {"angle": time}, "first")
         run = Pendulum().simulate(record, {**truth, "angle0": 0.05})
         records.append(add_noise(record.with_outputs(run), noise, seed))
-    return PlantCase("scipy", Pendulum(), truth, tuple(records), noise, ("L", "2*d+0.1"), frozenset(["states"]))
+    return PlantCase("scipy", Pendulum(), truth, tuple(records), noise, {"angle0": 0.05})
 
 
 def make_reaction() -> PlantCase:
@@ -158,7 +160,7 @@ def make_oscillator() -> PlantCase:
         time, force = drive(seed, 200, 0.05)
         x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=True)[1]
         records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}, "first"), noise, seed))
-    return PlantCase("model", oscillator(), truth, tuple(records), noise, abilities=frozenset(["states", "equations"]))
+    return PlantCase("model", oscillator(), truth, tuple(records), noise, {"x": 0.0}, frozenset(["equations"]))
 
 
 def make_filtered() -> PlantCase:
@@ -177,9 +179,7 @@ def make_filtered() -> PlantCase:
             add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": np.array(run)}, "first"), noise, seed)
         )
     plant = oscillator().with_process_noise("v")
-    return PlantCase(
-        "filter", plant, truth, tuple(records), noise, abilities=frozenset(["states", "equations", "filter"])
-    )
+    return PlantCase("filter", plant, truth, tuple(records), noise, {"x": 0.0}, frozenset(["equations", "filter"]))
 
 
 def make_fmu() -> PlantCase:
@@ -196,9 +196,46 @@ def make_fmu() -> PlantCase:
         time, force = drive(seed, 200, 0.05)
         x = lsim(([[0, 1], [-30.0, -1.5]], [[0], [1]], [[1, 0]], [[0]]), force, time, interp=False)[1]
         records.append(add_noise(Experiment(f"r{seed}", time, {"F": force}, {"x": x}), noise, seed))
-    return PlantCase("fmu", read_fmu(path).with_values(["K", "B"]), truth, tuple(records), noise)
+    plant = read_fmu(path).with_values(["K", "B"])
+    return PlantCase("fmu", plant, truth, tuple(records), noise, abilities=frozenset(["linear"]))
+
+
+def make_frequency() -> PlantCase:
+    """The oscillator over frequency; the exact response by scipy's `freqs`."""
+    from scipy.signal import freqs
+
+    truth, std, frequency = {"K": 30.0, "B": 1.5}, 1e-3, np.geomspace(0.2, 4.0, 60)
+    exact, responses = freqs([1.0], [1.0, 1.5, 30.0], 2 * np.pi * frequency)[1], []
+    for seed in (0, 1):
+        rng = np.random.default_rng(seed)
+        points = exact + std * (rng.standard_normal(60) + 1j * rng.standard_normal(60))
+        both = np.full((60, 1, 1), 2 * std**2)
+        responses.append(FrequencyResponse(frequency, points[:, None, None], ("F",), ("x",), both, name=f"r{seed}"))
+    plant = ResponsePlant.of(oscillator(), responses)
+    noise = dict.fromkeys((o.name for o in plant.outputs), std)
+    return PlantCase("frequency", plant, truth, plant.records, noise, abilities=frozenset(["linear"]))
+
+
+def make_black_box() -> PlantCase:
+    """A difference equation of first order; the exact run by scipy's `lfilter`."""
+    from scipy.signal import lfilter
+
+    truth, noise, records = {"b1": 0.5, "f1": -0.8}, {"y": 2e-3}, []
+    for seed in (0, 1):
+        time, u = drive(seed, 150, 0.05)
+        y = lfilter([0.0, 0.5], [1.0, -0.8], u)
+        records.append(add_noise(Experiment(f"r{seed}", time, {"u": u}, {"y": y}), noise, seed))
+    plant = PolynomialModel("output error", "y", ("u",), 0.05, (1,), ([0.0, 0.4],), f=([1.0, -0.6],))
+    return PlantCase("black_box", plant, truth, tuple(records), noise, {"before_1": 0.0})
 
 
 HAS_FMU = find_spec("fmpy") is not None and any(map(shutil.which, ("cc", "gcc", "clang")))
-CASES = {"model": make_oscillator, "filter": make_filtered, "scipy": make_pendulum, "closed_form": make_reaction}
+CASES = {
+    "model": make_oscillator,
+    "filter": make_filtered,
+    "scipy": make_pendulum,
+    "closed_form": make_reaction,
+    "frequency": make_frequency,
+    "black_box": make_black_box,
+}
 CASES |= {"fmu": make_fmu} if HAS_FMU else {}

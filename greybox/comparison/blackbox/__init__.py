@@ -4,8 +4,8 @@ from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity, hammerstein
 from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing, monte_carlo_smoothing
-from greybox.comparison.blackbox.policy import PredictionErrorPolicy, StructureScanPolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel
+from greybox.comparison.blackbox.prediction_error import PredictionErrorPolicy
 from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
 from greybox.comparison.blackbox.resample import keep_measured_rows, resample
 from greybox.comparison.blackbox.rounding import (
@@ -14,7 +14,13 @@ from greybox.comparison.blackbox.rounding import (
     round_coefficients,
     to_continuous,
 )
-from greybox.comparison.blackbox.structure_scan import BlackBoxKind, ScannedStructure, StructureScan, scan_structures
+from greybox.comparison.blackbox.structure_scan import (
+    BlackBoxKind,
+    ScannedStructure,
+    StructureScan,
+    StructureScanPolicy,
+    scan_structures,
+)
 from greybox.comparison.blackbox.subspace import StateSpaceModel, SubspaceOutput, subspace
 
 __all__ = [

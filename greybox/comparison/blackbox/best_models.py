@@ -9,12 +9,13 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
-from greybox.comparison.blackbox.policy import DEFAULT_SCAN, StructureScanPolicy
 from greybox.comparison.blackbox.structure_scan import (
+    DEFAULT_SCAN,
     BlackBoxKind,
     OrderChoice,
     ScannedStructure,
     StructureScan,
+    StructureScanPolicy,
     fit_structure,
     scan_choices,
 )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, NoReturn, get_args
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from greybox.base.errors import DataError, nearest
+from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import find_instability, find_unfinished_search
@@ -21,11 +21,12 @@ from greybox.comparison.blackbox.linear_regression import (
     to_orders,
     to_sampled_data,
 )
-from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
 from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure, to_order
 from greybox.comparison.blackbox.prediction_error import (
+    DEFAULT_SEARCH,
     HistoryTreatment,
     PredictionErrorMinimum,
+    PredictionErrorPolicy,
     PredictionErrors,
     check_history,
     compute_prediction_errors,
@@ -125,6 +126,14 @@ class HammersteinModel(Printable):
         """Kind, the curves' degree or number of pieces, and the linear part's orders."""
         sizes = [f"{'degree' if c.shape == 'polynomial' else 'pieces'} {len(c.weights)}" for c in self.curves]
         return f"hammerstein({', '.join(sizes)}; {self.linear.label})"
+
+    @property
+    def model(self) -> NoReturn:
+        """None: as a plant it would have constants of its own. Raises ModelError."""
+        raise ModelError(
+            f"{self.label}: each curve shares its scale with the gain behind it, so that neither is a constant that could be fitted;"
+            " fit its linear part, linear, to the values of the curves"
+        )
 
     @property
     def parameters(self) -> int:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -21,6 +21,7 @@ from greybox.base.numerics import (
     SAME_SAMPLING_TIME,
     TINY,
 )
+from greybox.base.texts import to_identifiers
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import (
     Orders,
@@ -30,6 +31,8 @@ from greybox.comparison.blackbox.linear_regression import (
     to_sampled_record,
 )
 from greybox.data.experiment import Experiment
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.plant import PlantModel
 
 InitialChoice = Literal["zero", "measured", "estimated"]
 
@@ -37,7 +40,7 @@ InitialChoice = Literal["zero", "measured", "estimated"]
 
 
 class BlackBoxFinding(StrEnum):
-    """Findings about a black-box model; their sentences are in `greybox.show.sentences.blackbox`."""
+    """Findings about a black-box model; their sentences are in `greybox.show.sentences.comparison`."""
 
     WEAK_EXCITATION = "weak_excitation"
     """An input is persistently exciting of a lower order than the structure needs."""
@@ -168,6 +171,25 @@ class PolynomialModel(Printable):
             named.append(("constant", self.constant))
         return {name: float(value) for name, value in named}
 
+    def with_coefficients(self, values: Sequence[float] | np.ndarray) -> PolynomialModel:
+        """The same equation with other coefficients (p,), in the order of `coefficients`."""
+        rest, nothing = iter(values), [np.zeros(nk) for nk in self.nk]
+
+        def take(before: np.ndarray, size: int) -> np.ndarray:
+            return np.append(before, [next(rest) for _ in range(size)])
+
+        a = take(ONE, len(self.a) - 1)
+        b = tuple(take(zeros, len(b) - len(zeros)) for zeros, b in zip(nothing, self.b, strict=True))
+        f = tuple(take(ONE, len(f) - 1) for f in self.f)
+        c, d = (take(ONE, len(each) - 1) for each in (self.c, self.d))
+        constant = None if self.constant is None else float(next(rest))
+        return replace(self, a=a, b=b, f=f, c=c, d=d, constant=constant, covariance=None)
+
+    @property
+    def model(self) -> PlantModel:
+        """The equation as a plant: `greybox.fit`, profiles and whatever takes a model take it, from these coefficients on."""
+        return PlantModel.of(PolynomialPlant(self))
+
     @property
     def parameters(self) -> int:
         """Number of estimated coefficients."""
@@ -274,6 +296,78 @@ class PolynomialModel(Printable):
             problem = "which input?" if name is None else f"no input {name!r};"
             raise DataError(f"{self.label} of {self.output!r}: {problem} {nearest(name or '', self.inputs)}")
         return self.inputs.index(name)
+
+
+@dataclass(frozen=True, eq=False)
+class PolynomialPlant:
+    """The free run of a difference equation as a plant (`greybox.simulation.plant.Plant`).
+
+    Its constants are the coefficients that a free run shows; those of the noise model stay as they are. Its states are what the time before
+    a record adds to it (`compute_initial_responses`).
+    """
+
+    equation: PolynomialModel
+
+    cheap = True
+
+    @property
+    def name(self) -> str:
+        """The kind, as an identifier."""
+        return to_identifiers([self.equation.kind])[0]
+
+    @property
+    def description(self) -> str:
+        """What it is, for people."""
+        return self.equation.label
+
+    @property
+    def identity(self) -> str:
+        """The equation."""
+        return f"{self.equation.label} {self.equation.sampling_time} {self.equation.output} {self.equation.inputs}"
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Those of the equation."""
+        return tuple(Input(name, self.equation.units.get(name, "1")) for name in self.equation.inputs)
+
+    @property
+    def outputs(self) -> tuple[Output, ...]:
+        """The one of the equation."""
+        return (Output(self.equation.output, self.equation.units.get(self.equation.output, "1")),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The coefficients, of one sampling time and of signals as they are: plain numbers."""
+        values = self.equation.coefficients
+        names = to_identifiers(list(values))
+        return tuple(
+            Parameter(name, "1", value, fixed=key[0] in "cd" and key != "constant", source=self.equation.label)
+            for name, (key, value) in zip(names, values.items(), strict=True)
+        )
+
+    @cached_property
+    def states(self) -> tuple[State, ...]:
+        """One for each response to what was before the record."""
+        longest = sum(map(len, (self.equation.a, *self.equation.b, *self.equation.f)))
+        responses = np.hstack(
+            compute_initial_responses(self.equation, longest, [len(self.equation.a)], self.equation.a)
+        )
+        unit = self.outputs[0].unit
+        return tuple(State(f"before_{k + 1}", unit) for k in range(responses.shape[1]))
+
+    def simulate(self, record: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """The free run (N,). Raises DataError for a record of another sampling time."""
+        equation = self.equation.with_coefficients([values[q.name] for q in self.parameters])
+        sampled = equation._to_record(record, "zero")
+        y = simulate_free_run(equation, sampled, "zero", None)
+        past = np.array([values[state.name] for state in self.states])
+        if past.any():
+            with np.errstate(over="ignore", invalid="ignore"):
+                y = (
+                    y
+                    + np.hstack(compute_initial_responses(equation, sampled.rows, [len(equation.a)], equation.a)) @ past
+                )
+        return {equation.output: y}
 
 
 def _format_orders(value: Any) -> str:
@@ -462,7 +556,9 @@ def estimate_initial_state(
     if not usable.any():
         return np.zeros(free.shape[1])
     # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
-    _, size, right = np.linalg.svd(np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum()))
+    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum())
+    # Fewer rows than responses, where these grow fast, tell of as many directions alone.
+    _, size, right = np.linalg.svd(triangle, full_matrices=False)
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
     u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)

@@ -12,7 +12,7 @@ filtered signals (Ljung, System identification, 2nd ed., section 10.3)::
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -30,7 +30,6 @@ from greybox.comparison.blackbox.linear_regression import (
     find_usable_rows,
     refuse_few_rows,
 )
-from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
 from greybox.comparison.blackbox.polynomial import (
     PolynomialModel,
     PolynomialStructure,
@@ -41,11 +40,43 @@ from greybox.comparison.blackbox.polynomial import (
     to_monic,
 )
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import MinimisationPolicy, Termination, TerminationStatus
+from greybox.estimation.optim.minimisation import (
+    GaussNewtonPolicy,
+    MinimisationPolicy,
+    Termination,
+    TerminationPolicy,
+    TerminationStatus,
+)
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
 HistoryTreatment = Literal["estimated", "zero"]
 Starts = Callable[[PolynomialStructure, SampledData, bool], Sequence[np.ndarray]]
+
+
+@dataclass(frozen=True)
+class PredictionErrorPolicy:
+    """How hard a prediction-error model is searched for (ARMAX, output error, Box-Jenkins, Hammerstein)."""
+
+    starts: int = 3
+    """Starting points that are followed, best first. The linear estimates seldom disagree more than threefold."""
+    first_iterations: int = 8
+    """Iterations from each start; after these only the best goes on. Enough to tell basins apart."""
+    iterations: int = 100
+    """Iterations of the final search. A quadratically converging search needs about ten."""
+    termination: TerminationPolicy = field(
+        default_factory=lambda: TerminationPolicy(
+            negligible_decrease=1e-12, perfect_noise_ratio=0.0, patience=1, little_gain=1e-12
+        )
+    )
+    """When a search ends: a millionth of a standard deviation gives the coefficients their digits. The errors are in the output's unit, so
+    that none is small by itself."""
+    damped: GaussNewtonPolicy = field(
+        default_factory=lambda: GaussNewtonPolicy(initial_damping=1e-4, max_rejections=10, max_kink_steps=100)
+    )
+    """How its steps are damped. Starts are far off, and there are no kinks."""
+
+
+DEFAULT_SEARCH = PredictionErrorPolicy()
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,11 @@ import numpy as np
 from greybox.base.errors import DataError
 from greybox.comparison.blackbox.arx import find_weak_excitation
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
-from greybox.comparison.blackbox.policy import DEFAULT_SEARCH, PredictionErrorPolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel, PolynomialStructure, to_order
 from greybox.comparison.blackbox.prediction_error import (
+    DEFAULT_SEARCH,
     HistoryTreatment,
+    PredictionErrorPolicy,
     check_history,
     estimate_armax_starts,
     estimate_box_jenkins_starts,

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base.numerics import SAME_SAMPLING_TIME, TIME_ROUNDING
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
 
@@ -112,3 +112,21 @@ def keep_measured_rows(experiment: Experiment, output: str) -> Experiment | None
         inputs={name: average(values) for name, values in experiment.inputs.items()},
         outputs={name: values[rows] for name, values in experiment.outputs.items()},
     )
+
+
+def match_sampling_time(experiment: Experiment, output: str, sampling_time: float, label: str) -> Experiment:
+    """``experiment`` at the ``sampling_time`` of the model ``label`` of ``output``: as it is, at its measured rows alone, or
+    resampled where its time is irregular. Raises DataError for another sampling time."""
+    step = experiment.sampling_time
+    if step is not None and np.isclose(step, sampling_time, rtol=SAME_SAMPLING_TIME):
+        return experiment
+    sparse = keep_measured_rows(experiment, output)
+    slow_step = sparse.sampling_time if sparse is not None else None
+    if sparse is not None and slow_step is not None and np.isclose(slow_step, sampling_time, rtol=SAME_SAMPLING_TIME):
+        return sparse
+    if step is not None:
+        raise DataError(
+            f"experiment {experiment.name!r} is sampled every {step:.6g} s, but {label} of {output!r} was identified"
+            f" at {sampling_time:.6g} s; give greybox.blackbox.resample(experiment, {sampling_time:.6g})"
+        )
+    return resample(experiment, sampling_time)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from itertools import product
 from typing import Any, Literal, get_args
@@ -16,10 +16,11 @@ from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import fit_arx
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, fit_hammerstein
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
-from greybox.comparison.blackbox.policy import DEFAULT_SCAN, DEFAULT_SEARCH, PredictionErrorPolicy, StructureScanPolicy
 from greybox.comparison.blackbox.polynomial import PolynomialModel, to_order
 from greybox.comparison.blackbox.prediction_error import (
+    DEFAULT_SEARCH,
     HistoryTreatment,
+    PredictionErrorPolicy,
     estimate_armax_starts,
     estimate_box_jenkins_starts,
     estimate_output_error_starts,
@@ -27,6 +28,41 @@ from greybox.comparison.blackbox.prediction_error import (
 )
 from greybox.comparison.blackbox.prediction_error_models import make_armax_structure, make_output_structure
 from greybox.data.experiment import Experiment, as_records
+from greybox.estimation.errors import OutputScore
+from greybox.estimation.optim.minimisation import TerminationPolicy
+from greybox.estimation.score import run_by_itself
+
+
+@dataclass(frozen=True)
+class StructureScanPolicy:
+    """Which structures are tried, on which rows, and which of the good ones is chosen."""
+
+    search: PredictionErrorPolicy = field(
+        default_factory=lambda: PredictionErrorPolicy(
+            starts=2,
+            first_iterations=4,
+            iterations=15,
+            termination=TerminationPolicy(
+                negligible_decrease=1e-2, perfect_noise_ratio=0.0, patience=1, little_gain=1e-6
+            ),
+        )
+    )
+    """Search while scanning: enough to rank structures."""
+    final_search: PredictionErrorPolicy = field(default_factory=PredictionErrorPolicy)
+    """Search for the chosen structure."""
+    largest_poles: int = 6
+    """Most poles of an ARX model, which is a linear problem."""
+    largest_searched_poles: int = 4
+    """Most poles of a structure that needs an iterative search."""
+    first_delays: tuple[int, ...] = (0, 1, 2)
+    """Delays in samples that are always tried."""
+    nonlinearities: Mapping[str, tuple[int, ...]] = field(
+        default_factory=lambda: {"polynomial": (2, 3, 5), "piecewise": (3, 5)}
+    )
+    """Basis sizes that are tried for each shape of a static nonlinearity."""
+
+
+DEFAULT_SCAN = StructureScanPolicy()
 
 
 class BlackBoxKind(StrEnum):
@@ -204,7 +240,8 @@ def scan_structures(
         "shape": shape,
         "basis_size": basis_size,
     }
-    axes = {letter: _as_list(given[letter]) for letter in ORDERS_BY_KIND[kind]}
+    single = (bool, int, np.integer, str)
+    axes = {n: [given[n]] if isinstance(given[n], single) else list(given[n]) for n in ORDERS_BY_KIND[kind]}
     choices = [dict(zip(axes, values, strict=True)) for values in product(*axes.values())]
     data = to_sampled_data(experiments, output, inputs)
     return scan_choices(
@@ -314,10 +351,6 @@ def with_units(model: BlackBox, units: Mapping[str, str]) -> BlackBox:
     return replace(model, linear=linear) if isinstance(model, HammersteinModel) else linear
 
 
-def _as_list(value: Any) -> list[Any]:
-    return [value] if isinstance(value, (bool, int, np.integer, str)) else list(value)
-
-
 # Rows of a validation record that determine the initial state, where no ``skip`` is given.
 STRUCTURE_SCAN_INITIAL_ROWS = 50
 
@@ -330,18 +363,14 @@ def _free_run_error(
     at_rest: bool,
 ) -> float:
     """Root mean square error of the free run over the validation records, or over the estimation records without any."""
-    squares, count = 0.0, 0
     # What determines the initial state is not judged, where it can be spared.
     rows, first = ((skip or STRUCTURE_SCAN_INITIAL_ROWS), skip) if validation else (None, 0)
-    for experiment in validation or data.experiments:
-        run = model.simulate(experiment, initial="zero" if at_rest else "estimated", rows=rows)[model.output][first:]
-        output = experiment.outputs[model.output][first:]
-        measured = np.isfinite(output)
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = output[measured] - run[measured]
-            squares += float(error @ error)
-        count += len(error)
-    return float(np.sqrt(squares / count)) if np.isfinite(squares) and count else np.inf
+    initial = "zero" if at_rest else "estimated"
+    records = validation or data.experiments
+    error = OutputScore.of(
+        [r for e in records for r in run_by_itself(model, e, (), first, initial=initial, rows=rows)]
+    ).rmse
+    return error if np.isfinite(error) else np.inf
 
 
 def _add_criteria(structures: Sequence[ScannedStructure]) -> list[ScannedStructure]:
@@ -371,13 +400,13 @@ def _choose(fitted: Sequence[ScannedStructure], criterion: SelectionCriterion) -
     pool = stable or list(fitted)
     smallest = min(s.free_run for s in pool)
     as_good = [s for s in pool if s.free_run <= (1 + AS_GOOD) * smallest] or pool
-    return min(as_good, key=_simplicity)
 
+    def simplicity(structure: ScannedStructure) -> tuple[float, float, float]:
+        """Of structures that run equally well: the smallest BIC where it is about a one-step error, which can be white; else, because a
+        free-run error is not and its BIC would go on praising coefficients, the fewest of these."""
+        model = structure.model
+        count = float(model.parameters) if model is not None else np.inf
+        one_step = model is not None and get_linear_part(model).kind != BlackBoxKind.OUTPUT_ERROR
+        return (structure.bic if one_step else count, count, structure.free_run)
 
-def _simplicity(structure: ScannedStructure) -> tuple[float, float, float]:
-    """Of structures that run equally well: the smallest BIC where it is about a one-step error, which can be white; else, because a
-    free-run error is not and its BIC would go on praising coefficients, the fewest of these."""
-    model = structure.model
-    count = float(model.parameters) if model is not None else np.inf
-    one_step = model is not None and get_linear_part(model).kind != BlackBoxKind.OUTPUT_ERROR
-    return (structure.bic if one_step else count, count, structure.free_run)
+    return min(as_good, key=simplicity)

@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from scipy.signal import lfilter
 
-from greybox.base.errors import DataError, nearest
+from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
 from greybox.base.numerics import NEGLIGIBLE_SINGULAR_VALUE, RANK_OF_EXACT_RECORDS, SAME_SAMPLING_TIME
 from greybox.base.values import Printable
@@ -89,6 +89,14 @@ class StateSpaceModel(Printable):
             z[:, None, None] * np.eye(self.order) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
         )
         return np.asarray(self.C @ whole + self.D)
+
+    @property
+    def model(self) -> NoReturn:
+        """None: as a plant it would have constants of its own. Raises ModelError."""
+        raise ModelError(
+            f"{self.weight} model of order {self.order}: its matrices are known up to a change of its states, so that none of their entries"
+            " is a constant that could be fitted; fit greybox.blackbox.output_error of one output instead"
+        )
 
     def boxes(self) -> tuple[SubspaceOutput, ...]:
         """One model for each output, as `greybox.compare` takes them."""

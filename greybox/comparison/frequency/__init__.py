@@ -5,13 +5,13 @@ from greybox.comparison.frequency.best_linear_approximation import (
     estimate_best_linear_approximation,
     find_rows_of_period,
 )
-from greybox.comparison.frequency.fit_response import FrequencyFit, fit_frequency_response
+from greybox.comparison.frequency.fit_response import ResponsePlant, fit_frequency_response
 from greybox.comparison.frequency.response import FrequencyResponse, read_frequency_response
 
 __all__ = [
     "BestLinearApproximation",
-    "FrequencyFit",
     "FrequencyResponse",
+    "ResponsePlant",
     "estimate_best_linear_approximation",
     "find_rows_of_period",
     "fit_frequency_response",

@@ -1,96 +1,284 @@
-"""Fit a model to frequency responses, alone or together with records over time.
+"""A model measured by its frequency responses, alone or beside records over time: a plant, so that `greybox.fit` fits it.
 
 The model is linearised where the response was measured. Each complex point counts by its error over its standard deviation, its real and
-its imaginary part as one residual each. The search begins on the logarithm of the response, where a resonance in the wrong place
-still attracts, and ends on the response itself.
+its imaginary part as one reading each of a record over frequency. The search begins on the logarithm of the response, where a resonance in
+the wrong place still attracts, and ends on the response itself.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from itertools import product
+from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from greybox.base.errors import DataError, GreyboxError, nearest
-from greybox.base.findings import Finding
-from greybox.base.linear_algebra import pseudo_inverse
-from greybox.base.values import Printable
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
-from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.objective import ResidualRows, SimulationErrorObjective, search_minimum
-from greybox.estimation.optim.methods import MinimisationMethod, minimise
-from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.optim.quadratic_model import QuadraticModel
-from greybox.estimation.options import FitOptions, resolve_options
+from greybox.estimation.linear.linearise import linearise_at
+from greybox.estimation.linear.operating_point import ModelFunctions
+from greybox.estimation.linear.plant import to_plant
+from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate
-from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.model.model import Model
+from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.plant import PlantModel, PlantRunError
 
-# 97.5 % quantile of the normal distribution: half the width of a 95 % interval in standard deviations.
-NORMAL_95 = 1.959963984540054
 OperatingPoints = Mapping[str, float] | Sequence[Mapping[str, float]] | None
+
+# Most evaluations of the search on the logarithm of the response, whose minimum is wide: resonances far from the data attract.
+LOG_EVALUATIONS = 100
 
 
 @dataclass(frozen=True, eq=False)
-class FrequencyFit(Printable):
-    """A model fitted to frequency responses.
+class ResponsePlant:
+    """A model as its frequency responses show it (`greybox.simulation.plant.Plant`).
+
+    A record of it is a response over frequency, by its name (`records`), or one over time, which the model is simulated over. What a point
+    of a response without variance is known by is a share of its size: its parts are divided by that, and their noise is estimated.
 
     Attributes
     ----------
-    model
-        The model at the fitted values.
-    parameters
-        Name -> value with standard deviation and 95 % interval.
-    names, covariance
-        Free parameters, and their covariance (n, n).
-    responses, fitted
-        What was fitted, and the model's response (nf, ny, nu) at the same points.
-    noise_ratio
-        Root mean square of the weighted residuals of the responses: 1 means that only the stated noise is left.
-    weighted
-        Whether the responses state their noise; otherwise the covariance is scaled by the residual.
-    status
-        How the search ended.
-    time_fit
-        The fit to the records over time alone that the search began from; None without records.
-    findings
-        What the linearisation left out.
+    equations
+        The model.
+    responses
+        What was measured, each of a name of its own.
+    points
+        Operating point of each.
+    over_time
+        Whether there are records over time, too: then the initial states of the model are those of the plant.
+    options
+        How the model is simulated over time.
+
+    Examples
+    --------
+    >>> plant = ResponsePlant.of(model, points)  # doctest: +SKIP
+    >>> greybox.multistart(plant, plant.records)  # doctest: +SKIP
     """
 
-    model: Model
-    parameters: Mapping[str, Estimate]
-    names: tuple[str, ...]
-    covariance: np.ndarray
+    equations: Model
     responses: tuple[FrequencyResponse, ...]
-    fitted: tuple[np.ndarray, ...]
-    noise_ratio: float
-    weighted: bool
-    status: TerminationStatus
-    time_fit: Fit | None = None
-    findings: tuple[Finding, ...] = ()
+    points: tuple[Mapping[str, float] | None, ...]
+    over_time: bool = False
+    options: FitOptions | None = None
+
+    cheap = True
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        responses: FrequencyResponse | Sequence[FrequencyResponse],
+        at: OperatingPoints = None,
+        *,
+        over_time: bool = False,
+        options: FitOptions | None = None,
+    ) -> ResponsePlant:
+        """That of a model and its responses; ``at`` as of `fit_frequency_response`.
+
+        Raises DataError for signals that the model does not have, and operating points that are not one for each response.
+        """
+        group = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
+        if not group:
+            raise DataError("no frequency response; give at least one")
+        points = [at] * len(group) if at is None or isinstance(at, Mapping) else list(at)
+        if len(points) != len(group):
+            raise DataError(
+                f"at: {len(points)} operating points for {len(group)} responses; give one for each, or one for all"
+            )
+        for kind, known in (("inputs", model.inputs), ("outputs", model.outputs)):
+            names = [s.name for s in known]
+            for response, name in ((r, n) for r in group for n in getattr(r, kind) if n not in names):
+                raise DataError(
+                    f"{response.name}: model {model.title!r} has no {kind[:-1]} {name!r}; {nearest(name, names)}"
+                )
+        given = [r.name for r in group]
+        numbered = [
+            r if given.count(r.name) == 1 else replace(r, name=f"{r.name} {k + 1}") for k, r in enumerate(group)
+        ]
+        return cls(model, tuple(numbered), tuple(points), over_time, options)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone: another process writes out its own functions."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
 
     @property
-    def success(self) -> bool:
-        """Whether the search converged."""
-        return self.status.success
+    def name(self) -> str:
+        """That of the model."""
+        return self.equations.name
 
+    @property
+    def description(self) -> str:
+        """What it is, for people."""
+        return "frequency responses of its equations"
 
-# Step of a parameter for the slope of the response, over its size.
-RESPONSE_FIT_DIFFERENCE = 1e-06
-# Most steps on the logarithm of the response, whose minimum is wide: resonances far from the data attract.
-LOG_ITERATIONS = 100
-# Most steps on the response itself.
-RESPONSE_FIT_ITERATIONS = 200
-# Predicted decrease of the cost, in squared standard deviations, below which a search that cannot go on has ended well.
-RESPONSE_FIT_CONVERGED = 0.001
-# Error of points without a stated variance, over ``unknown_std``, below which it is rounding: beside records they weigh no more.
-RESPONSE_FIT_EXACT = 1e-06
+    @property
+    def identity(self) -> str:
+        """The equations, and where they are linearised."""
+        return f"{self.equations.system.free_run_expressions} {self.points}"
+
+    @property
+    def inputs(self) -> tuple[Input, ...]:
+        """Those of the records over time."""
+        return tuple(self.equations.inputs) if self.over_time else ()
+
+    @property
+    def states(self) -> tuple[State, ...]:
+        """Those of the records over time."""
+        return self.equations.all_states if self.over_time else ()
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those of the model."""
+        return self.equations.stated_parameters
+
+    @cached_property
+    def outputs(self) -> tuple[Output, ...]:
+        """Real and imaginary part of each channel that was measured, and the outputs of the records over time."""
+        signals: list[Input | Output] = [*self.equations.inputs, *self.equations.outputs]
+        units, parts = {s.name: s.unit or "1" for s in signals}, dict[str, str]()
+        for response in self.responses:
+            for (y, u), names in self._channels(response).items():
+                unit = "1" if response.variance is None else f"({units[y]})/({units[u]})"
+                parts |= dict.fromkeys(names, unit)
+        over_time = [Output(o.name, o.unit) for o in self.equations.outputs] if self.over_time else []
+        return (*over_time, *(Output(name, unit) for name, unit in parts.items()))
+
+    @cached_property
+    def model(self) -> PlantModel:
+        """The model that states its signals and constants."""
+        return replace(PlantModel.of(self), ties=self.equations.ties)
+
+    @property
+    def records(self) -> tuple[Experiment, ...]:
+        """The responses as records over frequency in the place of time."""
+        return tuple(self._to_record(response) for response in self.responses)
+
+    def _to_record(self, response: FrequencyResponse) -> Experiment:
+        outputs, noise = {}, {}
+        size = self._size(response)
+        # E|error|^2 = variance is shared by both parts: each has half of it.
+        std = None if response.variance is None else np.sqrt(response.variance / 2)
+        for (y, u), names in self._channels(response).items():
+            j, i = response.outputs.index(y), response.inputs.index(u)
+            point = response.response[:, j, i] / size[:, j, i]
+            for name, part in zip(names, (point.real, point.imag), strict=True):
+                outputs[name] = part
+                if std is not None:
+                    known = std[:, j, i]
+                    noise[name] = np.where(np.isfinite(part), known, np.nanmax(known))
+        inputs = {i.name: np.zeros(len(response.frequency)) for i in self.inputs}
+        return Experiment(response.name, response.frequency, inputs, outputs, noise=noise)
+
+    @staticmethod
+    def _channels(response: FrequencyResponse) -> dict[tuple[str, str], tuple[str, str]]:
+        """Output and input -> names of the real and the imaginary part; those of a response without variance are shares of its size."""
+        kind = "_share" if response.variance is None else ""
+        pairs = product(response.outputs, response.inputs)
+        return {(y, u): (f"{y}_per_{u}{kind}_real", f"{y}_per_{u}{kind}_imaginary") for y, u in pairs}
+
+    @staticmethod
+    def _size(response: FrequencyResponse) -> np.ndarray:
+        """What the points (nf, ny, nu) are divided by."""
+        size = np.abs(response.response)
+        return np.ones(size.shape) if response.variance is not None else np.where(size > 0, size, np.nan)
+
+    @cached_property
+    def _functions(self) -> ModelFunctions:
+        return ModelFunctions(self.equations)
+
+    def respond(self, response: FrequencyResponse, values: Mapping[str, float]) -> np.ndarray:
+        """The model's response (nf, ny, nu) at the points of ``response``. Raises PlantRunError where it has none."""
+        point = self.points[[r.name for r in self.responses].index(response.name)]
+        p = np.array([values[name] for name in self.equations.values])
+        try:
+            linear = linearise_at(to_plant(self.equations), self._functions, p, point, response.sampling_time or None)
+            whole = linear.frequency_response(2 * np.pi * response.frequency)
+        except (GreyboxError, np.linalg.LinAlgError) as error:
+            raise PlantRunError(f"{self.equations.title} has no response there: {error}") from error
+        rows, columns = (
+            [[s.name for s in known].index(name) for name in names]
+            for known, names in (
+                (self.equations.outputs, response.outputs),
+                (self.equations.inputs, response.inputs),
+            )
+        )
+        return whole[:, rows][:, :, columns]
+
+    def simulate(self, record: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Parts of the response (N,) at the frequencies of a record, or outputs over time. Raises PlantRunError."""
+        nothing = dict.fromkeys((o.name for o in self.outputs), np.zeros(record.rows))
+        response = next((r for r in self.responses if r.name == record.name), None)
+        if response is None:
+            return nothing | self._run_over_time(record, values)
+        first, end = np.searchsorted(response.frequency, record.time[[0, -1]])
+        size = np.nan_to_num(self._size(response), nan=1.0)
+        point = (self.respond(response, values) / size)[first : end + 1]
+        parts: dict[str, np.ndarray] = {}
+        for (y, u), names in self._channels(response).items():
+            each = point[:, response.outputs.index(y), response.inputs.index(u)]
+            parts |= dict(zip(names, (each.real, each.imag), strict=True))
+        return nothing | parts
+
+    @cached_property
+    def _problems(self) -> dict[str, EstimationProblem]:
+        return {}
+
+    def _run_over_time(self, record: Experiment, values: Mapping[str, float]) -> dict[str, np.ndarray]:
+        """Outputs (N,) of the model itself, which is compiled once for each record."""
+        if record.fingerprint not in self._problems:
+            frozen = self.equations.fix(*self.equations.values)
+            known = dict.fromkeys((o.name for o in frozen.outputs), 1.0)
+            self._problems[record.fingerprint] = prepare_problem(frozen, record, known, self.options or FitOptions())
+        problem = self._problems[record.fingerprint]
+        start = np.array([[values[name] for name in problem.model.system.state_names]])
+        variables = problem.variables.start_at({n: values[n] for n in self.equations.values})
+        variables = replace(variables, initial=replace(variables.initial, guess=start))
+        shooting = problem.shooting(variables)
+        y = shooting.records[0].samples(shooting.simulate(variables.here)[0][0])
+        return {o.name: y[:, j] for j, o in enumerate(problem.model.outputs)}
+
+    def approach(
+        self, records: Sequence[Experiment], values: Mapping[str, float], free: Sequence[str]
+    ) -> Mapping[str, float]:
+        """The constants at which the logarithm of the responses, magnitude and phase, is met best: its valley is wide."""
+        bounds = {q.name: q.bounds for q in self.parameters}
+        # A constant that is positive by its bounds is searched for by its logarithm.
+        in_decades = [bounds[name][0] > 0 for name in free]
+
+        def to_unknowns(each: Sequence[float]) -> np.ndarray:
+            return np.array([np.log(v) if log else v for v, log in zip(each, in_decades, strict=True)])
+
+        def to_values(z: np.ndarray) -> dict[str, float]:
+            constants = {n: float(np.exp(v) if log else v) for n, v, log in zip(free, z, in_decades, strict=True)}
+            return {n: float(np.clip(v, *bounds[n])) for n, v in constants.items()}
+
+        def residual(z: np.ndarray) -> np.ndarray:
+            parts = []
+            for response in self.responses:
+                fitted = self.respond(response, {**values, **to_values(z)})
+                known = np.isfinite(response.response) & (np.abs(response.response) > 0)
+                # ln(G / G_m) = ln |G / G_m| + i (phase difference)
+                error = np.log(response.response[known] / fitted[known])
+                parts += [error.real, error.imag]
+            whole = np.concatenate(parts)
+            if not np.isfinite(whole).all():
+                raise PlantRunError("the response is zero or not finite")
+            return whole
+
+        start = to_unknowns([values[name] for name in free])
+        low, high = (to_unknowns([bounds[name][side] for name in free]) for side in (0, 1))
+        try:
+            end = least_squares(residual, np.clip(start, low, high), bounds=(low, high), max_nfev=LOG_EVALUATIONS)
+        except PlantRunError:
+            return {}
+        return to_values(end.x)
 
 
 def fit_frequency_response(
@@ -101,8 +289,11 @@ def fit_frequency_response(
     at: OperatingPoints = None,
     noise: Mapping[str, float] | None = None,
     options: FitOptions | None = None,
-) -> FrequencyFit:
+) -> Fit:
     """Fit a model to frequency responses, and to records over time if there are any.
+
+    It is `greybox.fit` with a `ResponsePlant`: profiles, bootstraps, several starts and priors are as of any fit. `greybox.linearise` and
+    exports take its equations.
 
     Parameters
     ----------
@@ -121,8 +312,8 @@ def fit_frequency_response(
 
     Returns
     -------
-    FrequencyFit
-        Parameters with intervals.
+    Fit
+        Parameters with intervals; its records are the responses over frequency, then those over time.
 
     Raises
     ------
@@ -134,280 +325,13 @@ def fit_frequency_response(
     >>> result = gb.frequency.fit_frequency_response(model, points)  # doctest: +SKIP
     >>> result.parameters["k"].interval  # doctest: +SKIP
     """
-    group = (responses,) if isinstance(responses, FrequencyResponse) else tuple(responses)
-    if not group:
-        raise DataError("no frequency response; give at least one")
-    points = [at] * len(group) if at is None or isinstance(at, Mapping) else list(at)
-    if len(points) != len(group):
-        raise DataError(
-            f"at: {len(points)} operating points for {len(group)} responses; give one for each, or one for all"
-        )
-    names = tuple(q.name for q in model.free_parameters)
-    if not names:
+    if not model.free_parameters:
         raise DataError(f"{model.title} has no free parameter; free one")
-    rows = _ResponseRows(model, names, group, tuple(points))
     records = as_records(experiments)
-    time_fit = fit(model, records, noise=noise, options=options) if records else None
-    start = np.array(
-        [model.parameter(n).value if time_fit is None else time_fit.model.parameter(n).value for n in names]
-    )
-    search = _ScaledSearch.of(model, names, start)
-    low, high = search.bounds
-    # The logarithm first, whose valley is wide; the response itself last, whose errors are normal.
-    for residual, iterations in ((rows.log_residual, LOG_ITERATIONS), (rows.residual, RESPONSE_FIT_ITERATIONS)):
-        outcome = minimise(
-            search.quadratic_model(residual, RESPONSE_FIT_DIFFERENCE),
-            search.here,
-            low,
-            high,
-            method=MinimisationMethod.GAUSS_NEWTON,
-            scale=float(max(rows.count, 1)),
-            iterations=iterations,
-            thorough=False,
-        )
-        search = replace(search, values=search.values_at(outcome.z))
-    values, status = search.values, outcome.status
-    if (
-        not status.success
-        and outcome.value.predicted_decrease(low - outcome.z, high - outcome.z) <= RESPONSE_FIT_CONVERGED
-    ):
-        status = TerminationStatus.CONVERGED  # nothing is left to gain: exact data end at rounding
-    weighted = all(r.variance is not None for r in group)
-    freedom = max(rows.count - len(names), 1)
-    scale = 1.0 if weighted else float(np.sum(rows.residual(values) ** 2)) / freedom
-    slopes = search.slopes(rows.residual, values, RESPONSE_FIT_DIFFERENCE)
-    # Without a stated variance the residual says how large it is: s^2 = V / (N - p).
-    information = slopes.T @ slopes / max(scale, np.finfo(float).tiny)
-    if time_fit is not None:
-        resolved = resolve_options(options)
-        problem = prepare_problem(_with_values(model, names, values), records, time_fit.noise.std, resolved)
-        # Squares of the responses in units of their noise, as those of the records are in theirs.
-        weight = 1 / max(scale, RESPONSE_FIT_EXACT**2)
-        joint = _JointObjective(SimulationErrorObjective(problem), rows, names, weight, RESPONSE_FIT_DIFFERENCE)
-        minimum = search_minimum(joint, resolved)
-        variables, status = minimum.objective.variables, minimum.status
-        if not status.success and minimum.evaluation.predicted_decrease(*variables.bounds()) <= RESPONSE_FIT_CONVERGED:
-            status = TerminationStatus.CONVERGED
-        optimum = minimum.objective.variables.here
-        all_names = list(problem.model.system.parameter_names)
-        chosen = [all_names.index(n) for n in names]
-        values = variables.parameters(optimum)[chosen]
-        moves = _differentiate(lambda z: variables.parameters(z)[chosen], optimum, RESPONSE_FIT_DIFFERENCE)
-        # J C J': from the scaled unknowns of the joint fit to the constants.
-        covariance = moves @ pseudo_inverse(minimum.evaluation.hessian / 2) @ moves.T
-    else:
-        covariance = pseudo_inverse(information)
-    fitted_model = _with_values(model, names, values)
-    errors = rows.residual(values)
-    return FrequencyFit(
-        fitted_model,
-        _make_estimates(fitted_model, names, covariance),
-        names,
-        covariance,
-        group,
-        tuple(rows.respond(values)),
-        float(np.sqrt(np.mean(errors**2))) if weighted else float("nan"),
-        weighted,
-        status,
-        time_fit,
-        linearise(fitted_model, points[0]).findings,
-    )
-
-
-# Standard deviation of a point, over its magnitude, where the response states none; the intervals are then scaled by the residual.
-UNKNOWN_STD = 0.01
-
-
-@dataclass(frozen=True, eq=False)
-class _ResponseRows:
-    """The residuals of responses as a function of the values (n,) of the free parameters."""
-
-    model: Model
-    names: tuple[str, ...]
-    responses: tuple[FrequencyResponse, ...]
-    points: tuple[Mapping[str, float] | None, ...]
-
-    def __post_init__(self) -> None:
-        for kind, known in (("inputs", self.model.inputs), ("outputs", self.model.outputs)):
-            for response in self.responses:
-                for name in getattr(response, kind):
-                    if name not in [s.name for s in known]:
-                        raise DataError(
-                            f"{response.name}: model {self.model.title!r} has no {kind[:-1]} {name!r};"
-                            f" {nearest(name, [s.name for s in known])}"
-                        )
-
-    @property
-    def count(self) -> int:
-        """Number of real residuals."""
-        return 2 * sum(r.points for r in self.responses)
-
-    def respond(self, values: np.ndarray) -> list[np.ndarray]:
-        """The model's response (nf, ny, nu) at the points of each response."""
-        model = _with_values(self.model, self.names, values)
-        inputs, outputs = [i.name for i in model.inputs], [o.name for o in model.outputs]
-        result = []
-        for r, point in zip(self.responses, self.points, strict=True):
-            linear = linearise(model, point, dt=r.sampling_time or None)
-            whole = linear.frequency_response(2 * np.pi * r.frequency)
-            rows, columns = [outputs.index(n) for n in r.outputs], [inputs.index(n) for n in r.inputs]
-            result.append(whole[:, rows][:, :, columns])
-        return result
-
-    def residual(self, values: np.ndarray) -> np.ndarray:
-        """Errors over their standard deviation, real and imaginary part of each point."""
-        parts = []
-        for r, fitted in zip(self.responses, self.respond(values), strict=True):
-            std = UNKNOWN_STD * np.abs(r.response) if r.variance is None else np.sqrt(r.variance)
-            # E|error|^2 = std^2 is shared by both parts: each has std / sqrt(2).
-            error = ((r.response - fitted) / std * np.sqrt(2))[np.isfinite(r.response)]
-            parts += [error.real, error.imag]
-        return np.concatenate(parts)
-
-    def log_residual(self, values: np.ndarray) -> np.ndarray:
-        """Errors of magnitude and phase in logarithms and radians."""
-        parts = []
-        for r, fitted in zip(self.responses, self.respond(values), strict=True):
-            known = np.isfinite(r.response) & (np.abs(r.response) > 0)
-            # ln(G_m / G) = ln |G_m / G| + i (phase difference)
-            error = np.log((r.response[known] / fitted[known]).astype(complex))
-            parts += [error.real, error.imag]
-        return np.concatenate(parts)
-
-
-@dataclass(frozen=True, eq=False)
-class _ScaledSearch:
-    """Unknowns without unit: the logarithm of a parameter that is positive by its bounds, else the parameter over its size."""
-
-    model: Model
-    names: tuple[str, ...]
-    values: np.ndarray
-    positive: np.ndarray
-    sizes: np.ndarray
-
-    @classmethod
-    def of(cls, model: Model, names: tuple[str, ...], start: np.ndarray) -> _ScaledSearch:
-        """The unknowns from a start."""
-        lows = np.array([model.parameter(n).bounds[0] for n in names])
-        sizes = np.where(start != 0, np.abs(start), 1.0)
-        # By its bounds: a constant that may be zero has no logarithm there.
-        return cls(model, names, start, (lows > 0) & (start > 0), sizes)
-
-    @property
-    def here(self) -> np.ndarray:
-        """The unknowns (n,) of the present values."""
-        return self._to_unknowns(self.values)
-
-    @property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Their bounds."""
-        limits = np.array([self.model.parameter(n).bounds for n in self.names])
-        return self._to_unknowns(limits[:, 0]), self._to_unknowns(limits[:, 1])
-
-    def _to_unknowns(self, values: np.ndarray) -> np.ndarray:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(
-                self.positive, np.log(np.where(self.positive, values / self.sizes, 1.0)), values / self.sizes
-            )
-
-    def values_at(self, z: np.ndarray) -> np.ndarray:
-        """Values of the parameters."""
-        return np.asarray(np.where(self.positive, np.exp(np.where(self.positive, z, 0.0)), z) * self.sizes)
-
-    def quadratic_model(
-        self, residual: Callable[[np.ndarray], np.ndarray], step: float
-    ) -> Callable[[np.ndarray], QuadraticModel]:
-        """The cost and its quadratic model as a function of the unknowns; infinite where there is no response."""
-
-        def evaluate(z: np.ndarray) -> QuadraticModel:
-            try:
-                r = residual(self.values_at(z))
-                slopes = _differentiate(lambda at: residual(self.values_at(at)), z, step)
-            except (GreyboxError, np.linalg.LinAlgError):
-                r, slopes = np.full(1, np.inf), np.zeros((1, len(z)))
-            if not (np.isfinite(r).all() and np.isfinite(slopes).all()):
-                return QuadraticModel(np.inf, np.zeros(len(z)), np.eye(len(z)))
-            return QuadraticModel.from_residuals(slopes, r)
-
-        return evaluate
-
-    def slopes(self, residual: Callable[[np.ndarray], np.ndarray], values: np.ndarray, step: float) -> np.ndarray:
-        """Slopes of the residual along the parameters themselves (N, n)."""
-        return _differentiate(lambda s: residual(values + s * self.sizes), np.zeros(len(values)), step) / self.sizes
-
-
-@dataclass(frozen=True, eq=False)
-class _JointObjective:
-    """The cost of records over time and of frequency responses together."""
-
-    time: SimulationErrorObjective
-    rows: _ResponseRows
-    names: tuple[str, ...]
-    weight: float
-    step: float
-
-    @property
-    def variables(self) -> DecisionVector:
-        """Those of the records."""
-        return self.time.variables
-
-    @property
-    def squares(self) -> int:
-        """Squares of both."""
-        return self.time.squares + self.rows.count
-
-    def at(self, variables: DecisionVector) -> _JointObjective:
-        """The same cost over other variables."""
-        return replace(self, time=self.time.at(variables))
-
-    def evaluate(self, z: np.ndarray) -> Evaluation:
-        """Both costs, and the sum of their quadratic models."""
-        evaluation = self.time.evaluate(z)
-        chosen = [self.time.problem.model.system.parameter_names.index(n) for n in self.names]
-        try:
-            residual = self.rows.residual(self.variables.parameters(z)[chosen])
-            slopes = _differentiate(lambda at: self.rows.residual(self.variables.parameters(at)[chosen]), z, self.step)
-        except (GreyboxError, np.linalg.LinAlgError):
-            return replace(evaluation, cost=np.inf)
-        return replace(
-            evaluation,
-            cost=evaluation.cost + self.weight * float(residual @ residual),
-            gradient=evaluation.gradient + 2 * self.weight * slopes.T @ residual,
-            hessian=evaluation.hessian + 2 * self.weight * slopes.T @ slopes,
-            factor=None,
-        )
-
-    def linearise(self) -> ResidualRows:
-        """The residuals of the records."""
-        return self.time.linearise()
-
-    def halve_step(self) -> _JointObjective:
-        """The same with half the integration step."""
-        return replace(self, time=self.time.halve_step())
-
-
-def _differentiate(function: Callable[[np.ndarray], np.ndarray], z: np.ndarray, step: float) -> np.ndarray:
-    """Slopes (N, n) by central differences."""
-    columns = []
-    for k in range(len(z)):
-        width = step * max(abs(float(z[k])), 1.0)
-        ends = [function(z + sign * width * np.eye(len(z))[k]) for sign in (1, -1)]
-        columns.append((ends[0] - ends[1]) / (2 * width))
-    return np.column_stack(columns)
-
-
-def _with_values(model: Model, names: Sequence[str], values: np.ndarray) -> Model:
-    limits = [model.parameter(n).bounds for n in names]
-    inside = {n: float(np.clip(v, *b)) for n, v, b in zip(names, values, limits, strict=True)}
-    return model.start(**inside)
-
-
-def _make_estimates(model: Model, names: Sequence[str], covariance: np.ndarray) -> dict[str, Estimate]:
-    std = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
-    estimates = {}
-    for q in model.all_parameters:
-        spread = float(std[q.name]) if q.name in std else None
-        interval = None if spread is None else (q.value - NORMAL_95 * spread, q.value + NORMAL_95 * spread)
-        at_bound = spread is not None and q.value in q.bounds
-        estimates[q.name] = Estimate(float(q.value), q.unit, spread, interval, spread is None, at_bound)
-    return estimates
+    plant = ResponsePlant.of(model, responses, at, over_time=bool(records), options=options)
+    if not records:
+        return fit(plant, plant.records, options=options)
+    over_time = fit(model, records, noise=noise, options=options)
+    begin: list[dict[str, float]] = [{}] * len(plant.responses) + [dict(t.initial_state) for t in over_time.traces]
+    start = plant.model.start(**{q.name: over_time.model.values[q.name] for q in model.free_parameters})
+    return fit(start, [*plant.records, *records], noise=over_time.noise.std, initial=begin, options=options)

@@ -467,7 +467,7 @@ def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
     if fit is None:
         return replace(nothing, checks=tuple(checks))
     # What a user sees is the free run of the finished fit: there too the law must take what makes it one.
-    taken = _share_of_gap(search.scores.score(baseline), _score_of(fit))
+    taken = _share_of_gap(search.scores.score(baseline), fit.validation.noise_ratio)
     checks.append(Check.at_least(DiscoveryRule.HOLDOUT_PARTLY_EXPLAINED, taken, LAW_LEAST_SHARE, subject))
     if not checks[-1].passed:
         return replace(nothing, checks=tuple(checks))
@@ -490,11 +490,6 @@ LEAST_GAP = 1e-3
 def _share_of_gap(before: float, after: float) -> float:
     """Share of the gap between an rms error over noise and the noise that is gone; all of it where the plain model runs away."""
     return (before - after) / max(before - 1, LEAST_GAP) if np.isfinite(before) else 1.0
-
-
-def _score_of(fit: Fit) -> float:
-    """Rms error over noise of a validated fit, all outputs together."""
-    return float(np.sqrt(np.mean([m.noise_ratio**2 for m in fit.validation.misfit.values()])))
 
 
 # Iterations of its refit.

@@ -18,6 +18,7 @@ from scipy.linalg import matrix_balance
 from greybox.base.numerics import CANCELLED_RESPONSE, INTEGRATING_POLE, TINY
 from greybox.estimation.identifiability.sensitivity import Sensitivity
 from greybox.model.system import System
+from greybox.simulation.linearise import differentiate_equations
 
 Rows = tuple[list[np.ndarray], list[np.ndarray]]  # along the initial states, and along the constants
 
@@ -162,14 +163,8 @@ def make_matrix_function(system: System) -> ca.Function:
     tau = ca.SX.zeros(nu)
     for delay in system.delays:
         tau[delay.column] += delay.seconds
-    parts = [
-        ca.jacobian(system.rhs, system.x),
-        ca.horzcat(ca.jacobian(system.rhs, system.u), zero[0]),
-        ca.jacobian(system.outputs, system.x),
-        ca.horzcat(ca.jacobian(system.outputs, system.u), zero[1]),
-        tau,
-        system.start,
-    ]
+    a, b, c, d = differentiate_equations(system)
+    parts = [a, ca.horzcat(b, zero[0]), c, ca.horzcat(d, zero[1]), tau, system.start]
     flat = [ca.densify(ca.vec(part)) for part in parts]
     return ca.Function("matrices", [system.p], [*flat, *(ca.densify(ca.jacobian(v, system.p)) for v in flat)])
 
@@ -191,12 +186,7 @@ def transfer_function_coefficients(system: System) -> list[Polynomial]:
 
     Empty where there are no such formulas, or only unwieldy ones.
     """
-    parts = [
-        ca.jacobian(system.rhs, system.x),
-        ca.jacobian(system.rhs, system.u),
-        ca.jacobian(system.outputs, system.x),
-        ca.jacobian(system.outputs, system.u),
-    ]
+    parts = differentiate_equations(system)
     try:
         matrices: list[list[list[Polynomial]]] = []
         for part in parts:

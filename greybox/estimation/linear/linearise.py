@@ -12,12 +12,15 @@ from greybox.base.errors import ModelError
 from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.base.units import format_unit
+from greybox.data.experiment import Experiment
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
 from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
+from greybox.simulation.plant import CanLinearise, Plant, PlantModel
+from greybox.simulation.simulate import declared_initial_state, simulate
 
 # Derivatives where they differ by side: dry friction at standstill, the edge of a dead zone, a valve that is just shut.
 
@@ -130,14 +133,15 @@ OPERATING_POINT_EXTRAPOLATION = 0.5
 
 
 def linearise(
-    plant: Fit | Model,
+    plant: Fit | Model | Plant,
     at: Mapping[str, float] | None = None,
     *,
+    along: Experiment | None = None,
     dt: float | None = None,
     method: str = "zoh",
     delay: float = 0.0,
 ) -> Linearisation:
-    """Linearise a fit, or a model at its present values, about an operating point.
+    """Linearise a fit, or a model at its present values, about an operating point; a plant without equations about a run.
 
     What has no derivative at the point is among the findings, with what replaces it: dry friction at standstill is left out (it
     acts as a disturbance up to its level), play is taken as closed, and at a kink (the edge of a dead zone) the side with the larger
@@ -146,9 +150,12 @@ def linearise(
     Parameters
     ----------
     plant
-        A fit, or a model.
+        A fit, a model, or a plant.
     at
         States and inputs by name, in the model's units; what it leaves out is solved for, see `find_operating_point`.
+    along
+        The record along which a plant without equations is run, one that can linearise (`greybox.simulation.plant.CanLinearise`), such as
+        an FMU; None: the longest of the fit.
     dt
         Sampling time in seconds; None: continuous.
     method
@@ -164,14 +171,19 @@ def linearise(
     Raises
     ------
     ModelError
-        For unknown names, where there is no equilibrium, and where a derivative is not finite.
+        For unknown names, where there is no equilibrium, where a derivative is not finite, and for a plant that cannot be linearised.
 
     Examples
     --------
     >>> linear = gb.linearise(fit, {"u": 0.5}, dt=1e-3)  # doctest: +SKIP
     >>> linear.poles  # doctest: +SKIP
     """
-    source = to_plant(plant)
+    source = to_plant(plant, with_equations=False)
+    if isinstance(source.model, PlantModel):
+        linear = _linearise_run(source, source.model, at, along).with_delay(delay)
+        return linear if dt is None else sample(linear, dt, method)
+    if along is not None:
+        raise ModelError(f"{source.model.title} has equations: it is linearised about a point; give at=, not along=")
     functions = ModelFunctions(source.model)
     linear = linearise_at(source, functions, source.p, at, dt, method, delay)
     inputs, outputs = (
@@ -180,6 +192,49 @@ def linearise(
     )
     outside = source.find_extrapolation(inputs, outputs, OPERATING_POINT_EXTRAPOLATION)
     return replace(linear, findings=(*linear.findings, *outside))
+
+
+def _linearise_run(
+    source: ExportedModel, model: PlantModel, at: Mapping[str, float] | None, along: Experiment | None
+) -> Linearisation:
+    """The answer of a plant without equations to small changes of its inputs along a record, about the means of its run."""
+    if not isinstance(model.plant, CanLinearise):
+        model.require_equations("a linearisation")
+    if at:
+        raise ModelError(f"{model.title} is run from outside: it is linearised along a record; give along=, not at=")
+    record = along or max(
+        (t.experiment for t in (source.fit.traces if source.fit else ())), key=lambda e: e.rows, default=None
+    )
+    if record is None:
+        raise ModelError(f"{model.title} is run from outside: it is linearised along a record; give along=")
+    start = dict(zip(model.system.state_names, declared_initial_state(model).tolist(), strict=True))
+    response = model.plant.linearise(record, {**model.values, **model.tied_values, **start})
+    if response is None:
+        raise ModelError(
+            f"{model.title}: no linear system follows its answer to small changes of the inputs along {record.name}"
+        )
+    run, order = simulate(model, record).outputs, len(response.A)
+    share = min(response.explained.values(), default=1.0)
+    return Linearisation(
+        name=model.title,
+        A=response.A,
+        B=response.B,
+        C=response.C,
+        D=response.D,
+        state_names=tuple(f"response_{k + 1}" for k in range(order)),
+        input_names=tuple(i.name for i in model.inputs),
+        output_names=tuple(o.name for o in model.outputs),
+        state_units=("1",) * order,
+        input_units=tuple(format_unit(i.unit) for i in model.inputs),
+        output_units=tuple(format_unit(o.unit) for o in model.outputs),
+        x0=np.zeros(order),
+        u0=np.array([float(np.mean(record.inputs[i.name])) for i in model.inputs]),
+        y0=np.array([float(np.mean(run[o.name])) for o in model.outputs]),
+        rates=np.zeros(order),
+        delay=np.zeros(len(model.inputs)),
+        parameters=dict(model.values),
+        findings=(*source.findings, Finding(ExportFinding.ABOUT_A_RUN, subject=record.name, values={"share": share})),
+    )
 
 
 def linearise_at(

@@ -14,6 +14,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.units import format_unit
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantModel, as_model, is_plant
 
 
 class ExportFinding(StrEnum):
@@ -45,6 +46,8 @@ class ExportFinding(StrEnum):
     """Every mode decays within one sample."""
     TUSTIN_RINGS = "export_tustin_rings"
     """The trapezoidal rule turns a fast real pole into an alternating one."""
+    ABOUT_A_RUN = "export_about_a_run"
+    """The linear model is the answer to small changes along a run of a plant without equations."""
     PARAMETERS_NOT_DRAWN = "export_parameters_not_drawn"
     """Parameters without a covariance keep their fitted value in a family of models."""
 
@@ -113,17 +116,21 @@ class ExportedModel:
         return tuple(lines)
 
 
-def to_plant(source: Fit | Model) -> ExportedModel:
-    """The plant behind a fit or a model. Raises ModelError for anything that is neither."""
-    if isinstance(source, (Fit, Model)):
-        (source.model if isinstance(source, Fit) else source).require_equations("a linearisation or an export")
-    if isinstance(source, Fit):
-        values = {"status": str(source.status)}
-        failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
-        return ExportedModel(source.model, source, failed)
+def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> ExportedModel:
+    """The plant behind a fit or a model. Raises ModelError for anything else, and where it has no equations and needs them."""
+    source = as_model(source) if is_plant(source) else source
+    if not isinstance(source, (Fit, Model)):
+        raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+    model = source.model if isinstance(source, Fit) else source
+    if isinstance(model, PlantModel) and model.equations is not None:
+        model = model.equations
+    if with_equations:
+        model.require_equations("a linearisation or an export")
     if isinstance(source, Model):
-        return ExportedModel(source)
-    raise ModelError(f"{source!r} cannot be exported; give a fit (gb.fit, gb.load_fit, discovery.best) or a model")
+        return ExportedModel(model)
+    values = {"status": str(source.status)}
+    failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
+    return ExportedModel(model, source, failed)
 
 
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:

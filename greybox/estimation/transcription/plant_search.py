@@ -41,9 +41,11 @@ def solve_plant(problem: EstimationProblem, options: FitOptions, report: FitProg
     model, kernel = problem.model, problem.kernel
     assert isinstance(model, PlantModel)
     assert isinstance(kernel, PlantKernel)
-    if options.progressive and isinstance(model.plant, CanApproach) and model.free_parameters:
+    # The plant knows nothing of ties.
+    if options.progressive and isinstance(model.plant, CanApproach) and model.free_parameters and not model.ties:
         free = [q.name for q in model.free_parameters]
-        nearer = model.plant.approach(problem.experiments, dict(model.values), free)
+        proposed = model.plant.approach(problem.experiments, dict(model.values), free)
+        nearer = {name: float(np.clip(value, *model.parameter(name).bounds)) for name, value in proposed.items()}
         problem = replace(problem, variables=problem.variables.start_at(nearer))
     if model.is_cheap:
         return solve_single_shooting(problem, replace(options, progressive=False), report)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 
@@ -19,6 +18,7 @@ from greybox.model.system import System
 from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.kernel.record import Record
+from greybox.simulation.linearise import linearise_along
 
 
 @dataclass(frozen=True)
@@ -216,9 +216,6 @@ def _propose_for_stiff(
 def _linearise_along(system: System, p: np.ndarray, record: Record, points: int) -> np.ndarray:
     """Jacobians (k, nx, nx) of the equations in several points of the record, those that can be computed; a linear model has one."""
     start = np.asarray(system.start_function(p)[0]).ravel()
-    if system.linear:
-        jacobian = system.jacobian(start, record.u[0, : system.u.numel()], p).full()
-        return jacobian[None][: int(np.isfinite(jacobian).all())]
     columns = {system.outputs[j].name(): j for j in range(system.outputs.numel()) if system.outputs[j].is_symbolic()}
     rows = np.unique(np.linspace(0, len(record.u) - 1, points).astype(int))
     x = np.tile(start, (len(rows), 1))
@@ -229,6 +226,5 @@ def _linearise_along(system: System, p: np.ndarray, record: Record, points: int)
             if len(known):
                 x[:, k] = values[known[np.minimum(np.searchsorted(known, rows), len(known) - 1)]]
     u = record.u[rows, : system.u.numel()]
-    side_by_side = system.jacobian.map(len(rows))(x.T, u.T, ca.repmat(ca.DM(p), 1, len(rows))).full()
-    jacobians = side_by_side.reshape(len(start), len(rows), len(start)).swapaxes(0, 1)
+    jacobians = linearise_along(system, x, u, p)[0]
     return jacobians[np.isfinite(jacobians).all(axis=(1, 2))]

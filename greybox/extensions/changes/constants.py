@@ -498,7 +498,7 @@ def compare_constants(
     degrees = min(combine_degrees(np.diag(one[1]), np.diag(other[1]), before.degrees, after.degrees), scatter_degrees)
     correlation = covariance / np.outer(std, std)
     z = difference / std
-    null = _NullDistribution.draw(correlation, degrees)
+    null = _NullDistribution.draw(correlation, degrees, is_own=bool(np.isfinite(scatter_degrees)))
     p, critical = null.step_down(np.abs(z)), null.quantile(1 - level)
     wide = null.quantile(INTERVAL_LEVEL)
     # The gradient of z' R^-1 z: the combination that stands out most.
@@ -549,7 +549,8 @@ class _NullDistribution:
     degrees: float
 
     @classmethod
-    def draw(cls, correlation: np.ndarray, degrees: float) -> _NullDistribution:
+    def draw(cls, correlation: np.ndarray, degrees: float, *, is_own: bool = False) -> _NullDistribution:
+        """``is_own``: the deviation of each constant was measured by its own scatter, and not all of them by one residual."""
         decomposition = decompose_symmetric(correlation)
         inverse = decomposition.pseudo_inverse
         values, vectors = np.linalg.eigh(correlation)
@@ -557,7 +558,13 @@ class _NullDistribution:
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         generator = np.random.default_rng(CHANGE_TEST_SEED)
         z = generator.standard_normal((CHANGE_TEST_DRAWS, len(correlation))) @ root.T
-        if np.isfinite(degrees):
+        if is_own:
+            # Each difference over its own deviation: of so many draws of all constants together, whose squares add up to the diagonal of a
+            # Wishart matrix. One deviation for all would call a machine changed up to twice as often where constants go together.
+            draws = round(degrees)
+            squares = sum((generator.standard_normal(z.shape) @ root.T) ** 2 for _ in range(draws))
+            z /= np.sqrt(squares / draws)
+        elif np.isfinite(degrees):
             # Student: all differences of a draw over one estimated deviation.
             z /= np.sqrt(generator.chisquare(degrees, (CHANGE_TEST_DRAWS, 1)) / degrees)
         # Wald's form has as many degrees of freedom as the correlation has rank.

@@ -34,6 +34,7 @@ class DesignCode(StrEnum):
     NO_EARLIER_RECORD = "design_no_earlier_record"
     LIMIT_RULES = "design_limit_rules"
     RANGE_FROM_RECORDS = "design_range_from_records"
+    MODEL_FALLS_SHORT = "design_model_falls_short"
 
 
 class CampaignCode(StrEnum):

@@ -62,6 +62,10 @@ register(
             " on the safe side, and design again after the first record"
         ),
         DesignCode.LIMIT_RULES: "the limit of {subject} decides how large the input may be",
+        DesignCode.MODEL_FALLS_SHORT: (
+            "{fault}. The ranges predicted here are those of this model, not of the rig: find what it lacks first (greybox discover),"
+            " or keep the limits well inside what the rig stands"
+        ),
         DesignCode.RANGE_FROM_RECORDS: (
             "input {subject} has no limits of its own: it stays between {low:g} and {high:g}, as in the records;"
             " give --limit to change that"

@@ -86,7 +86,9 @@ def _as_json(made: Export, to: str, report: Path | None) -> str:
         "target": to,
         "files": [str(file) for file in made.files],
         "report": str(report) if report else None,
-        "linear": LinearFile(made.linear, to_plant(made.fit), made.family) if made.linear else None,
+        "linear": LinearFile(made.linear, to_plant(made.fit, with_equations=False), made.family)
+        if made.linear
+        else None,
     }
     return format_json(to_json_data(printed))
 
@@ -110,7 +112,7 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
         if samples
         else None
     )
-    plant = to_plant(fit)
+    plant = to_plant(fit, with_equations=False)
     for finding in (*whole.findings, *(drawn.findings if drawn else ())):
         print_note(f"warning: {finding}")
     written = _write(kind, linear, target, plant=plant, family=drawn)

@@ -237,7 +237,7 @@ def write_linear(
         warnings.warn(str(finding), GreyboxWarning, stacklevel=2)
     # After the findings: what is cut away may be what they speak of.
     reduced = minimal_realisation(model) if minimal else model
-    return formats[format].write(reduced, path, plant=to_plant(plant), family=family)
+    return formats[format].write(reduced, path, plant=to_plant(plant, with_equations=False), family=family)
 
 
 def to_mat(

@@ -23,10 +23,10 @@ from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.optimum import compute_misfit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit, Trace
+from greybox.estimation.result_parts import Estimate, Misfit
+from greybox.estimation.validate import validate
 from greybox.extensions.fmu.local_model import (
     LocalModel,
     build_local_model,
@@ -267,16 +267,16 @@ def fit_fmu_effects(
         # Runs of the FMU with the inputs as they arrive behind the effects: the local model is exact there, not only near by.
         records = _extend(kernel, behind, local, prepared.records)
         model = _add(local.model, effects).start(**values)
-        errors = _measure(model, prepared.records, records, prepared.fit)
+        errors = validate(model, records, noise=prepared.fit.noise.std, options=AT_REST).misfit
         expected = {name: misfit.rmse for name, misfit in fitted.misfit.items()}
         # The FMU itself errs as much as its local model: then what was fitted on that holds for the FMU.
         agrees = all(abs(errors[n].rmse - expected[n]) <= FMU_RESPONSE_SETTLED * expected[n] for n in errors)
-    checked: dict[str, Misfit] = {}
+    checked: Mapping[str, Misfit] = {}
     validation: tuple[Experiment, ...] = ()
     if prepared.others:
         behind = _apply(prepared.others, prepared.validation, with_inputs, plant)
         validation = _extend(kernel, behind, local, prepared.others)
-        checked = _measure(model, prepared.others, validation, prepared.fit)
+        checked = validate(model, validation, noise=prepared.fit.noise.std, options=AT_REST).misfit
     costs = _sum_costs(kernels, prepared.records)
     about = replace(prepared, local=local, estimation=records, validation=validation, **costs)
     return FmuWithEffects(plant, tuple(e.name for e in effects), fitted, errors, checked, rounds, agrees, about)
@@ -479,15 +479,3 @@ def _add(model: Model, effects: Sequence[Effect]) -> Model:
     for effect in effects:
         model = model + effect
     return model
-
-
-def _measure(
-    model: Model, records: Sequence[Experiment], extended: Sequence[Experiment], result: Fit
-) -> dict[str, Misfit]:
-    """Error of the FMU with the effects: that of the model where it is exact."""
-    traces = []
-    for record, more in zip(records, extended, strict=True):
-        run = simulate(model, more).outputs
-        traces.append(Trace(record.name, record.fingerprint, record.time, record.outputs, run, {}))
-    units = {o.name: o.unit for o in model.outputs}
-    return {name: compute_misfit(traces, name, units[name], std) for name, std in result.noise.std.items()}

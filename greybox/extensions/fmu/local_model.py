@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import logm
-from scipy.signal import lsim
 
 from greybox.base.errors import DataError
 from greybox.base.texts import to_identifiers
@@ -24,35 +23,9 @@ from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
-from greybox.simulation.plant import PlantKernel, PlantModel, PlantRunError
+from greybox.simulation.plant import LinearResponse, PlantKernel, PlantModel, PlantRunError
 
 # What an FMU answers to a small change of its inputs, as a linear system: what an effect at an input is seen through.
-
-
-@dataclass(frozen=True, eq=False)
-class LinearResponse:
-    """``x' = A x + B du``, ``dy = C x + D du``.
-
-    Parameters
-    ----------
-    A, B, C, D
-        Matrices (n, n), (n, nu), (ny, n), (ny, nu), continuous in time.
-    explained
-        Output -> share of the FMU's answer to the change that it follows.
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-    explained: Mapping[str, float]
-
-    def run(self, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
-        """Outputs (N, ny) from rest to inputs (N, nu)."""
-        if not len(self.A):
-            return np.asarray(u @ self.D.T)
-        _, y, _ = lsim((self.A, self.B, self.C, self.D), u, time - time[0], interp=hold != "zero")
-        return np.asarray(y).reshape(len(time), -1)
 
 
 # Movement of an output, over that of its run, below which it does not answer to the inputs.

@@ -20,7 +20,7 @@ from greybox.extensions.fmu.description import FmuDescription, FmuVariable, read
 from greybox.extensions.fmu.simulator import FmuSimulator
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter
-from greybox.simulation.plant import PLANT_DIFFERENCE, PlantModel
+from greybox.simulation.plant import PLANT_DIFFERENCE, LinearResponse, PlantKernel, PlantModel
 
 # Most constants that are fitted unless they are named: each costs a run in every step.
 MOST_FREE = 12
@@ -149,6 +149,14 @@ class FmuPlant(Printable):
         # What is differentiated must be set, also where it is at the FMU's own value.
         settings = self._settings(values) | {v.name: values[v.label] for v in unknowns}
         return self.simulator.differentiate(record, settings, unknowns, widths, outputs)
+
+    def linearise(self, record: Experiment, values: Mapping[str, float]) -> LinearResponse | None:
+        """The answer to small changes of the inputs along a record, from two runs of the FMU; None where no linear system follows it."""
+        from greybox.extensions.fmu.local_model import estimate_linear_response
+
+        model = self.model.start(**values)
+        assert isinstance(model, PlantModel)
+        return estimate_linear_response(PlantKernel(model), record)
 
     def _settings(self, values: Mapping[str, float]) -> dict[str, float]:
         """Variable of the FMU -> value, of those that are not at its own: a start that is not stated is not known."""

@@ -23,13 +23,10 @@ from greybox.base.document import (
 )
 from greybox.base.findings import Finding, with_code
 from greybox.base.units import format_unit
-from greybox.comparison.findings import ComparisonFinding
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
-from greybox.show.documents.provenance import provenance_section
-from greybox.show.documents.tables import parameters_table
+from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.registry import sentence, sentences
@@ -100,7 +97,7 @@ def _brief(comparison: Comparison) -> Iterator[Block]:
     tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
         yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
-    yield structures(comparison)
+    yield from structures(comparison)
     texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
     yield Paragraphs(
         [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
@@ -239,9 +236,12 @@ def models_table(comparison: Comparison) -> TableBlock:
     )
 
 
-def structures(comparison: Comparison) -> Facts:
-    """What each model is."""
-    return Facts([(e.name, ", ".join(dict.fromkeys(e.structure.values()))) for e in comparison.entries], "Structures")
+def structures(comparison: Comparison) -> Iterator[Facts]:
+    """What each model is, where its name does not say that already."""
+    known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.entries}
+    entries = [(name, text) for name, text in known.items() if text != name]
+    if entries:
+        yield Facts(entries, "Structures")
 
 
 def _notes(comparison: Comparison) -> list[str]:
@@ -252,7 +252,7 @@ def _notes(comparison: Comparison) -> list[str]:
 
 def _models(comparison: Comparison) -> Iterator[Block]:
     yield models_table(comparison)
-    yield structures(comparison)
+    yield from structures(comparison)
     if notes := _notes(comparison):
         yield BulletList(notes)
 

@@ -8,7 +8,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from greybox.base.figure import MODELS, Axis, Curve, Figure, Height, Panel, Points, Role, Scale, Symbol, Thinning
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
+from greybox.estimation.errors import OutputRun
 from greybox.show.figures.figure import draw_sizes, root_mean_square, scale_to_prefix, size_axis
 from greybox.show.figures.records import TIME
 from greybox.show.sentences.wording import capitalise, record_text, value_with_unit
@@ -136,7 +137,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
     )
 
 
-def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[ComparisonRun, ...]:
+def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[OutputRun, ...]:
     """A model's runs over one judging record."""
     runs = entry.validation_runs if comparison.validation else entry.training_runs
     return tuple(run for run in runs if run.record == record)
@@ -154,7 +155,7 @@ def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: 
     return scores.get(output)
 
 
-def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, ComparisonRun]]:
+def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, OutputRun]]:
     """Output -> model -> its run over the record, where there is one."""
     runs = {
         output: {
@@ -186,7 +187,7 @@ def _error_sizes(comparison: Comparison, record: str) -> tuple[str, ...]:
 DRAWING_OVERFLOW = 1e100
 
 
-def _error_size(run: ComparisonRun) -> float:
+def _error_size(run: OutputRun) -> float:
     """Root mean square error; NaN where the run leaves all bounds."""
     if not (np.abs(run.simulated) < DRAWING_OVERFLOW).all():
         return np.nan

@@ -20,7 +20,8 @@ from greybox.estimation.transcription.problem import SolutionCode, Transcription
 from greybox.show.sentences.data import describe_source
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 from greybox.show.sentences.wording import (
-    TEXT_LIMITS,
+    LONGEST_FORMULA,
+    NOISE_REACH,
     capitalise,
     format_shares,
 )
@@ -28,8 +29,9 @@ from greybox.show.sentences.wording import (
 if TYPE_CHECKING:
     from greybox.estimation.multistart import MultiStartResult
     from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
-    from greybox.estimation.residuals import PredictionScores, ResidualTest, ResidualTests
+    from greybox.estimation.residuals import ResidualTest, ResidualTests
     from greybox.estimation.result_parts import FitNoise, SolverReport
+    from greybox.estimation.score import Scores
     from greybox.estimation.uncertainty import Profile, ProfilePair
 
 STATUS = {
@@ -115,7 +117,7 @@ def _write_term_not_finite(finding: Finding) -> str:
             "storage": f"the inverse storage of balance {v['balance']!r}",
             "output": f"the output {v['name']!r}",
         }[v["kind"]]
-        formula = f" ({v['formula']})" if len(v["formula"]) <= TEXT_LIMITS.longest_formula else ""
+        formula = f" ({v['formula']})" if len(v["formula"]) <= LONGEST_FORMULA else ""
         what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
     return f"{_write_place(finding)}: {what} at {_write_point(finding)}"
 
@@ -443,7 +445,7 @@ def _write_growth(noise: FitNoise, output: str) -> str:
 
 def _write_estimated_level(noise: FitNoise, output: str) -> str:
     low, high = noise.interval(output)
-    known = math.log(high / noise.std[output]) < TEXT_LIMITS.noise_reach
+    known = math.log(high / noise.std[output]) < NOISE_REACH
     ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
     return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"
 
@@ -659,13 +661,13 @@ def list_tests_not_made(tests: ResidualTests) -> list[str]:
     ]
 
 
-@renders("PredictionScores")
-def write_prediction_scores(scores: PredictionScores) -> list[Block]:
+@renders("Scores")
+def write_scores(scores: Scores) -> list[Block]:
     """A row for each output: errors of the free run and of predictions; infinite where a run overflows."""
-    ahead = sorted({k for s in scores.outputs.values() for k in s.prediction})
+    ahead = sorted({k for s in scores.outputs.values() for k in s.ahead})
     head = ["rmse", "free run", *(f"{k} step{'s' if k > 1 else ''} ahead" for k in ahead), "movement", "unit"]
     rows = [
-        [name, *(f"{v:.4g}" for v in (s.free_run, *(s.prediction[k] for k in ahead), s.movement)), s.unit]
+        [name, *(f"{v:.4g}" for v in (s.rmse, *(s.ahead[k] for k in ahead), s.movement)), s.unit]
         for name, s in scores.outputs.items()
     ]
     corrections = dict.fromkeys(str(s.predictor) for s in scores.outputs.values())

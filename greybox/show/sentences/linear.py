@@ -117,6 +117,10 @@ register(
             "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
             " large motion in one direction"
         ),
+        ExportFinding.ABOUT_A_RUN: (
+            "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
+            " which it follows {share:.0%} at least"
+        ),
         ExportFinding.INPUT_WITHOUT_EFFECT: _input_without_effect,
         ExportFinding.DELAY_APPROXIMATED: (
             "the delay of {delay:.4g} s of {subject} is a Pade approximation of order {order}, accurate up to about {limit:.3g} rad/s;"

@@ -354,3 +354,14 @@ def test_an_unstable_result_says_so_and_why():
     assert found.findings[-1].code == BlackBoxFinding.UNSTABLE
     assert found.findings[-1].values["pole"] == pytest.approx(1.02)
     assert not np.isfinite(found.simulate(record(np.ones(40000), u=np.ones(40000)), initial="zero")["y"]).all()
+
+
+def test_a_fast_unstable_model_runs_from_the_few_rows_that_tell_its_past():
+    """Its five responses to the past outgrow arithmetic within three rows: fewer rows than unknowns."""
+    a = np.array([1, -4e3, 0.3, 0.2, 0.1, 0.1])
+    model = gb.blackbox.PolynomialModel("arx", "y", ("u",), 1.0, (1,), ([0.0, 0.5],), a=a)
+    rng = np.random.default_rng(0)
+    u = rng.standard_normal(60)
+    run = model.simulate(gb.Experiment("r", np.arange(60.0), {"u": u}, {"y": rng.standard_normal(60)}), rows=50)["y"]
+    for k in range(5, 12):
+        assert run[k] == pytest.approx(0.5 * u[k - 1] - a[1:] @ run[k - 5 : k][::-1], rel=1e-6)

@@ -19,9 +19,9 @@ from greybox.estimation.residuals import (
     normality_test,
     residual_tests,
     run_residual_tests,
-    score,
 )
 from greybox.estimation.residuals import ResidualTestKind as Kind
+from greybox.estimation.score import score
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine
 from tests.support.first_order import rooney_biegler
@@ -161,19 +161,17 @@ def test_predictions_beat_the_free_run_by_what_the_colour_allows():
     table = score(found, steps=(1, 5, 50))
     for output in ("x", "i"):
         outcome = table.outputs[output]
-        assert outcome.free_run == found.misfit[output].rmse
-        for ahead, rmse in outcome.prediction.items():
-            assert rmse / outcome.free_run == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.06)
+        assert outcome.rmse == found.misfit[output].rmse
+        for ahead, rmse in outcome.ahead.items():
+            assert rmse / outcome.rmse == pytest.approx(np.sqrt(1 - 0.81**ahead), rel=0.06)
 
 
 def test_scores_of_other_records_use_the_predictor_of_the_fit():
     found = fit(TRUTH, record(1, 0.9))
     other = score(found, record(2, 0.9), steps=(1,), skip=50).outputs["x"]
-    assert other.prediction[1] / other.free_run == pytest.approx(np.sqrt(0.19), rel=0.15)
+    assert other.ahead[1] / other.rmse == pytest.approx(np.sqrt(0.19), rel=0.15)
     white = score(found, record(2, 0.0), steps=(1,), skip=50).outputs["x"]
-    assert white.prediction[1] > white.free_run, (
-        "a predictor for slow noise does harm on white noise, and the score shows it"
-    )
+    assert white.ahead[1] > white.rmse, "a predictor for slow noise does harm on white noise, and the score shows it"
     with pytest.raises(DataError, match="steps ahead: 0; give whole numbers from 1"):
         score(found, steps=(0,))
 

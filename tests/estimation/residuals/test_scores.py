@@ -8,7 +8,7 @@ from greybox import Experiment, FitOptions, fit
 from greybox.comparison.blackbox.arx import arx
 from greybox.comparison.blackbox.hammerstein import hammerstein
 from greybox.comparison.blackbox.prediction_error_models import armax, box_jenkins, output_error
-from greybox.estimation.residuals import score
+from greybox.estimation.score import score
 from greybox.simulation.simulate import simulate
 from tests.support.filters import tank, tank_record
 from tests.support.pushed_mass import INTENSITY, LEVEL, MASS, record
@@ -39,7 +39,7 @@ def test_every_kind_has_both_scores(kind):
     table = score(model, other, steps=(1, 10), skip=20)
     assert list(table.outputs) == (["x"] if kind in BLACK else ["x", "v"])
     outcome = table.outputs["x"]
-    free, near, far = outcome.free_run, outcome.prediction[1], outcome.prediction[10]
+    free, near, far = outcome.rmse, outcome.ahead[1], outcome.ahead[10]
     assert LEVEL["x"] < near < outcome.movement
     assert near <= free * (1 + 1e-12)  # an output-error model predicts as it simulates, but for rounding
     assert near <= far * 1.01
@@ -50,7 +50,7 @@ def test_every_kind_has_both_scores(kind):
 def test_a_nonlinear_plant_has_both_scores():
     model, data = tank_record(rows=80)
     table = score(fit(model, data), data, steps=(1, 10))
-    assert table.outputs["h"].prediction[1] < table.outputs["h"].free_run
+    assert table.outputs["h"].ahead[1] < table.outputs["h"].rmse
     assert tank().name in str(model)
 
 
@@ -60,10 +60,8 @@ def test_the_free_run_is_that_of_the_simulation():
     run = simulate(found.model, Experiment("again", data.time, data.inputs, {}))
     table = score(found, data, options=FitOptions(at_rest=True))
     for name, outcome in table.outputs.items():
-        assert outcome.free_run == pytest.approx(
-            np.sqrt(np.mean((data.outputs[name] - run.outputs[name]) ** 2)), rel=1e-6
-        )
-        assert outcome.prediction == pytest.approx({1: outcome.free_run, 10: outcome.free_run}, rel=0.02)
+        assert outcome.rmse == pytest.approx(np.sqrt(np.mean((data.outputs[name] - run.outputs[name]) ** 2)), rel=1e-6)
+        assert outcome.ahead == pytest.approx({1: outcome.rmse, 10: outcome.rmse}, rel=0.02)
 
 
 class Told:
@@ -90,7 +88,7 @@ class Told:
 def test_runs_that_overflow_have_no_score_of_their_first_rows(values, rms):
     other = Experiment("far off", np.arange(4.0), {}, {"x": np.zeros(4)})
     outcome = score(Told(np.array(values)), other, steps=(1,)).outputs["x"]
-    assert outcome.free_run == pytest.approx(rms)
+    assert outcome.rmse == pytest.approx(rms)
 
 
 def test_predictions_keep_the_substeps_of_the_fit():

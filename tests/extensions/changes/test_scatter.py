@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal, wishart
 
 import greybox as gb
 from fits.change_study import QUICK, coast_down, coasting
-from greybox.extensions.changes.constants import SCATTER_PIECES, ConstantsEstimate, cut_records, join_estimates
+from greybox.extensions.changes.constants import (
+    SCATTER_PIECES,
+    ConstantsEstimate,
+    FittedConstants,
+    compare_constants,
+    cut_records,
+    join_estimates,
+)
 from greybox.extensions.changes.detect import is_alike, match_repeats
 from greybox.extensions.changes.result import ChangeCode, ChangeVerdict
 from tests.support.first_order import first_order
@@ -27,6 +35,24 @@ def test_an_estimate_that_leaves_a_constant_open_says_nothing_of_it() -> None:
     other = ConstantsEstimate.of(np.array([3.0, 2.0]), np.diag([1.0, 4.0]))
     assert join_estimates([one, other]).values == pytest.approx([2.0, 2.0])
     assert np.isinf(one.covariance[1, 1])
+
+
+@pytest.mark.parametrize(("degrees", "correlation"), [(4, 0.0), (4, 0.95), (7, 0.7)])
+def test_each_constant_is_held_against_its_own_scatter(degrees: int, correlation: float) -> None:
+    # Three constants that go together, scattered about as much as ``degrees`` repeats have shown for each: independent draws by SciPy.
+    names, together = ("a", "b", "c"), np.full((3, 3), correlation) + (1 - correlation) * np.eye(3)
+    drawn = multivariate_normal(cov=together, seed=1).rvs(200_000)
+    scatter = np.diagonal(wishart(degrees, together, seed=2).rvs(200_000), axis1=1, axis2=2) / degrees
+    limit = float(np.quantile(np.abs(drawn / np.sqrt(scatter)).max(axis=1), 0.99))
+    sides = [
+        FittedConstants(
+            names, ("", "", ""), np.array([v, 0.0, 0.0]), together / 2, np.zeros(3, bool), (), float(degrees)
+        )
+        for v in (0.0, limit)
+    ]
+    test = compare_constants(*sides, names, 0.01, 0.95, degrees)
+    # 40,000 draws tell a share of 1 % to a tenth of itself (two deviations); one deviation for all gave 1.5 times as many.
+    assert test.p[0] == pytest.approx(0.01, rel=0.15)
 
 
 def test_records_are_cut_into_pieces_and_short_ones_stay_whole() -> None:

@@ -21,7 +21,7 @@ from greybox.extensions.design.goals import (
     make_precision,
 )
 from greybox.extensions.design.plant import make_plant
-from greybox.extensions.design.problem import Design, DesignPolicy, DesignProblem, GoalName
+from greybox.extensions.design.problem import Design, DesignCode, DesignPolicy, DesignProblem, GoalName
 from greybox.simulation.simulate import read_inputs
 from tests.support.oscillator import oscillator
 from tests.support.result_schema import strict_offences
@@ -113,6 +113,17 @@ def test_a_model_that_falls_short_is_known_as_its_fit_says_and_no_better() -> No
     for name, constant in plan.predicted.items():
         assert constant.std_before == pytest.approx(fit.parameters[name].std, rel=1e-6)
         assert constant.std_after < constant.std_before
+
+
+def test_a_model_that_does_not_follow_its_records_is_no_guard_of_limits() -> None:
+    time = 0.05 * np.arange(160)
+    record = gb.simulate(PLANT, {"time": time, "u": np.sin(time)}).record({"x": 1e-3}, np.random.default_rng(1))
+    moved = record.outputs["x"]
+    for disturbance, warned in ((0.0, False), (3.0, True)):
+        stranger = record.with_outputs({"x": moved + disturbance * np.std(moved) * np.sin(2.3 * time)})
+        fit = gb.fit(PLANT.fix("c"), stranger, noise={"x": 1e-3}, options=REST)
+        plan = gb.design(fit, limits={"u": (-1, 1)}, policy=QUICK)
+        assert any(f.code == DesignCode.MODEL_FALLS_SHORT for f in plan.findings) is warned
 
 
 def test_rivals_are_told_apart_better_than_by_the_other_kinds() -> None:

@@ -17,6 +17,7 @@ from greybox.discovery.decision import Verdict
 from greybox.extensions.fmu.effects import FmuWithEffects, discover_fmu, fit_fmu_effects, prepare_fmu
 from greybox.extensions.fmu.plant import read_fmu
 from greybox.shell.commands import app
+from greybox.simulation.kernel.c_compiler import GreyboxWarning
 from tests.support.reference_fmus import MASS, VAN_DER_POL, build_reference_fmu
 from tests.support.result_schema import strict_offences
 
@@ -60,6 +61,24 @@ def test_the_response_to_the_input_has_the_poles_of_the_plant(prepared):
         np.sort_complex(np.linalg.eigvals(response.A)), np.sort_complex(np.roots([1, 1.5, k])), rtol=1e-6
     )
     assert min(response.explained.values()) > 1 - 1e-9 and prepared.runs < 10
+
+
+def test_it_is_linearised_along_a_record_and_exported_like_a_model(prepared, tmp_path):
+    fit, k = prepared.fit, prepared.fit.parameters["K"].value
+    linear, sampled = gb.linearise(fit), gb.linearise(fit, dt=0.05)
+    np.testing.assert_allclose(np.sort_complex(linear.poles), np.sort_complex(np.roots([1, 1.5, k])), rtol=1e-6)
+    gain = linear.frequency_response([0.0])[0, 0, 0]
+    assert gain.real == pytest.approx(1 / k, rel=1e-6) and sampled.dt == 0.05
+    np.testing.assert_allclose(sampled.poles, np.exp(0.05 * linear.poles), rtol=1e-9)
+    with pytest.warns(GreyboxWarning, match="answer to small changes of the inputs along r0"):
+        written = gb.export.to_json(fit, tmp_path / "mass.json")
+    np.testing.assert_allclose(json.loads(written.read_text())["A"], linear.A)
+    alone = gb.linearise(fit.model.plant, along=prepared.records[0])
+    assert alone.A.shape == linear.A.shape
+    with pytest.raises(ModelError, match="give along="):
+        gb.linearise(fit.model.plant)
+    with pytest.raises(ModelError, match="give along=, not at="):
+        gb.linearise(fit, {"F": 1.0})
 
 
 def test_the_local_model_is_the_fmu_where_it_was_run(prepared):

@@ -122,6 +122,14 @@ def test_a_file_outside_a_project_may_import_its_neighbour(write: Write) -> None
     assert find_model(str(write("my/rig.py", text))).values["k"] == 33.0
 
 
+def test_a_file_that_was_written_anew_is_read_anew(write: Write) -> None:
+    # Within one second and as long as before, as a refit writes its constants.
+    file = write("refit.py", rig("rig"))
+    assert find_model(str(file)).values["k"] == 10.0
+    write("refit.py", rig("rig").replace('"N/m", 10.0', '"N/m", 20.0'))
+    assert find_model(str(file)).values["k"] == 20.0
+
+
 def test_a_model_that_is_only_imported_is_not_the_files_own(folder: Path, write: Write) -> None:
     write("models/rig.py", rig("rig"))
     write("models/a_variant.py", "from greybox import Model\nfrom models.rig import rig\nstiff = rig.start(k=50)\n")

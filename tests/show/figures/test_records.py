@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import periodogram
 
 from greybox.base.figure import Band, Curve, Role, Scale, Thinning
-from greybox.estimation.optimum import compute_record_misfits
+from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace, Validation
 from greybox.show.figures.pictures import fit_sheets

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from greybox.base.figure import Area, Bars, Curve, Points, Role, Scale, Symbol
-from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonRun, ComparisonScore
+from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
 from greybox.discovery.curve_shape import rank_dependences
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.localisation import RankedSite, ResidualLocalisation, ResidualSignal
+from greybox.estimation.errors import OutputRun
 from greybox.estimation.linear.linearise import linearise
 from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
+from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.linear import plot_bode, plot_poles, response_frequencies
-from greybox.show.figures.parameters import plot_intervals
 from greybox.show.figures.pictures import comparison_sheet
 from models.micro_actuator import micro_actuator
 
@@ -28,8 +29,8 @@ MEASURED = np.sin(TIME / 50)
 
 def entry(name: str, kind: str, error: float) -> ComparisonEntry:
     """A model that is off by a constant, and one sample ahead by half of that."""
-    score = ComparisonScore(error, 99.0, error / 2, len(TIME), "m")
-    run = ComparisonRun("a", "x", TIME, MEASURED, MEASURED - error, MEASURED)
+    score = ComparisonScore(error, 99.0, len(TIME), "m", {1: error / 2})
+    run = OutputRun("a", "x", TIME, MEASURED, MEASURED - error, ahead={1: MEASURED})
     scores = {"x": score}
     return ComparisonEntry(
         name, kind, {"x": name}, 2, scores, scores, {"a": scores}, 0.0, True, {}, validation_runs=(run,)
@@ -112,7 +113,7 @@ def test_poles_of_a_sampled_model_stand_in_the_unit_circle() -> None:
 
 
 def test_a_text_stands_behind_the_outer_of_bar_and_mark() -> None:
-    score = ComparisonScore(0.1, 90.0, 0.3, len(TIME), "m")
+    score = ComparisonScore(0.1, 90.0, len(TIME), "m", {1: 0.3})
     worse_ahead = replace(entry("late", "black", 0.1), validation={"x": score})
     bars, marks = plot_model_errors(Comparison((worse_ahead,), {"x": "m"}, ("t",), ("a",)))["x"].series
     assert (bars.texts, marks.texts) == ([""], ["90.0 %"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from greybox.base.findings import Finding
-from greybox.comparison.findings import ComparisonFinding as Code
+from greybox.comparison.result import ComparisonFinding as Code
 
 PHYSICS = {"name": "mass", "kind": "grey", "parameters": 2}
 ARX = {"name": "arx", "kind": "black", "parameters": 5}

@@ -56,6 +56,11 @@ SENTENCES = {
         "backlash cannot be linearised: z either stays or moves with the plant; the play is assumed to be closed, as in a large"
         " motion in one direction",
     ),
+    Code.ABOUT_A_RUN: (
+        Finding(Code.ABOUT_A_RUN, subject="r1", values={"share": 0.994}),
+        "the plant is run from outside: the linear model is its answer to small changes of the inputs along r1, of which it follows 99% at"
+        " least",
+    ),
     Code.INPUT_WITHOUT_EFFECT: (
         Finding(
             Code.INPUT_WITHOUT_EFFECT, subject="u", values={"value": 0.2, "unit": "V", "effects": ["input_dead_zone"]}

@@ -3,7 +3,9 @@
 import pytest
 
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.residuals import OutputScore, PredictionScores, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.estimation.errors import OutputScore
+from greybox.estimation.residuals import ResidualTest, ResidualTestKind, ResidualTests
+from greybox.estimation.score import Scores
 from greybox.show.sentences.estimation import name_test
 
 GOLDEN = {
@@ -47,7 +49,7 @@ def test_tests_are_printed_as_a_table():
 
 
 def test_scores_are_printed_as_a_table():
-    scores = PredictionScores({"x": OutputScore("m", 2e-6, {1: 1e-6, 10: 1.5e-6}, 3e-4, "a filter")})
+    scores = Scores({"x": OutputScore(2e-6, 99.0, 100, "m", {1: 1e-6, 10: 1.5e-6}, 3e-4, "a filter")})
     assert str(scores).splitlines() == [
         "  rmse  free run  1 step ahead  10 steps ahead  movement  unit",
         "  x     2e-06     1e-06         1.5e-06         0.0003    m",

@@ -1,0 +1,214 @@
+"""How far runs lie from what was measured: the errors of an output over records, of free runs and of predictions, whole or by block."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+from scipy.linalg import norm
+
+from greybox.data.noise.growing import GrowingNoise
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Misfit, Trace
+from greybox.estimation.transcription.problem import EstimationProblem
+
+
+class ErrorSize(NamedTuple):
+    """Root mean square error, best fit in percent, and how many samples went into them."""
+
+    rmse: float
+    best_fit_percent: float
+    samples: int
+
+
+def measure_errors(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> ErrorSize:
+    """Error of computed against measured values, one pair of arrays (N,) a record; NaN without a sample, and of a run that is NaN.
+
+    Gaps of the measured values are left out.
+    """
+    size = movement = 0.0
+    samples = 0
+    for y, computed in pairs:
+        measured = np.isfinite(y)
+        if not measured.all():
+            y, computed = y[measured], computed[measured]
+        if not len(y):
+            continue
+        # Lengths of vectors by BLAS: squares of a run that has left its record overflow, lengths do not.
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = math.hypot(size, norm(y - computed, check_finite=False))
+        # About each record's own mean: records at different levels would make any model look good.
+        movement = math.hypot(movement, norm(y - y.mean(), check_finite=False))
+        samples += len(y)
+    if not samples:
+        return ErrorSize(np.nan, np.nan, 0)
+    # 100 (1 - |y - yhat| / |y - mean y|)
+    best_fit = 100 * (1 - size / movement) if movement > 0 else np.nan
+    return ErrorSize(size / math.sqrt(samples), best_fit, samples)
+
+
+# Of what a fit keeps: misfit of each output, over its noise.
+
+
+def compute_misfits(problem: EstimationProblem, traces: Sequence[Trace], skip: int = 0) -> dict[str, Misfit]:
+    """Free-run error of each output over all records, their first ``skip`` rows left out."""
+    noise = {o.name: problem.noise.std[j] for j, o in enumerate(problem.model.outputs)}
+    units = {o.name: o.unit for o in problem.model.outputs}
+    return {
+        name: compute_misfit(traces, name, units[name], noise[name], skip, problem.noise.growth.get(name))
+        for name in noise
+        if any(name in trace.measured for trace in traces)
+    }
+
+
+def compute_misfit(
+    traces: Sequence[Trace], output: str, unit: str, noise: float, skip: int = 0, growth: GrowingNoise | None = None
+) -> Misfit:
+    """Error of one output over the records that have it; over the noise of each row where that is not the same in all."""
+    seen = [trace for trace in traces if output in trace.measured]
+    rmse, best_fit, samples = measure_errors((t.measured[output][skip:], t.simulated[output][skip:]) for t in seen)
+    ratio = rmse / noise
+    known_growth = None if growth is None or growth.unknown else growth
+    if samples and (known_growth or any(output in t.noise for t in seen)):
+        # (y - yhat) / sd, each row over its own noise
+        scaled = (
+            known_growth.scale_errors(t.measured[output], t.simulated[output])
+            if known_growth
+            else t.residual(output) / t.noise.get(output, noise)
+            for t in seen
+        )
+        zeros = (np.where(np.isfinite(t.measured[output][skip:]), 0.0, np.nan) for t in seen)
+        ratio = measure_errors((zero, each[skip:]) for zero, each in zip(zeros, scaled, strict=True)).rmse
+    return Misfit(rmse, unit, best_fit, ratio, samples)
+
+
+def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
+    """Misfit of one record of a fit by output, without its first ``skip`` rows."""
+    units = {o.name: o.unit for o in fit.model.outputs}
+    # An output that the fitted records lack has the noise by which the validation judged it.
+    judged = {name: m.rmse / m.noise_ratio for name, m in fit.validation.misfit.items() if m.noise_ratio > 0}
+    noise = {**judged, **fit.noise.std}
+    growth = fit.noise.growth
+    return {
+        name: compute_misfit([trace], name, units[name], noise.get(name, np.nan), skip, growth.get(name))
+        for name in trace.measured
+    }
+
+
+# Of free runs and predictions side by side.
+
+
+@dataclass(frozen=True, eq=False)
+class OutputRun:
+    """One output of one record beside the free run of a model and its predictions.
+
+    Attributes
+    ----------
+    record, output
+        Their names.
+    time, measured, simulated
+        Seconds, what was measured (NaN in gaps), and the free run (N,).
+    skip
+        First rows that do not count.
+    ahead
+        Predictions (N,) by the number of samples ahead, NaN where nothing is predicted.
+    """
+
+    record: str
+    output: str
+    time: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    skip: int = 0
+    ahead: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OutputScore:
+    """Errors of one output over one or more records; infinite where a run leaves all bounds.
+
+    Attributes
+    ----------
+    rmse
+        Root mean square error of the free run.
+    best_fit_percent
+        ``100 (1 - ||y - yhat|| / ||y - mean(y)||)`` of the free run, with each record's own mean.
+    samples
+        How many went into it.
+    unit
+        Of the output.
+    ahead
+        Root mean square errors of predictions by the number of samples ahead.
+    movement
+        Standard deviation of the measurement itself.
+    predictor
+        What corrects the model at each sample.
+    """
+
+    rmse: float
+    best_fit_percent: float
+    samples: int
+    unit: str = ""
+    ahead: Mapping[int, float] = field(default_factory=dict)
+    movement: float = np.nan
+    predictor: str = ""
+
+    KEYS: ClassVar[str] = "unit free_run=rmse prediction=ahead movement predictor"
+
+    @classmethod
+    def of(cls, runs: Sequence[OutputRun], unit: str = "", predictor: str = "") -> Self:
+        """That of one output over its runs."""
+        measured = [run.measured[run.skip :] for run in runs]
+        rmse, best_fit, samples = measure_errors(
+            (y, run.simulated[run.skip :]) for y, run in zip(measured, runs, strict=True)
+        )
+        if not samples:
+            return cls(np.nan, np.nan, 0, unit, predictor=predictor)
+        ahead = {}
+        for steps in dict.fromkeys(k for run in runs for k in run.ahead):
+            pairs = [
+                (y, run.ahead[steps][run.skip :]) for y, run in zip(measured, runs, strict=True) if steps in run.ahead
+            ]
+            # NaN is no prediction; an infinite one is a wrong one.
+            ahead[steps] = measure_errors((np.where(np.isnan(p), np.nan, y), p) for y, p in pairs).rmse
+        # A free run that is no number has gone beyond all numbers.
+        rmse, best_fit = (np.inf, -np.inf) if np.isnan(rmse) else (rmse, best_fit)
+        return cls(rmse, best_fit, samples, unit, ahead, float(np.nanstd(np.concatenate(measured))), predictor)
+
+    @property
+    def one_step_rmse(self) -> float:
+        """Error of the prediction one sample ahead."""
+        return self.ahead.get(1, np.nan)
+
+
+def errors_by_block(
+    residuals: Mapping[str, Sequence[np.ndarray]], blocks: int, charge: Mapping[str, float] | None = None
+) -> dict[str, np.ndarray]:
+    """Mean square error by output in about ``blocks`` blocks of equal length.
+
+    Parameters
+    ----------
+    residuals
+        By output one array (N,) a record, NaN in gaps.
+    blocks
+        How many there shall be over all records.
+    charge
+        What is added to the mean square of each output.
+
+    Returns
+    -------
+    dict
+        By output an array (B,), of those that were measured; a block without a sample is left out.
+    """
+    rows = sum(len(r) for r in next(iter(residuals.values()), []))
+    length = max(math.ceil(rows / blocks), 1)
+    errors = {}
+    for name, records in residuals.items():
+        parts = [p for r in records for p in np.array_split(r, max(round(len(r) / length), 1)) if np.isfinite(p).any()]
+        if parts:
+            more = (charge or {}).get(name, 0.0)
+            errors[name] = np.array([more + float(np.mean(p[np.isfinite(p)] ** 2)) for p in parts])
+    return errors
