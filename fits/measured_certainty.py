@@ -28,10 +28,11 @@ from typing import Any
 import numpy as np
 
 import greybox as gb
-from fits.measured_rigs import RIGS, SEARCHES, Case, Fact, Rig
+from fits.measured_rigs import RIGS, SEARCHES, TIMING, Case, Fact, Rig
 from fits.paper_page import markdown
 from greybox.base.errors import GreyboxError
 from greybox.base.texts import to_identifier
+from greybox.discovery.claims import TIMING as TIMING_FORM
 from greybox.discovery.claims import Depth, claim_values
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.validate import validate
@@ -59,6 +60,9 @@ def judge_claim(rig: Rig, claim: Mapping[str, Any]) -> bool | None:
     if any(_agrees(fact, claim, depth) for fact in rig.facts):
         return True
     if (depth is Depth.NAME and base in rig.open) or (depth is Depth.FAMILY and set(claim["family"]) & set(rig.open)):
+        return None
+    # A lag or a delay at a place where one may be.
+    if depth is Depth.VARIABLES and claim.get("form") == TIMING_FORM and set(TIMING) & set(rig.open):
         return None
     if rig.is_whole or (depth is Depth.NAME and base in rig.false):
         return False
