@@ -47,7 +47,7 @@ Row = Mapping[str, Any]
 ACTS_AS = {
     "power_damping": "coulomb_friction",
     "resting_friction": "coulomb_friction",
-    "magnet": "constant_load",
+    "magnet": "cubic_stiffness",
     "ishlinskii_spring": "cubic_stiffness",
     "coarse_drive": "input_dead_zone",
     "sensor_on_change": "backlash",
@@ -69,12 +69,8 @@ def true_forms(case: Case, model: gb.Model) -> list[EffectForm] | None:
             except ModelError:
                 continue
             form = describe_effect(extended, extended.bound_effects[-1])
-            forms.append(form if listed else EffectForm("", form.site, _variables_of(name, form), form.form, ()))
+            forms.append(form if listed else EffectForm("", form.site, form.variables, form.form, ()))
     return forms or (None if case.effects else [])
-
-
-def _variables_of(name: str, form: EffectForm) -> tuple[str, ...]:
-    return form.variables if name != "magnet" else ()
 
 
 def is_right(claim: Claim, forms: Sequence[EffectForm] | None) -> bool | None:

@@ -183,7 +183,7 @@ def gather_evidence(inputs: EvidenceInputs) -> tuple[EffectEvidence, ...]:
     corrected = _refit_with_corrections(inputs)
     halves = _refit_halves(inputs)
     survives_start = _ends_in_the_same_place(inputs)
-    structure = measure_structure(inputs.scores, inputs.selected, VISIBLE_RMS, MOST_CORRELATION)
+    structure = measure_structure(inputs.scores, inputs.selected, only_visible=True)
     weighed = tuple(
         _weigh_effect(inputs, effect, errors, corrected.get(effect.name), halves, survives_start, structure)
         for effect in inputs.selected.model.effects
@@ -605,12 +605,16 @@ def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, ou
     )
 
 
-def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: float, most_correlation: float) -> float:
+# Standard errors by which the rms of noise may exceed its level by chance.
+CHANCE_DEVIATIONS = 3.0
+
+
+def measure_structure(scores: HoldoutScores, candidate: CandidateFit, only_visible: bool) -> float:
     """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
 
     What the uncertainty of constants and first states explains does not count (`HoldoutScores.adapt`). Where the noise is known, what
-    exceeds it ``visible`` times. Else what the samples before tell of each sample, beyond the correlation
-    of first order that a sensor may have: up to ``most_correlation`` from sample to sample.
+    exceeds it; else what the samples before tell of each sample. With ``only_visible`` what noise may look like is noise: a level up
+    to `VISIBLE_RMS` or within chance, and the correlation of first order that a sensor may have.
     """
     run, adapted = scores.run(candidate), scores.adapt(candidate)
     if run is None or adapted is None:
@@ -622,12 +626,15 @@ def measure_structure(scores: HoldoutScores, candidate: CandidateFit, visible: f
         if is_level_measured(noise, name):
             bound = noise.bound(name)  # the problem may weigh with another level, the residual's
             level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
-            shares.append(max(1 - (visible * level / rms) ** 2, 0.0))
+            if only_visible:
+                # The rms of N samples of noise has a standard error of 1 / sqrt(2 N) of itself.
+                level *= max(VISIBLE_RMS, 1 + CHANCE_DEVIATIONS / math.sqrt(2 * misfit.samples))
+            shares.append(max(1 - (level / rms) ** 2, 0.0))
             continue
         deviation = series / rms
         colour, first = fit_autoregression(deviation), fit_autoregression(deviation, max_order=1)
         # A sensor, or the filter behind it, has one time constant; a correlation that lasts longer is none of theirs.
-        is_sensor = abs(first.autocorrelation(2)[1]) < most_correlation
+        is_sensor = only_visible and abs(first.autocorrelation(2)[1]) < MOST_CORRELATION
         shares.append(1 - colour.innovation_variance / (first.innovation_variance if is_sensor else 1.0))
     return float(np.sqrt(np.mean(shares))) if shares else 1.0
 

@@ -41,7 +41,6 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.evidence import (
-    MOST_CORRELATION,
     EffectEvidence,
     EvidenceInputs,
     gather_evidence,
@@ -52,7 +51,6 @@ from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJo
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
-    VISIBLE_RMS,
     HoldoutError,
     HoldoutScores,
     ValidationSet,
@@ -686,7 +684,7 @@ def _weigh(
     if not draws.sets:
         return ()
     leading = draws.sets[draws.leading].candidate
-    left = measure_structure(table.scores, leading, VISIBLE_RMS, MOST_CORRELATION)
+    left = measure_structure(table.scores, leading, only_visible=True)
     claims = weigh_claims(draws, location.sets, leading.given, left)
     return name_by_evidence(claims, {e.effect for e in evidence if e.grade is Grade.ESTABLISHED})
 
@@ -803,7 +801,7 @@ def _may_hold_more(judged: JudgedSelection) -> bool:
     if not judged.selected.effects or is_level_known(judged.selection.problem.noise_model):
         return False
     corrected, attempt = judged.corrected, judged.selection.problem.failures.attempt
-    measure = partial(measure_structure, judged.scores, corrected, 1.0, most_correlation=0.0)
+    measure = partial(measure_structure, judged.scores, corrected, only_visible=False)
     structure: float = attempt(SearchStage.REFINEMENT, corrected.effects, measure, 0.0)
     return structure > WHITE_CORRELATION
 
@@ -855,7 +853,7 @@ def _under_less_noise(final: FinalModel) -> CandidateFit:
     problem = candidate.problem
     if problem.noise.is_level_known:
         return candidate
-    structure = measure_structure(final.scores, candidate, 1.0, most_correlation=0.0)
+    structure = measure_structure(final.scores, candidate, only_visible=False)
     factor = max(1 - structure**2, LEAST_NOISE_SHARE) ** 0.5
     noise = replace(problem.noise, std=factor * problem.noise.std)
     return replace(candidate, problem=replace(problem, noise=noise), cost=candidate.cost / factor**2)

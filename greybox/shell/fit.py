@@ -64,14 +64,15 @@ def fit(study: Study) -> Answer:
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    if kind := plant_kind(study):
-        return kind.fit(study)
+    kind = plant_kind(study)
+    if kind and study.effects:
+        return kind.fit_effects(study)
     from greybox.base.json_file import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart
 
-    model = constrain(build_model(study), study)
+    model = constrain(kind.model(study) if kind else build_model(study), study)
     check_substeps(study, model)
     folder = result_folder(study, model.name)
     records, validation = read_records(study, model)

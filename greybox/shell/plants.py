@@ -33,9 +33,11 @@ class PlantKind:
     closed
         What a message calls it where an option changes nothing: "on an FMU, whose equations are closed".
     used
-        Command -> the options of a study that it uses with such a plant.
-    fit
-        ``fit(study) -> Answer`` fits and writes.
+        Command -> the options of a study that it uses with such a plant; ``fit with effects`` where a fit has some.
+    model
+        ``model(study)`` is the plant of a study as a model, its constants freed, started and fixed as the study has it.
+    fit_effects
+        ``fit_effects(study) -> Answer`` fits it with effects, and writes.
     check
         ``check(study) -> (result, folder)``.
     compare
@@ -47,7 +49,8 @@ class PlantKind:
     suffixes: tuple[str, ...]
     closed: str
     used: Mapping[str, tuple[Option[Any], ...]]
-    fit: Callable[[Study], Answer]
+    model: Callable[[Study], Any]
+    fit_effects: Callable[[Study], Answer]
     check: Callable[..., Any]
     compare: Callable[..., Any]
     discover: Callable[..., Any]
@@ -65,7 +68,8 @@ def plant_kind(study: Study) -> PlantKind | None:
     kinds = [kind for kind in load_extensions(ExtensionKind.PLANTS).values() if isinstance(kind, PlantKind)]
     kind = next((kind for kind in kinds if suffix in kind.suffixes), None)
     if kind is not None:
-        used = {option.name for option in kind.used[study.command]}
+        with_effects = " with effects" if study.command == "fit" and study.effects else ""
+        used = {option.name for option in kind.used[study.command + with_effects]}
         rest = tuple(o for name, o in study.options.items() if o.place and o.flags and name not in used)
         if objection := Idle(rest, kind.closed).objection(study):
             raise GreyboxError(objection)

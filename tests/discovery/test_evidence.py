@@ -218,7 +218,7 @@ def test_nothing_is_certain_beside_a_stand_in(monkeypatch, structure, shares, al
         ("_ends_in_the_same_place", True),
     ):
         monkeypatch.setattr(evidence, name, lambda _, value=value: value)
-    monkeypatch.setattr(evidence, "measure_structure", lambda *_: structure)
+    monkeypatch.setattr(evidence, "measure_structure", lambda *_, **__: structure)
     monkeypatch.setattr(
         evidence, "_weigh_effect", lambda _, effect, *__: Weighed(effect.name, *grades[effect.name], alike)
     )
@@ -253,10 +253,10 @@ def test_the_same_effect_at_every_output_may_be_one_of_the_input(outputs, expect
     assert {e.grade for e in graded} == {expected}
 
 
-def structure_of(residual, bound, ratio=1.0):
+def structure_of(residual, bound, ratio=1.0, only_visible=True):
     residual = ratio * residual
     run = SimpleNamespace(
-        misfit={"x": SimpleNamespace(noise_ratio=ratio, rmse=ratio)},
+        misfit={"x": SimpleNamespace(noise_ratio=ratio, rmse=ratio, samples=len(residual))},
         traces=[SimpleNamespace(measured={"x": residual}, residual=lambda name: residual)],
     )
     scores = SimpleNamespace(
@@ -264,7 +264,7 @@ def structure_of(residual, bound, ratio=1.0):
     )
     noise = SimpleNamespace(bound=lambda name: bound)
     fit = SimpleNamespace(problem=SimpleNamespace(noise=noise))
-    return measure_structure(scores, fit, 1.05, 0.95)
+    return measure_structure(scores, fit, only_visible)
 
 
 KNOWN = NoiseBound(1.0, BoundDirection.ABOUT, NoiseSource.GIVEN)
@@ -278,6 +278,13 @@ def test_what_exceeds_known_noise_is_structure():
     assert structure_of(WHITE, KNOWN, 10.0) == pytest.approx(1.0, abs=0.01)
 
 
+def test_the_level_of_a_short_record_of_noise_exceeds_its_own_by_chance():
+    few = WHITE[:200] / WHITE[:200].std()
+    assert structure_of(few, KNOWN, 1.1) == 0.0  # 1.1 is within three standard errors of 5 %
+    assert structure_of(few, KNOWN, 1.1, only_visible=False) > 0.3
+    assert structure_of(WHITE / WHITE.std(), KNOWN, 1.1) > 0.2
+
+
 def test_noise_of_one_time_constant_is_no_structure_where_nobody_knows_the_noise():
     assert structure_of(WHITE, None) < 0.1
     assert structure_of(COLOURED, None) < 0.2
@@ -288,4 +295,4 @@ def test_without_a_run_on_the_validation_records_there_is_no_evidence():
     scores = SimpleNamespace(square_errors=lambda fit, blocks: {}, run=lambda fit: None, adapt=lambda fit: None)
     inputs = SimpleNamespace(scores=scores, selected=candidate(1.0, "a"))
     assert evidence.gather_evidence(inputs) == ()
-    assert measure_structure(scores, None, 1.05, 0.95) == 1.0
+    assert measure_structure(scores, None, only_visible=True) == 1.0

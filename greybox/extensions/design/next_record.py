@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -51,99 +51,45 @@ from greybox.model.model import Model
 Source = Model | Fit | Discovery
 
 
-@dataclass(frozen=True)
-class KnownPlant:
-    """What is known before a design.
+def list_explanations(
+    source: Source, rivals: Sequence[str | Model], plain: Fit | None
+) -> tuple[tuple[Model, ...], Fit | None]:
+    """The explanations that a source and named rivals give, the best one first, and its fit, where there are records.
 
-    Parameters
-    ----------
-    models
-        The explanations, fitted where there are records; the best one first.
-    earlier
-        The records that were taken.
-    noise
-        Standard deviation of each sensor, by output; empty where nothing is known.
-    options
-        How records are fitted.
-    stds
-        By constant, see `DesignProblem`.
-    findings
-        What is wrong with the fit.
-    """
-
-    models: tuple[Model, ...]
-    earlier: tuple[Experiment, ...]
-    noise: dict[str, float]
-    options: FitOptions
-    stds: dict[str, float]
-    findings: tuple[Finding, ...] = ()
-
-
-def read_source(
-    source: Source,
-    rivals: Sequence[str | Model] = (),
-    options: FitOptions | None = None,
-    plain: Fit | None = None,
-) -> KnownPlant:
-    """What a source and named rivals say.
-
-    Parameters
-    ----------
-    source
-        A model, its fit, or a discovery, whose alternatives become rivals.
-    rivals
-        Further explanations: effects of the plain model joined by ``+`` (``""`` or ``none`` for the plain model itself), or models.
-    options
-        How records are fitted; those of the fit where left out.
-    plain
-        The fit of the plain model that rivals extend, where ``source`` is the fit of another one.
-
-    Returns
-    -------
-    KnownPlant
-        Explanations, records, noise, options.
+    ``source``, ``rivals`` and ``plain`` are those of `design`.
 
     Raises
     ------
     ModelError, DataError
         For a rival that cannot be made or fitted.
     """
+    given = [r for r in rivals if isinstance(r, Model)]
+    named = [r for r in rivals if isinstance(r, str)]
     if isinstance(source, Model):
         source.require_equations("a design")
-        named = [r for r in rivals if isinstance(r, str)]
         if named:
             raise DataError(
                 f"rival {named[0]!r}: a rival is fitted to records first, and there are none; give records or a fit"
             )
-        others = (r for r in rivals if isinstance(r, Model))
-        return KnownPlant((source, *others), (), {}, options or FitOptions(), {})
+        return (source, *given), None
     if isinstance(source, Discovery):
         best, base = source.best, source.base
-        names = ["+".join(effects) for effects in source.alternatives]
+        named = ["+".join(effects) for effects in source.alternatives] + named
     elif isinstance(source, Fit):
-        best, base, names = source, plain or source, []
+        best, base = source, plain or source
     else:
         raise ModelError(f"design: {type(source).__name__} is no model, fit or discovery; give one of them")
     if not best.success:
         raise FitError(
             f"the fit of {best.model.title} did not end at an optimum; repeat it before a record is designed"
         )
-    models = [best.model, *(r for r in rivals if isinstance(r, Model))]
-    for name in dict.fromkeys([*names, *(r for r in rivals if isinstance(r, str))]):
-        # To the same records: a rival that explains them worse from a bad start would look easy to tell apart.
-        models.append(fit_rival(base, name))
-    chosen = options or FitOptions.from_data(best.provenance.options)
-    noise = {name: float(std) for name, std in best.noise.std.items()}
-    stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
-    # A model that does not follow the records does not foresee where the rig goes: limits that it keeps are none of the rig.
-    faults = [{"fault": str(f)} for f in best.findings if f.severity is Severity.ERROR]
-    findings = tuple(Finding(DesignCode.MODEL_FALLS_SHORT, Severity.WARNING, values=fault) for fault in faults)
+    # To the same records: a rival that explains them worse from a bad start would look easy to tell apart.
+    fitted = [fit_rival(base, name) for name in dict.fromkeys(named)]
     # Each set of effects once, the first of it.
     distinct: dict[str, Model] = {}
-    for model in models:
+    for model in (best.model, *given, *fitted):
         distinct.setdefault(model.title, model)
-    earlier = tuple(t.experiment for t in best.traces)
-    return KnownPlant(tuple(distinct.values()), earlier, noise, chosen, stds, findings)
+    return tuple(distinct.values()), best
 
 
 def fit_rival(plain: Fit, text: str) -> Model:
@@ -252,41 +198,50 @@ def design(
     0.8
     """
     began = time.perf_counter()
-    known = read_source(source, rivals, options, plain)
+    models, best = list_explanations(source, rivals, plain)
     for name, choices in ((goal, GoalName), (criterion, CriterionName)):
         if name not in list(choices):
             raise ModelError(f"design: {name!r} is unknown; {nearest(name, list(map(str, choices)))}")
-    given = {n: v if isinstance(v, SignalLimit) else SignalLimit(*v) for n, v in (limits or {}).items()}
-    ranges = range_of_inputs(known.models[0], known.earlier)
-    filled = [
-        n for n in ranges if not np.isfinite([given.get(n, SignalLimit()).low, given.get(n, SignalLimit()).high]).all()
-    ]
-    # A rate that was given stays; the range comes from the records.
-    merged = given | {n: replace(ranges[n], rate=given[n].rate) if n in given else ranges[n] for n in filled}
-    longest = max(known.earlier, key=lambda e: e.duration, default=None)
+    earlier: tuple[Experiment, ...] = ()
+    known_noise: dict[str, float] = {}
+    stds: dict[str, float] = {}
+    findings: list[Finding] = []
+    if best is not None:
+        earlier = tuple(t.experiment for t in best.traces)
+        options = options or FitOptions.from_data(best.provenance.options)
+        known_noise = {name: float(std) for name, std in best.noise.std.items()}
+        stds = {name: float(e.std) for name, e in best.parameters.items() if e.std is not None and not e.fixed}
+        # A model that does not follow the records does not foresee where the rig goes: limits that it keeps are none of the rig.
+        faults = [{"fault": str(f)} for f in best.findings if f.severity is Severity.ERROR]
+        findings += [Finding(DesignCode.MODEL_FALLS_SHORT, Severity.WARNING, values=fault) for fault in faults]
+    merged = {n: v if isinstance(v, SignalLimit) else SignalLimit(*v) for n, v in (limits or {}).items()}
+    for name, seen in range_of_inputs(models[0], earlier).items():
+        limit = merged.get(name, SignalLimit())
+        if not np.isfinite([limit.low, limit.high]).all():
+            # A rate that was given stays; the range comes from the records.
+            merged[name] = replace(seen, rate=limit.rate)
+            values = {"low": seen.low, "high": seen.high}
+            findings.append(Finding(DesignCode.RANGE_FROM_RECORDS, subject=name, values=values))
+    longest = max(earlier, key=lambda e: e.duration, default=None)
     question = DesignProblem(
-        known.models,
+        models,
         merged,
         # Its last interval included; zero where there is no record: the question says what is missing.
         duration or (longest.rows * float(np.median(longest.intervals)) if longest else 0.0),
         sampling_time or (longest.sampling_time if longest else None) or 0.0,
-        {**known.noise, **(noise or {})},
-        known.earlier,
+        {**known_noise, **(noise or {})},
+        earlier,
         GoalName(goal),
         CriterionName(criterion),
         tuple(constants),
         tuple(effects),
         dict(sensors or {}),
-        known.stds,
+        stds,
         hold=hold,
-        options=known.options,
+        options=options or FitOptions(),
         policy=policy,
     )
-    found_ranges = [
-        Finding(DesignCode.RANGE_FROM_RECORDS, subject=n, values={"low": merged[n].low, "high": merged[n].high})
-        for n in filled
-    ]
-    return replace(answer(question, extra=[*known.findings, *found_ranges]), seconds=time.perf_counter() - began)
+    return replace(answer(question, extra=findings), seconds=time.perf_counter() - began)
 
 
 def answer(question: DesignProblem, *, extra: Sequence[Finding] = ()) -> Design:

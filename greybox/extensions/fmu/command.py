@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 from greybox.base.errors import DataError, ExitCode
 from greybox.shell.inputs import layout_of, print_record_notes, result_folder
 from greybox.shell.plants import PlantDiscovery, PlantKind
-from greybox.shell.study import READING, Answer, Study
+from greybox.shell.study import FITTING, READING, Answer, Study
 
 if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
     from greybox.estimation.result import Fit
-    from greybox.extensions.fmu.effects import PreparedFmu
     from greybox.simulation.plant import PlantModel
 
     Records = tuple[Experiment, ...]
@@ -25,8 +24,24 @@ ALWAYS = (
     *READING,
 )
 JUDGING = (Study.candidates, Study.skip, Study.beginning)
+# What integrates and linearises equations changes nothing; neither do initial states, with which an FMU begins by itself.
+NEED_EQUATIONS = (
+    *(
+        Study.method,
+        Study.substeps,
+        Study.transcription,
+        Study.arc_length,
+        Study.schedules,
+        Study.process_noise,
+        Study.at_rest,
+    ),
+)
 USED = {
-    "fit": (*ALWAYS, Study.effects),
+    "fit": (
+        *(o for o in FITTING if o not in (*NEED_EQUATIONS, Study.effects)),
+        *(Study.time_limit, Study.profiles, Study.bootstrap),
+    ),
+    "fit with effects": (*ALWAYS, Study.effects),
     "check": ALWAYS,
     "compare": (*ALWAYS, *JUDGING, Study.predict),
     "discover": (*ALWAYS, *JUDGING, Study.without, Study.without_family, Study.further, Study.time_limit),
@@ -34,22 +49,40 @@ USED = {
 """Command -> options of a study that it uses with an FMU."""
 
 
-def run_fmu_fit(study: Study) -> Answer:
-    """Fit the FMU of a study to its records, and write fit.json (fmu_fit.json with effects). Raises GreyboxError."""
+def read_fmu_model(study: Study) -> PlantModel:
+    """The FMU of a study with its start values. Raises GreyboxError."""
+    from greybox.extensions.fmu.plant import read_fmu
+
+    plant = read_fmu(study.model)
+    names = {v.name for v in plant.fmu.parameters} | {v.label for v in plant.fmu.parameters}
+    # Of effects there are start values, too.
+    start = {name: value for name, value in study.start.items() if name in names or not study.effects}
+    fixed = {name: value for name, value in study.fixed.items() if value is not None}
+    return plant.with_values(study.free, start, fixed)
+
+
+def run_fmu_effects(study: Study) -> Answer:
+    """Fit the FMU of a study with effects to its records, and write fmu_fit.json. Raises GreyboxError."""
     from greybox.base.json_shape import format_json
-    from greybox.extensions.fmu.effects import prepare_fmu
+    from greybox.discovery.effect_test import try_effect
+    from greybox.estimation.fit import fit
+    from greybox.extensions.fmu.effects import AT_REST, fit_fmu_effects, prepare_fmu
 
     result, records, validation, folder = _fit(study)
-    answer: Any = result
-    if study.effects:
-        answer = _fit_effects(prepare_fmu(result, records, validation), study.effects, study)
-    saved = answer.save(folder / ("fmu_fit.json" if study.effects else "fit.json"))
-    succeeded = answer.agrees if study.effects else result.success
+    prepared, noise = prepare_fmu(result, records, validation), dict(study.noise) or None
+    # Each from where the records show it, then together with the FMU itself.
+    extended = fit(prepared.local.model, prepared.estimation, noise=noise, options=AT_REST)
+    for name in study.effects:
+        extended = try_effect(extended, name, nominal=prepared.local.model).larger
+    plain = {q.name for q in prepared.local.model.parameters}
+    start = {n: v for n, v in extended.model.values.items() if n not in plain}
+    start |= {n: v for n, v in study.start.items() if n in start}
+    answer = fit_fmu_effects(prepared, extended.model.effects, start=start, noise=noise)
     return Answer(
         answer,
         lambda _: format_json(answer.as_dict()),
-        [saved],
-        code=ExitCode.SUCCESS if succeeded else ExitCode.UNSUCCESSFUL,
+        [answer.save(folder / "fmu_fit.json")],
+        code=ExitCode.SUCCESS if answer.agrees else ExitCode.UNSUCCESSFUL,
     )
 
 
@@ -110,18 +143,17 @@ def run_fmu_comparison(study: Study) -> tuple[Comparison, Records, Records, Path
 def _read(study: Study) -> tuple[PlantModel, Records, Records, Path]:
     """The FMU with its start values, the records and the folder."""
     from greybox.data.read import read_experiments
-    from greybox.extensions.fmu.plant import read_fmu
 
-    plant = read_fmu(study.model)
-    folder = result_folder(study, plant.name)
+    model = read_fmu_model(study)
+    folder = result_folder(study, model.name)
     layout = layout_of(study)
     records, validation = (
         read_experiments(
             files,
-            plant.model,
+            model,
             hold=study.hold,  # type: ignore[arg-type]
             split=study.split_holes,
-            allow_constant_input=study.free_decay or not plant.inputs,
+            allow_constant_input=study.free_decay or not model.inputs,
             **layout,
         )
         if files
@@ -129,10 +161,7 @@ def _read(study: Study) -> tuple[PlantModel, Records, Records, Path]:
         for files in (study.estimation, study.validation)
     )
     print_record_notes(records, validation)
-    names = {v.name for v in plant.fmu.parameters} | {v.label for v in plant.fmu.parameters}
-    start = {name: value for name, value in study.start.items() if name in names or not study.effects}
-    fixed = {name: value for name, value in study.fixed.items() if value is not None}
-    return plant.with_values(study.free, start, fixed), records, validation, folder
+    return model, records, validation, folder
 
 
 def _fit(study: Study) -> tuple[Fit, Records, Records, Path]:
@@ -144,24 +173,17 @@ def _fit(study: Study) -> tuple[Fit, Records, Records, Path]:
     return result, records, validation, folder
 
 
-def _fit_effects(prepared: PreparedFmu, names: Sequence[str], study: Study) -> Any:
-    """Effects by name, each from where the records show it, then together with the FMU itself."""
-    from greybox.discovery.effect_test import try_effect
-    from greybox.estimation.fit import fit
-    from greybox.extensions.fmu.effects import AT_REST, fit_fmu_effects
-
-    noise = dict(study.noise) or None
-    extended = fit(prepared.local.model, prepared.estimation, noise=noise, options=AT_REST)
-    for name in names:
-        extended = try_effect(extended, name, nominal=prepared.local.model).larger
-    plain = {q.name for q in prepared.local.model.parameters}
-    start = {n: v for n, v in extended.model.values.items() if n not in plain}
-    start |= {n: v for n, v in study.start.items() if n in start}
-    return fit_fmu_effects(prepared, extended.model.effects, start=start, noise=noise)
-
-
 CLOSED = "on an FMU, whose equations are closed"
-FMU = PlantKind((".fmu",), CLOSED, USED, run_fmu_fit, run_fmu_check, run_fmu_comparison, run_fmu_discovery)
+FMU = PlantKind(
+    (".fmu",),
+    CLOSED,
+    USED,
+    read_fmu_model,
+    run_fmu_effects,
+    run_fmu_check,
+    run_fmu_comparison,
+    run_fmu_discovery,
+)
 """An FMU in the place of a model."""
 
 PRINTS = {"fit": ("greybox.extensions.fmu.effects:FmuWithEffects",)}

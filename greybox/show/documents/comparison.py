@@ -99,7 +99,7 @@ def _brief(comparison: Comparison) -> Iterator[Block]:
     tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
         yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
-    yield structures(comparison)
+    yield from structures(comparison)
     texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
     yield Paragraphs(
         [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
@@ -238,9 +238,12 @@ def models_table(comparison: Comparison) -> TableBlock:
     )
 
 
-def structures(comparison: Comparison) -> Facts:
-    """What each model is."""
-    return Facts([(e.name, ", ".join(dict.fromkeys(e.structure.values()))) for e in comparison.entries], "Structures")
+def structures(comparison: Comparison) -> Iterator[Facts]:
+    """What each model is, where its name does not say that already."""
+    known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.entries}
+    entries = [(name, text) for name, text in known.items() if text != name]
+    if entries:
+        yield Facts(entries, "Structures")
 
 
 def _notes(comparison: Comparison) -> list[str]:
@@ -251,7 +254,7 @@ def _notes(comparison: Comparison) -> list[str]:
 
 def _models(comparison: Comparison) -> Iterator[Block]:
     yield models_table(comparison)
-    yield structures(comparison)
+    yield from structures(comparison)
     if notes := _notes(comparison):
         yield BulletList(notes)
 

@@ -21,6 +21,7 @@ from greybox.data.experiment import Experiment
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.extensions.fmu.plant import read_fmu
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
+from greybox.shell.answers import FitAnswer
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 from tests.support.reference_fmus import BOUNCING_BALL, DAHLQUIST, MASS, VAN_DER_POL, build_reference_fmu
@@ -213,11 +214,16 @@ def test_the_command_fits_an_fmu(exported, tmp_path):
     text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
     (tmp_path / "run.csv").write_text(f"time [s],u [V],x [m]\n{text}\n")
     words = ["fit", str(exported), str(tmp_path / "run.csv"), "--free", "K", "--free", "B", "--start", "K=5000"]
-    done = CliRunner().invoke(app, [*words, "--output", str(tmp_path / "out")])
+    # Everything that a fit of a model has: a profile, a prior, starts, the residual tests, a page.
+    more = ["--profile", "K", "--prior", "B=0.5+-5", "--starts", "2", "--output", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, [*words, *more])
     assert done.exit_code == 0, done.output
-    assert "converged" in done.stdout
+    assert "converged" in done.stdout and (tmp_path / "out" / "report.html").is_file()
     data = read_json(tmp_path / "out" / "fit.json", gb.Fit)
-    assert strict_offences(data, gb.Fit) == [] and set(data["free"]) == {"K", "B"}
+    assert strict_offences(data, FitAnswer) == [] and set(data["free"]) == {"K", "B"}
+    assert [p["name"] for p in data["profiles"]] == ["K"] and data["tests"] and len(data["ends"]) == 2
+    idle = CliRunner().invoke(app, [*words, "--method", "rk4"])
+    assert idle.exit_code == 2 and "on an FMU, whose equations are closed" in idle.stderr
     refused = CliRunner().invoke(app, [*words, "--effect", "coulomb_friction"])
     assert refused.exit_code == 2 and "coulomb_friction" in refused.stderr
 
