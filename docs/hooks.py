@@ -263,8 +263,9 @@ def study_fields() -> str:
 
 def result_files() -> str:
     """Each kind of result file with its keys, from the schema that files are checked against."""
-    from greybox.base.json_file import ResultKind, read_schema
     from greybox.base.json_shape import definition_name, make_definitions
+    from greybox.discovery.execution import RefitEntry
+    from greybox.discovery.result import Discovery
     from greybox.estimation.check import ModelCheck
     from greybox.estimation.uncertainty import Bootstrap, Profile
     from greybox.extensions.changes.result import ChangeDetection
@@ -276,12 +277,21 @@ def result_files() -> str:
     from greybox.shell.answers import FitAnswer
     from greybox.shell.printed import ComparisonAnswer
 
-    kinds: tuple[type, ...] = (FitAnswer, ComparisonAnswer, Profile, Bootstrap, Design, Campaign, ChangeDetection)
-    kinds += (ModelCheck, LinearFile, FmuWithEffects, FleetResult)
+    kinds: tuple[type, ...] = (
+        FitAnswer,
+        Discovery,
+        ComparisonAnswer,
+        Profile,
+        Bootstrap,
+        Design,
+        Campaign,
+        ChangeDetection,
+    )
+    kinds += (ModelCheck, LinearFile, FmuWithEffects, FleetResult, RefitEntry)
     titles = {definition_name(kind): vars(kind)["FILE"].title.capitalize() for kind in kinds}
-    definitions = {**read_schema()["$defs"], **make_definitions(*kinds)[1]}
+    definitions = make_definitions(*kinds)[1]
     sections = []
-    for kind in (*map(definition_name, kinds), *ResultKind):
+    for kind in map(definition_name, kinds):
         schema = definitions[kind]
         rows = ["| key | holds |", "|---|---|"]
         for key, value in schema["properties"].items():
@@ -291,7 +301,7 @@ def result_files() -> str:
         sections.append(
             "\n".join(
                 [
-                    f"## {titles.get(kind) or schema['description'].partition(':')[0]}",
+                    f"## {titles[kind]}",
                     "",
                     schema["description"],
                     "",

@@ -24,7 +24,6 @@ import numpy as np
 import greybox as gb
 from fits.paper_page import docs_folder, markdown, write_section
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "bouc_wen_discovery.md"
 TITLE = """# The Bouc-Wen benchmark, from a mass on a spring
@@ -125,7 +124,7 @@ def section(s: Study) -> list[str]:
     ]
     before, after = (f.validation.misfit["y"].rmse for f in (s.discovery.base, s.discovery.best))
     return [
-        f"`greybox discover` (verdict *{s.discovery.verdict}*): {conclusion_text(s.discovery)}",
+        f"`greybox discover` (verdict *{s.discovery.verdict}*): {s.discovery.story}",
         f"Error of the free run over the test record: {before:.3g} m plain, {after:.3g} m with the effect; the noise is {NOISE:g} m.",
         markdown(["constant", "true", "found", "95 % interval", "unit"], rows),
         "`gamma` lies beyond `-beta`: a bound that keeps it within would exclude the benchmark's own constants.",

@@ -8,7 +8,6 @@ from fits import control_micro_actuator, control_pneumatic
 from fits.control_study import BLACK, COMPENSATED, FAMILY, PLAIN, Study
 from fits.control_tables import ORDER, gentler_head, gentler_rows, print_tables, rows_of
 from fits.paper_page import MODELS, docs_folder, legend, markdown, picture, save
-from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "control.md"
 COLOURS = dict(zip(ORDER, MODELS, strict=True))
@@ -41,7 +40,7 @@ def section(title: str, name: str, words: str, results: Study, folder: Path) -> 
         [
             f"## {title}",
             words,
-            f"What `discover` says: {conclusion_text(results.discovery)}",
+            f"What `discover` says: {results.discovery.story}",
             f"Targets {targets} {unit}, {moves.hold:g} s each and {moves.rise:g} s on the way;"
             f" within {moves.band / size:g} {unit} is there.",
             markdown(["", *ORDER], rows_of(results)),

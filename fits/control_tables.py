@@ -8,7 +8,6 @@ import numpy as np
 
 from fits.control_study import BLACK, COMPENSATED, GENTLER, KNOWING, LEVEL, PLAIN, Study
 from greybox.show.printers.text import table_lines
-from greybox.show.sentences.discovery import conclusion_text
 
 MEASURES = (
     "settling time of each move [s]",
@@ -70,7 +69,7 @@ def distance(value: float) -> str:
 
 def print_tables(results: Study) -> None:
     """The tables on the terminal."""
-    lines = [conclusion_text(results.discovery), "", *table_lines(["", *ORDER], rows_of(results)), ""]
+    lines = [results.discovery.story, "", *table_lines(["", *ORDER], rows_of(results)), ""]
     lines += table_lines(gentler_head(), gentler_rows(results))
     sys.stdout.write("\n".join(lines) + "\n")
 

@@ -23,13 +23,13 @@ from scipy.special import expit
 import greybox as gb
 from fits.hidden_cases import Case
 from greybox.base.errors import ModelError
+from greybox.base.json_shape import to_values
 from greybox.discovery.claims import (
     ESTABLISHED_FROM,
     Claim,
     Depth,
     EffectForm,
     Features,
-    claim_values,
     describe_effect,
     to_features,
     to_probability,
@@ -94,7 +94,7 @@ def describe_claims(case: Case, model: gb.Model, claims: Sequence[Claim]) -> lis
     forms = true_forms(case, model)
     return [
         {
-            **claim_values(claim),
+            **to_values(claim),
             "frequency": claim.frequency,
             "left": claim.left,
             "right": is_right(claim, forms),
@@ -183,7 +183,8 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
 
 def state(claims: Sequence[Row], depth: Depth) -> tuple[np.ndarray, np.ndarray]:
     """Stated probabilities (N,) of claims, by the map of the library, and whether they are right (N,)."""
-    stated = [to_probability(depth, _features(c)) for c in claims]
+    # As in an answer: nothing is likelier than how often it would be said again.
+    stated = [min(to_probability(depth, _features(c)), c["frequency"]) for c in claims]
     return np.array(stated), np.array([c["right"] for c in claims], float)
 
 
@@ -215,8 +216,9 @@ def _wrong(rows: Sequence[Row]) -> str:
         f"| {c['case']} | {TITLES[d]} | {c['site']} | {', '.join(c['variables'])} | {c['name'] or ', '.join(c['family'][:1])} |"
         f" {'taken away' if c['left_out'] else ''} |"
         for d in Depth
-        for c in list_claims(rows, d)
-        if not c["right"] and to_probability(d, _features(c)) >= ESTABLISHED_FROM
+        for claims in [list_claims(rows, d)]
+        for c, stated in zip(claims, state(claims, d)[0], strict=True)
+        if not c["right"] and stated >= ESTABLISHED_FROM
     ]
     head = ["| case | claim | where | of | which | the truth |", "|---|---|---|---|---|---|"]
     return "\n".join([*head, *lines]) if lines else "None in these cases."

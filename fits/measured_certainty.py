@@ -31,14 +31,14 @@ import greybox as gb
 from fits.measured_rigs import RIGS, SEARCHES, TIMING, Case, Fact, Rig
 from fits.paper_page import markdown
 from greybox.base.errors import GreyboxError
+from greybox.base.json_shape import to_values
 from greybox.base.texts import to_identifier
 from greybox.discovery.claims import TIMING as TIMING_FORM
-from greybox.discovery.claims import Depth, claim_values
+from greybox.discovery.claims import Depth
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.validate import validate
 from greybox.model.effects.placement import AT
 from greybox.shell.project import load_model_file
-from greybox.show.sentences.discovery import conclusion_text
 from greybox.simulation.kernel.c_compiler import find_compiler
 
 # Numbers that the state of a model in C may have, the past of a delayed input among them.
@@ -87,14 +87,14 @@ def study(case: Case, root: Path, limit: float) -> dict[str, Any]:
     model = rig.model(root / rig.folder / "model")
     found = gb.discover(model, learn, validation=choose, workers=1, time_limit=limit)
     searched = process_time() - began
-    claims = [claim_values(claim) for claim in found.claims]
+    claims = [to_values(claim) for claim in found.claims]
     return {
         "rig": case.rig,
         "learn": case.learn,
         "choose": case.choose,
         "judge": case.judge,
         "verdict": str(found.verdict),
-        "says": conclusion_text(found),
+        "says": found.story,
         "claims": [{**claim, "right": judge_claim(rig, claim)} for claim in claims],
         "effects": [
             {

@@ -9,7 +9,6 @@ from pathlib import Path
 from fits.paper_page import write_section
 from greybox.discovery.refinement import Refinement
 from greybox.discovery.result import Discovery
-from greybox.show.sentences.discovery import conclusion_text
 
 PAGE = "real_data.md"
 TITLE = """# What is missing, on measured records
@@ -46,7 +45,7 @@ def write(folder: Path, name: str, parts: Sequence[str]) -> Path:
 
 def verdict_text(discovery: Discovery, refinement: Refinement | None = None) -> str:
     """The finding in its own words, then each further effect, as a list."""
-    lines = [f"`greybox discover` (verdict *{discovery.verdict}*): {conclusion_text(discovery)}"]
+    lines = [f"`greybox discover` (verdict *{discovery.verdict}*): {discovery.story}"]
     if refinement is not None:
         lines += [f"- {step}" for step in refinement.steps] or [
             "- `refine`: no other effect gains on records not used for it"

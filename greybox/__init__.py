@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from greybox.model.effects.catalogue import effect
     from greybox.model.model import Model
     from greybox.model.signals import Input, Output, Parameter, State
-    from greybox.show.report import report
+    from greybox.show.describe import report
     from greybox.simulation.simulate import simulate
 
     from greybox import comparison, discovery, estimation, simulation  # isort: skip
@@ -83,7 +83,7 @@ _NAMES = {
     "data.signals": ("SignalLimit",),
     "model": ("Balance", "Characteristic", "DryFriction", "Effect", "Model"),
     "model.signals": ("Input", "Output", "Parameter", "State"),
-    "show.report": ("report",),
+    "show.describe": ("report",),
     "simulation.simulate": ("simulate",),
 }
 _HOME = {name: f"greybox.{module}" for module, names in _NAMES.items() for name in names}

@@ -63,8 +63,8 @@ class Facts:
     width: int = 0
 
 
+# Head of the last column of a table, where its cells speak for themselves: plain text leaves it out, a screen reader needs it.
 REMARK = "remark"
-"""Head of the last column of a table, where its cells speak for themselves: plain text leaves it out, a screen reader needs it."""
 
 
 class FileLink(str):

@@ -16,8 +16,8 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, nearest
 
+# The distribution whose entries come first.
 OWN = "greybox-sysid"
-"""The distribution whose entries come first."""
 
 
 class ExtensionKind(StrEnum):

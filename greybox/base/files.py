@@ -26,14 +26,14 @@ from greybox.base.findings import Finding, Severity
 if sys.platform != "win32":
     import fcntl
 
+# Name of a file that is being written, in the folder of the one it will replace; short enough beside any name.
 PART = ".greybox-{}.part"
-"""Name of a file that is being written, in the folder of the one it will replace; short enough beside any name."""
 
 # A part that nobody has written to for so long belongs to a process that was killed.
 LEFTOVER_SECONDS = 3600.0
 
+# Permissions of a file for one user.
 PRIVATE = stat.S_IRUSR | stat.S_IWUSR
-"""Permissions of a file for one user."""
 
 
 def write_file(

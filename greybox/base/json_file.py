@@ -1,4 +1,4 @@
-"""Reading the JSON files that greybox writes: each is checked against ``results.schema.json``, and the first offence is named."""
+"""Reading the JSON files that greybox writes: each is checked against the schema of its class, and the first offence is named."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from enum import StrEnum
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -17,32 +15,7 @@ from greybox.base.errors import DataError, shorten
 from greybox.base.files import write_file
 from greybox.base.json_shape import FileKind, iterate_json, make_definitions, to_json_data
 
-# How large a JSON file may be.
-
-
-SCHEMA = "results.schema.json"
 _LONE_SURROGATE = re.compile(rb"\\u[dD][89a-fA-F]")
-
-
-class ResultKind(StrEnum):
-    """The kinds of files whose schema is written by hand, by their names in it."""
-
-    DISCOVERY = "discovery"
-    REFIT = "refit"
-    """One line of a journal."""
-
-
-TITLES: Mapping[ResultKind, FileKind] = {
-    ResultKind.DISCOVERY: FileKind("a discovery", "discovery.json that greybox discover has written"),
-    ResultKind.REFIT: FileKind("a journal entry", "journal.jsonl that greybox discover has written", None),
-}
-"""What messages call each kind, and what to give in the place of another file."""
-
-
-@cache
-def read_schema() -> Mapping[str, Any]:
-    """The schema of the files whose schema is written by hand: the kinds stand under ``$defs`` by the names of `ResultKind`."""
-    return json.loads(files("greybox.base").joinpath(SCHEMA).read_text(encoding="utf-8"))
 
 
 # Bytes of a file: the fit of a record of ten million rows.
@@ -78,7 +51,7 @@ def write_json(path: str | os.PathLike[str], value: Any) -> Path:
     return write_file(path, iterate_json(value))
 
 
-def read_json(path: str | Path, kind: type[Any] | ResultKind) -> dict[str, Any]:
+def read_json(path: str | Path, kind: type[Any]) -> dict[str, Any]:
     """The content of a result file, checked.
 
     Parameters
@@ -99,7 +72,7 @@ def read_json(path: str | Path, kind: type[Any] | ResultKind) -> dict[str, Any]:
         If it cannot be read, is no JSON, comes from a later version, or is not as the schema says: with the first offence.
     """
     source = Path(path)
-    file: FileKind = TITLES[kind] if isinstance(kind, ResultKind) else vars(kind)["FILE"]
+    file: FileKind = vars(kind)["FILE"]
     title, remedy, newest = file.title, file.source, file.version or math.inf
     refusal = f"{source}: not {title} that can be read"
     try:
@@ -142,7 +115,7 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON number; what is not finite is written as null")
 
 
-def find_offence(data: Any, kind: type[Any] | ResultKind) -> str:
+def find_offence(data: Any, kind: type[Any]) -> str:
     """Place and rule of the first value that is not as the schema says; "" where all is right."""
     of: Any = kind
     error = next(_validator(of).iter_errors(data), None)
@@ -155,8 +128,6 @@ def _validator(kind: Any) -> Any:
     from jsonschema.validators import extend
 
     quick = extend(Draft202012Validator, {"items": _quick_items(Draft202012Validator.VALIDATORS["items"])})
-    if isinstance(kind, ResultKind):
-        return quick({"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]})
     (schema,), definitions = make_definitions(kind)
     return quick({**schema, "$defs": definitions})
 

@@ -7,7 +7,7 @@ each key in the order of the file:
 ``unit``                the attribute of that name: a field, or a property with an annotation
 ``moved=shift``         the attribute ``shift`` under the older key ``moved``
 ``cost=solver.cost``    an attribute of an attribute: the file is flatter than the value
-``notes=str(findings)`` the sentence of each finding, or of the one value: empty for None
+``notes=str(findings)`` the sentence of each finding of a list or a mapping, or of the one value: empty for None
 ``memory?``             left out where it is empty
 ``models!``             always there, though it is no field without a default: a reader may rely on it
 ``*``                   all fields, in their order
@@ -165,21 +165,34 @@ def to_json_data(value: Any, convert_array: Callable[[np.ndarray], Any] | None =
         return float(value) if math.isfinite(value) else None
     if isinstance(value, complex):
         return [to_json_data(value.real), to_json_data(value.imag)]
-    data = _begin(kind)
-    for name, path, as_text, may_lack, _ in list_keys(kind):
-        each = value
-        for attribute in path:
-            each = None if each is None else getattr(each, attribute)
-        if as_text:
-            each = [*map(str, each)] if isinstance(each, (list, tuple)) else "" if each is None else str(each)
-        if not may_lack or (each is not None and (len(each) if hasattr(each, "__len__") else each)):
-            data[name] = to_json_data(each, convert_array)
+    file: FileKind | None = getattr(kind, "FILE", None)
+    data: dict[str, Any] = {} if file is None or file.version is None else {"format": file.version}
+    for name, each in _look_up(value):
+        data[name] = to_json_data(each, convert_array)
     return data
 
 
-def _begin(kind: type) -> dict[str, Any]:
-    file: FileKind | None = getattr(kind, "FILE", None)
-    return {} if file is None or file.version is None else {"format": file.version}
+def to_values(value: Any) -> Any:
+    """What a value says under the keys of its file, without its arrays: what the sentence of a finding needs."""
+    if is_dataclass(value):
+        return {name: to_values(each) for name, each in _look_up(value) if not isinstance(each, np.ndarray)}
+    if isinstance(value, Mapping):
+        return {name: to_values(each) for name, each in value.items()}
+    return [*map(to_values, value)] if isinstance(value, (list, tuple)) else value
+
+
+def _look_up(value: Any) -> Iterator[tuple[str, Any]]:
+    """The keys that a value is written under, each with what stands there."""
+    for name, path, as_text, may_lack, _ in list_keys(value.__class__):
+        each = value
+        for attribute in path:
+            each = None if each is None else getattr(each, attribute)
+        if as_text and isinstance(each, Mapping):
+            each = {key: str(one) for key, one in each.items()}
+        elif as_text:
+            each = [*map(str, each)] if isinstance(each, (list, tuple)) else "" if each is None else str(each)
+        if not may_lack or (each is not None and (len(each) if hasattr(each, "__len__") else each)):
+            yield name, each
 
 
 def format_json(data: Mapping[str, Any]) -> str:
@@ -314,6 +327,7 @@ LARGEST_NUMBER = 1.7976931348623157e308
 LARGEST_INTEGER = 10**15
 
 _RANGE = {"minimum": -LARGEST_NUMBER, "maximum": LARGEST_NUMBER}
+# The two definitions that every schema has.
 NUMBERS: dict[str, Any] = {
     "number": {"description": "A finite number.", "type": "number", **_RANGE},
     "number_or_null": {
@@ -322,7 +336,6 @@ NUMBERS: dict[str, Any] = {
         **_RANGE,
     },
 }
-"""The two definitions that every schema has."""
 
 
 def make_definitions(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
@@ -361,7 +374,7 @@ def _describe(hint: Any, definitions: dict[str, Any]) -> dict[str, Any]:
     if origin is Literal:
         return {"enum": [*arguments]}
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return {"enum": [*map(str, hint), *getattr(hint, "former_names", dict)()]}
+        return {"enum": [*(each.value for each in hint), *getattr(hint, "former_names", dict)()]}
     if is_dataclass(hint) or is_typeddict(hint):
         name = definition_name(hint)
         if name not in definitions:
@@ -390,6 +403,8 @@ def _describe_class(kind: Any, definitions: dict[str, Any]) -> dict[str, Any]:
             schema: dict[str, Any] = {"type": "string"}
             if isinstance(get_origin(hint), type) and issubclass(get_origin(hint), Sequence):
                 schema = {"type": "array", "items": schema}
+            elif isinstance(get_origin(hint), type) and issubclass(get_origin(hint), Mapping):
+                schema = {"type": "object", "additionalProperties": schema}
         else:
             schema = _describe(hint, definitions)
         # With the sentence of the class where the attribute has none.

@@ -56,8 +56,8 @@ class FileFormat:
     packages: tuple[tuple[str, str], ...] = ()
 
 
+# The kind that needs no extension.
 TEXT = FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8")
-"""The kind that needs no extension."""
 
 
 @cache

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,10 +64,12 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
             f"a multisine from {low:g} to {high:g} Hz has no line in a record of {n} rows every {step:g} s, whose"
             f" lines lie {1 / (n * step):g} Hz apart below {0.5 / step:g} Hz; give another band"
         )
+    # Random phases spread the lines over the record: equal ones would meet in one peak.
     phase = generator.uniform(0, 2 * np.pi, lines.sum())
     spectrum = np.zeros(len(frequency), complex)
     spectrum[lines] = np.exp(1j * phase)
     signal = np.fft.irfft(spectrum, n)
+    # The lines have equal amplitudes; their common size follows from the rms.
     return rms * signal / np.sqrt(np.mean(signal**2))
 
 
@@ -99,6 +102,7 @@ def chirp(time: np.ndarray, low: float, high: float, amplitude: float) -> np.nda
     t = time - time[0]
     step = float(t[1])
     _check_highest_frequency("chirp", high, step, high * step >= 0.5)
+    # f(t) = low + (high - low) t / T, and its phase 2 pi (low t + (high - low) t^2 / (2 T)).
     sweep = (high - low) / (2 * t[-1])
     return amplitude * np.sin(2 * np.pi * (low * t + sweep * t**2))
 
@@ -139,6 +143,7 @@ def steps(time: np.ndarray, at: ArrayLike, levels: ArrayLike, initial: float = 0
         raise DataError("steps: times and levels must be finite numbers")
     if np.any(np.diff(changes) <= 0):
         raise DataError("steps: times must increase; sort them, and give each step once")
+    # How many changes a row has behind it, those at its own time included, is the number of its level.
     return np.concatenate([[initial], values])[np.searchsorted(changes, np.asarray(time, float), side="right")]
 
 
@@ -191,6 +196,7 @@ def prbs(
         raise DataError(f"prbs: the register holds {order} zeros and ones, not all zero; give such a state or none")
     from scipy.signal import max_len_seq  # half a second to import
 
+    # As many bits as begin within the record: the division rounded up.
     count = -(-len(time) // hold)
     bits, _ = max_len_seq(order, state=register, length=count)
     low, high = levels
@@ -227,3 +233,16 @@ class SignalLimit:
             raise DataError(f"a limit from {self.low:g} to {self.high:g}: the low end must not lie above the high end")
         if not self.rate > 0:
             raise DataError(f"a rate of {self.rate:g} per second: give a number above 0")
+
+
+class InputKind(StrEnum):
+    """Inputs that could be applied instead of those of the record."""
+
+    FULL_SWEEP = "full_sweep"
+    SMALL_SWEEP = "small_sweep"
+    MULTISINE = "multisine"
+    STEPS = "steps"
+    SLOW_TRIANGLE = "slow_triangle"
+    SAME_INPUT = "same_input"
+    SAME_INPUT_SMALL = "same_input_small"
+    SAME_INPUT_DOUBLED = "same_input_doubled"

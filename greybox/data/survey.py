@@ -27,12 +27,12 @@ from greybox.data.sampling import find_sampling_time, find_time_gaps
 from greybox.data.sensor_faults import inspect_signals
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
+# Words of a name that speak for an input.
 INPUT_WORDS = frozenset(
     re.split(
         " ", "u cmd command set setpoint ref reference drive control ctrl input valve duty pwm demand target actuator"
     )
 )
-"""Words of a name that speak for an input."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -99,6 +99,13 @@ class Claim(Printable, ReadOnly):
     rival: str = ""
     frequency: float = 0.0
     left: float = 0.0
+
+    KEYS: ClassVar[str] = "depth output site variables form family name probability grade share rival"
+
+    @property
+    def site(self) -> str:
+        """Its sites, joined by ``or`` where the sensors cannot tell them apart; empty at depth 0."""
+        return " or ".join(self.sites)
 
     @property
     def is_established(self) -> bool:
@@ -464,20 +471,3 @@ def deepest_established(claims: Sequence[Claim]) -> Claim | None:
 def name_by_evidence(claims: Sequence[Claim], established: Collection[str]) -> tuple[Claim, ...]:
     """The claims, of which a name is certain only where the evidence for the effect says so, by form and not by weight alone."""
     return tuple(lower_grade(c) if c.depth is Depth.NAME and c.name not in established else c for c in claims)
-
-
-def claim_values(claim: Claim) -> dict[str, Any]:
-    """A claim as a row of plain values: for a finding, and for JSON."""
-    return {
-        "depth": int(claim.depth),
-        "output": claim.output,
-        "site": " or ".join(claim.sites),
-        "variables": list(claim.variables),
-        "form": claim.form,
-        "family": list(claim.family),
-        "name": claim.name,
-        "probability": claim.probability,
-        "grade": str(claim.grade),
-        "share": claim.share,
-        "rival": claim.rival,
-    }

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -286,21 +286,10 @@ class Dependence(Printable, ReadOnly):
     is_relevant: bool = True
     has_loop: bool = False
 
-    def to_values(self) -> dict[str, Any]:
-        """What it says, without the averages, ready for a finding or for JSON."""
-        return {
-            "variable": self.variable,
-            "unit": self.unit,
-            "share": self.share,
-            "shape": self.shape.kind,
-            "parity": self.shape.parity,
-            "downwards": self.shape.downwards,
-            "position": self.shape.position,
-            "loop": self.loop,
-            "has_loop": self.has_loop,
-            "tone": self.tone,
-            "period": self.period,
-        }
+    KEYS: ClassVar[str] = """
+        variable unit share shape=shape.kind parity=shape.parity downwards=shape.downwards position=shape.position loop has_loop tone
+        period centres mean std
+        """
 
 
 # Share of the signal's variance from which it counts as a function of a variable.

@@ -11,10 +11,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
+from greybox.base.json_shape import to_values
 from greybox.base.numerics import TINY
 from greybox.base.values import Printable, ReadOnly
 from greybox.discovery.curve_shape import Dependence, rank_dependences
@@ -72,6 +73,20 @@ class RemainingError(Printable):
     dependence: Dependence | None
     grows_with_amplitude: bool
 
+    KEYS: ClassVar[str] = "rmse unit where as=seen_as noise_ratio grows_with_amplitude"
+
+    @property
+    def where(self) -> str | None:
+        """Its sites; None where none explains it."""
+        return " or ".join(self.sites) or None
+
+    @property
+    def seen_as(self) -> str | None:
+        """As a function of what it is seen; None where of nothing."""
+        if self.dependence is None:
+            return "amplitude" if self.grows_with_amplitude else None
+        return str(self.dependence)
+
     def to_values(self) -> dict[str, Any]:
         """What it says, ready for a finding."""
         return {
@@ -79,7 +94,7 @@ class RemainingError(Printable):
             "unit": self.unit,
             "noise_ratio": self.noise_ratio,
             "sites": list(self.sites),
-            "dependence": None if self.dependence is None else self.dependence.to_values(),
+            "dependence": to_values(self.dependence),
             "grows_with_amplitude": self.grows_with_amplitude,
         }
 
@@ -153,10 +168,14 @@ def _grows_with_amplitude(fit: Fit, output: str, uncounted: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class EffectSignal(ReadOnly):
-    """The signal that ``effect`` stands for at ``site`` of ``record``, in ``unit``.
+    """The signal that an effect stands for, as the data have it.
 
     Parameters
     ----------
+    effect, site, record
+        The effect, where it acts, and the record that it is seen in.
+    unit
+        Unit of the signal.
     time
         Seconds (K,).
     value, std
@@ -193,16 +212,13 @@ class EffectSignal(ReadOnly):
         """Root mean square of the signal from the data, in ``unit``."""
         return float(np.sqrt(np.mean(self.value**2)))
 
-    def to_values(self) -> dict[str, Any]:
-        """What it says, without the signals, ready for JSON."""
-        return {
-            "effect": self.effect,
-            "site": self.site,
-            "unit": self.unit,
-            "rms": self.rms,
-            "explained": self.explained,
-            "dependence": self.dependence.to_values(),
-        }
+    KEYS: ClassVar[str] = "effect site unit rms explained dependence=said"
+
+    @property
+    def said(self) -> Mapping[str, Any]:
+        """What its dependence says, without the averages in bins."""
+        values: dict[str, Any] = to_values(self.dependence)
+        return values
 
 
 def estimate_effect_signals(problem: DiscoveryProblem, candidate: CandidateFit) -> tuple[EffectSignal, ...]:

@@ -7,18 +7,19 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
 from greybox.base.errors import FitError, GreyboxError
 from greybox.base.files import add_entry, read_journal
 from greybox.base.findings import Finding
-from greybox.base.json_file import ResultKind, find_offence
+from greybox.base.json_file import find_offence
+from greybox.base.json_shape import FileKind, Finite, from_json_data, to_json_data
 from greybox.base.parallel.jobs import JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, note_interrupts, open_local_pool
 from greybox.model.model import Model
@@ -61,7 +62,17 @@ class SearchStage(StrEnum):
 
 @dataclass(frozen=True)
 class SearchFailure:
-    """One failure: ``stage``, the ``effects`` of the model that failed, and the ``reason`` as the error states it."""
+    """One failure.
+
+    Parameters
+    ----------
+    stage
+        Of the search.
+    effects
+        Those of the model that failed.
+    reason
+        As the error states it.
+    """
 
     stage: SearchStage
     effects: tuple[str, ...]
@@ -132,14 +143,39 @@ class RefitJob:
 
 @dataclass(frozen=True)
 class RefitOutcome:
-    """Where a refit ended: parameters by name, the initial state of each record (records, nx), and the substeps it was integrated with.
+    """Where a refit ended.
 
-    No ``substeps`` (0) are those that the model starts with.
+    Parameters
+    ----------
+    values
+        Parameter -> value.
+    initial
+        The initial state of each record (records, nx).
+    substeps
+        Those it was integrated with; 0 for those that the model starts with.
     """
 
-    values: Mapping[str, float]
-    initial: tuple[tuple[float, ...], ...]
+    values: Mapping[str, Finite]
+    initial: tuple[tuple[Finite, ...], ...]
     substeps: int = 0
+
+
+@dataclass(frozen=True)
+class RefitEntry:
+    """One line of ``journal.jsonl``: a finished refit.
+
+    Parameters
+    ----------
+    key
+        Hash of model, start, records, noise, options and versions.
+    outcome
+        Where it ended; None where the model cannot be simulated.
+    """
+
+    key: str
+    outcome: RefitOutcome | None
+
+    FILE: ClassVar[FileKind] = FileKind("a journal entry", "journal.jsonl that greybox discover has written", None)
 
 
 @dataclass
@@ -166,7 +202,7 @@ class RefitJournal:
     def add(self, key: str, outcome: RefitOutcome | None) -> None:
         """Keep one more, on disk at once."""
         self.known[key] = outcome
-        add_entry(self.path, {"key": key, "outcome": None if outcome is None else asdict(outcome)})
+        add_entry(self.path, to_json_data(RefitEntry(key, outcome)))
 
 
 class RefitProblem(Protocol):
@@ -360,15 +396,8 @@ def _refit_elsewhere(problem: RefitProblem, job: RefitJob) -> RefitOutcome | Non
 
 def _parse_entry(entry: Mapping[str, Any]) -> tuple[str, RefitOutcome | None]:
     """Key and outcome of a line of the journal. Raises ValueError."""
-    offence = find_offence(entry, ResultKind.REFIT)
+    offence = find_offence(entry, RefitEntry)
     if offence:
         raise ValueError(offence)
-    return entry["key"], _outcome(entry["outcome"])
-
-
-def _outcome(data: Mapping[str, Any] | None) -> RefitOutcome | None:
-    if data is None:
-        return None
-    values = {str(name): float(value) for name, value in data["values"].items()}
-    initial = tuple(tuple(map(float, row)) for row in data["initial"])
-    return RefitOutcome(values, initial, int(data.get("substeps", 0)))
+    read = from_json_data(RefitEntry, entry)
+    return read.key, read.outcome

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -215,6 +215,13 @@ class HoldoutError(Printable):
     floor: float
     unit: str
     is_floor_known: bool = True
+
+    KEYS: ClassVar[str] = "before after floor=known_floor unit share"
+
+    @property
+    def known_floor(self) -> float | None:
+        """Error of the noise alone; None where it is not known."""
+        return self.floor if self.is_floor_known else None
 
     @property
     def share(self) -> float:

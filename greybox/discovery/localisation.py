@@ -37,7 +37,19 @@ from greybox.model.model import Model
 
 @dataclass(frozen=True)
 class MisfitWindow:
-    """From ``start`` to ``end`` (seconds) of ``record``: ``share`` of the misfit beyond noise, and ``misfit`` over noise there."""
+    """A stretch of a record, with the misfit there.
+
+    Parameters
+    ----------
+    record
+        Its name.
+    start, end
+        Seconds.
+    share
+        Share of the misfit beyond noise.
+    misfit
+        Misfit over noise there.
+    """
 
     record: str
     start: float

@@ -18,11 +18,12 @@ import numpy as np
 
 from greybox.base.errors import DataError, ModelError
 from greybox.base.findings import Check, Finding, Severity
+from greybox.base.json_shape import to_values
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Claim, claim_values, deepest_established, name_by_evidence, weigh_claims
+from greybox.discovery.claims import Claim, deepest_established, name_by_evidence, weigh_claims
 from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
 from greybox.discovery.decision import (
     Conclusion,
@@ -940,7 +941,7 @@ def _summarise(
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
     headline: list[Finding] = []
     if deepest is not None:
-        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=claim_values(deepest)))
+        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=to_values(deepest)))
     probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
@@ -963,7 +964,7 @@ def _summarise(
     headline = headline or [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if surrogate is None:
         return (*headline, *look_alike, *missing)
-    missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=surrogate.to_values()))
+    missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=to_values(surrogate)))
     says_more = surrogate.share > error.share  # what explains more comes first
     return (*headline, *(missing + look_alike if says_more else look_alike + missing))
 
@@ -1004,7 +1005,7 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
         values["variable"] = surrogate.variable
     elif location.dependences and location.dependences[0].is_relevant:
         values["variable"] = location.dependences[0].variable
-        values["dependence"] = location.dependences[0].to_values()
+        values["dependence"] = to_values(location.dependences[0])
     return Finding(DiscoveryCode.MISSING_SIGNAL, subject=", ".join(labels), values=values)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
-from greybox.data.signals import chirp, multisine
+from greybox.data.signals import InputKind, chirp, multisine
 from greybox.discovery.certainty import LEAST_RIVAL, MOST_CHANGE, to_features
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.evidence import EffectEvidence
@@ -41,19 +40,6 @@ from greybox.simulation.simulate import simulate
 # `greybox.experiment_design` measures by T as well, but stands above this package: it begins with a discovery, adds the information
 # of earlier records and needs its gradient along the input. Here the inputs are few, the rival keeps its bounds, and a proposal costs a
 # few runs.
-
-
-class InputKind(StrEnum):
-    """Inputs that could be applied instead of those of the record."""
-
-    FULL_SWEEP = "full_sweep"
-    SMALL_SWEEP = "small_sweep"
-    MULTISINE = "multisine"
-    STEPS = "steps"
-    SLOW_TRIANGLE = "slow_triangle"
-    SAME_INPUT = "same_input"
-    SAME_INPUT_SMALL = "same_input_small"
-    SAME_INPUT_DOUBLED = "same_input_doubled"
 
 
 NEW_COURSES = (

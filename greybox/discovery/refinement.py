@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -62,14 +63,35 @@ class RefinementStep(Printable, ReadOnly):
     replaced: str = ""
     dropped: bool = False
 
+    KEYS: ClassVar[str] = "name fitted=estimation_share held_out=validation_share alike replaced dropped"
+
 
 @dataclass(frozen=True, eq=False)
 class Refinement(Printable, ReadOnly):
-    """What `refine` found: the fit with all effects, the steps that led there, and the checks of every candidate that was refitted."""
+    """What `refine` found.
+
+    Parameters
+    ----------
+    fit
+        The fit with all effects.
+    steps
+        Further effects in the order in which they came.
+    checks
+        Those of every candidate that was refitted.
+    """
 
     fit: Fit
     steps: tuple[RefinementStep, ...]
     checks: tuple[Check, ...] = ()
+
+    KEYS: ClassVar[str] = (
+        "steps checks effects parameters=fit.parameters misfit=fit.misfit validation=fit.validation.misfit"
+    )
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """All effects of its model."""
+        return self.fit.model.effect_names
 
 
 @dataclass(frozen=True)

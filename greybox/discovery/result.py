@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, NotRequired, TypedDict
 
-from greybox.base.files import write_file
 from greybox.base.findings import Check, Finding
-from greybox.base.json_file import ResultKind, read_json
-from greybox.base.json_shape import format_json, to_json_data
+from greybox.base.json_file import StoredResult, read_json
+from greybox.base.json_shape import FileKind, Finite, Interval
 from greybox.base.values import Printable
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Claim, claim_values
+from greybox.discovery.claims import Claim
 from greybox.discovery.decision import Verdict
+from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.execution import SearchFailure
@@ -28,22 +28,127 @@ from greybox.discovery.selection import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
-
-FORMAT = 1
-"""Version of ``discovery.json``."""
+from greybox.estimation.result_parts import Estimate
 
 
 @dataclass(frozen=True)
 class RankedCandidate:
-    """One candidate on the estimation records: misfit over noise (`CandidateFit.noise_ratio`), and how far its criterion lies behind."""
+    """One candidate on the estimation records.
+
+    Parameters
+    ----------
+    effects
+        Those of its model.
+    misfit
+        Misfit over noise (`CandidateFit.noise_ratio`).
+    behind
+        How far its criterion lies behind that of the best one.
+    """
 
     effects: tuple[str, ...]
     misfit: float
     behind: float
 
 
+# Entries of ``discovery.json`` that no class of the search has.
+
+
+class PlainMisfit(TypedDict):
+    """The misfit of the plain model on the estimation records, in all outputs together.
+
+    Attributes
+    ----------
+    noise_ratio
+        Misfit over the noise.
+    limit
+        Below it there may be noise alone.
+    """
+
+    noise_ratio: float
+    limit: float
+
+
+class SiteEntry(TypedDict):
+    """One site where the plain model may fall short.
+
+    Attributes
+    ----------
+    name, kind
+        A balance, an input or an output, and which of them.
+    gain
+        How much likelier the residual is with a signal there, in nats.
+    set
+        Number of the set of sites that the sensors cannot separate; 0 is the likeliest.
+    size, unit
+        Rms of the signal, in the unit.
+    """
+
+    name: str
+    kind: SiteKind
+    gain: float
+    set: int
+    size: float
+    unit: str
+
+
+class FoundConstant(TypedDict):
+    """One constant of a found effect.
+
+    Attributes
+    ----------
+    value, unit
+        The estimate and its unit.
+    std, interval
+        Standard deviation and 95 % interval; null where it is not determined.
+    """
+
+    value: Finite
+    std: NotRequired[float | None]
+    unit: str
+    interval: NotRequired[Interval | None]
+
+
+class FoundEffect(TypedDict):
+    """One effect, or one law, of the best model.
+
+    Attributes
+    ----------
+    name
+        Of the catalogue, or of the law.
+    site
+        Where it acts.
+    equation
+        Of a law: the term with its constants as numbers, in the names of the model, as SymPy reads it.
+    formula
+        Of a law: the same with its constants by name.
+    parameters
+        Its constants.
+    grade
+        How certain it is, in a word.
+    range
+        Of a law: variable -> least and largest value in the records.
+    memory
+        Of a law with memory: the unit of what passes through its lag.
+    probability
+        That it is there and has the right name.
+    share
+        Of the error that it takes away.
+    """
+
+    name: str
+    site: str
+    equation: NotRequired[str]
+    formula: NotRequired[str]
+    parameters: dict[str, FoundConstant]
+    grade: NotRequired[Grade]
+    range: NotRequired[dict[str, list[float]]]
+    memory: NotRequired[str]
+    probability: NotRequired[float | None]
+    share: NotRequired[float | None]
+
+
 @dataclass(frozen=True)
-class Discovery(Printable):
+class Discovery(Printable, StoredResult):
     """The result of a discovery: the missing effect and its evidence.
 
     Parameters
@@ -123,6 +228,16 @@ class Discovery(Printable):
     left: Mapping[str, RemainingError] = field(default_factory=dict)
     laws: tuple[Law, ...] = ()
 
+    FILE: ClassVar[FileKind] = FileKind("a discovery", "discovery.json that greybox discover has written")
+    KEYS: ClassVar[str] = """
+        verdict effects! form=shape_corrections alternatives plain_misfit sites=ranked_sites when=localisation.windows
+        regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
+        gap=holdout evidence claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
+        not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
+        model=best.model.name equations=best.provenance.equations noise=best.noise.std noise_source=best.noise.source
+        integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions
+        """
+
     @property
     def sites(self) -> tuple[str, ...]:
         """Where the plain model falls short: the likeliest site with those that the sensors cannot tell from it."""
@@ -144,7 +259,41 @@ class Discovery(Printable):
         return tuple(e.name for e in self.best.model.effects if is_shape_correction(e.name))
 
     @property
-    def effects(self) -> list[dict[str, Any]]:
+    def story(self) -> str:
+        """The answer in sentences."""
+        return " ".join(map(str, self.conclusion))
+
+    @property
+    def all_findings(self) -> tuple[Finding, ...]:
+        """The answer, what to know before believing it, and what to do next."""
+        return (*self.conclusion, *self.findings, *self.next_steps)
+
+    @property
+    def plain_misfit(self) -> PlainMisfit:
+        """The misfit of the plain model on the estimation records, and the limit below which there may be noise alone."""
+        return {"noise_ratio": self.localisation.misfit, "limit": self.localisation.threshold}
+
+    @property
+    def plain_parameters(self) -> Mapping[str, Estimate]:
+        """The constants of the plain model."""
+        return self.base.parameters
+
+    @property
+    def ranked_sites(self) -> list[SiteEntry]:
+        """Where the plain model may fall short, likeliest first."""
+        sets = {label: k for k, group in enumerate(self.localisation.sets) for label in group}
+        return [
+            {"name": s.name, "kind": s.kind, "gain": s.gain, "set": sets[s.label], "size": s.size, "unit": s.unit}
+            for s in self.localisation.sites
+        ]
+
+    @property
+    def stored_options(self) -> Mapping[str, Any]:
+        """Options of the estimation, by name."""
+        return self.options.to_data()
+
+    @property
+    def effects(self) -> list[FoundEffect]:
         """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete.
 
         A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen instead of probability and share.
@@ -152,11 +301,11 @@ class Discovery(Printable):
         laws = {law.name: law for law in self.laws}
         evidence = {e.effect: e for e in self.evidence}
         given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
-        effects: list[dict[str, Any]] = []
+        effects: list[FoundEffect] = []
         for bound in self.best.model.bound_effects:
             if is_shape_correction(bound.effect.name) or bound.effect.name in given:
                 continue
-            parameters = {}
+            parameters: dict[str, FoundConstant] = {}
             for name, in_model in bound.model_names.items():
                 estimate = self.best.parameters.get(in_model)
                 if estimate is not None:
@@ -168,18 +317,18 @@ class Discovery(Printable):
                     }
             law = laws.get(bound.effect.name)
             if law is not None:
-                effects.append(
-                    {
-                        "name": law.name,
-                        "site": law.site,
-                        "equation": law.equation,
-                        "formula": law.formula,
-                        "parameters": parameters,
-                        "grade": law.grade,
-                        "range": {v: list(ends) for v, ends in law.seen.items()},
-                        **({"memory": law.memory} if law.memory else {}),
-                    }
-                )
+                entry: FoundEffect = {
+                    "name": law.name,
+                    "site": law.site,
+                    "equation": law.equation,
+                    "formula": law.formula,
+                    "parameters": parameters,
+                    "grade": law.grade,
+                    "range": {v: list(ends) for v, ends in law.seen.items()},
+                }
+                if law.memory:
+                    entry["memory"] = law.memory
+                effects.append(entry)
                 continue
             each = evidence.get(bound.effect.name)
             effects.append(
@@ -193,15 +342,6 @@ class Discovery(Printable):
                 }
             )
         return effects
-
-    def save(self, path: str | Path) -> Path:
-        """Write ``discovery.json``."""
-        return save_discovery(self, path)
-
-
-def save_discovery(discovery: Discovery, path: str | Path) -> Path:
-    """Write a discovery as JSON. The keys are a contract: they stay, whatever the fields are called."""
-    return write_file(path, format_json(to_json_data(_to_mapping(discovery))) + "\n")
 
 
 def load_discovery(path: str | Path) -> dict[str, Any]:
@@ -227,111 +367,4 @@ def load_discovery(path: str | Path) -> dict[str, Any]:
     --------
     >>> gb.discovery.load_discovery("results/discovery.json")["verdict"]  # doctest: +SKIP
     """
-    return read_json(path, ResultKind.DISCOVERY)
-
-
-def _to_mapping(d: Discovery) -> dict[str, Any]:
-    return {
-        "format": FORMAT,
-        "verdict": d.verdict,
-        "effects": d.effects,
-        "form": d.shape_corrections,
-        "alternatives": d.alternatives,
-        "plain_misfit": {"noise_ratio": d.localisation.misfit, "limit": d.localisation.threshold},
-        "sites": _sites(d.localisation),
-        "when": d.localisation.windows,
-        "regions": _dependences(d.localisation),
-        "stand_in": _surrogate(d.surrogate),
-        "further": _refinement(d.refinement),
-        "parameters": d.best.parameters,
-        "plain_parameters": d.base.parameters,
-        "gap": {output: _gap(error) for output, error in d.holdout.items()},
-        "evidence": d.evidence,
-        "claims": [claim_values(claim) for claim in d.claims],
-        "effect_signals": [s.to_values() for s in d.effect_signals],
-        "left": {output: _left(error) for output, error in d.left.items()},
-        "ranking": d.ranking,
-        "story": " ".join(map(str, d.conclusion)),
-        "next_steps": list(map(str, d.next_steps)),
-        "notes": list(map(str, d.findings)),
-        "not_tried": {name: str(reason) for name, reason in d.not_tried.items()},
-        "failures": d.failures,
-        "checks": d.checks,
-        "path": d.path,
-        "findings": (*d.conclusion, *d.findings, *d.next_steps),
-        "policy": d.policy,
-        "options": d.options.to_data(),
-        "seconds": d.seconds,
-        "model": d.best.model.name,
-        "equations": d.best.provenance.equations,
-        "noise": d.best.noise.std,
-        "noise_source": d.best.noise.source,
-        "integration_error": d.best.discretisation.error,
-        "search": d.best.solver.strategy,
-        "versions": d.best.provenance.versions,
-    }
-
-
-def _gap(error: HoldoutError) -> dict[str, Any]:
-    floor = error.floor if error.is_floor_known else None
-    return {"before": error.before, "after": error.after, "floor": floor, "unit": error.unit, "share": error.share}
-
-
-def _left(error: RemainingError) -> dict[str, Any]:
-    dependence = None if error.dependence is None else str(error.dependence)
-    return {
-        "rmse": error.rmse,
-        "unit": error.unit,
-        "where": " or ".join(error.sites) or None,
-        "as": "amplitude" if dependence is None and error.grows_with_amplitude else dependence,
-        "noise_ratio": error.noise_ratio,
-        "grows_with_amplitude": error.grows_with_amplitude,
-    }
-
-
-def _sites(location: ResidualLocalisation) -> list[dict[str, Any]]:
-    """Ranked sites, each with the number of the set that the sensors cannot separate it from (0: the likeliest)."""
-    sets = {label: k for k, group in enumerate(location.sets) for label in group}
-    return [
-        {"name": s.name, "kind": s.kind, "gain": s.gain, "set": sets[s.label], "size": s.size, "unit": s.unit}
-        for s in location.sites
-    ]
-
-
-def _dependences(location: ResidualLocalisation) -> list[dict[str, Any]]:
-    return [{**d.to_values(), "centres": d.centres, "mean": d.mean, "std": d.std} for d in location.dependences]
-
-
-def _surrogate(surrogate: Surrogate | None) -> dict[str, Any] | None:
-    if surrogate is None:
-        return None
-    arrays = {
-        "gap": {output: _gap(error) for output, error in surrogate.holdout.items()},
-        "values": surrogate.values,
-        "curve": surrogate.curve,
-    }
-    return {**surrogate.to_values(), **arrays}
-
-
-def _refinement(refinement: Refinement | None) -> dict[str, Any] | None:
-    if refinement is None:
-        return None
-    fit = refinement.fit
-    return {
-        "steps": [
-            {
-                "name": s.name,
-                "fitted": s.estimation_share,
-                "held_out": s.validation_share,
-                "alike": s.alike,
-                "replaced": s.replaced,
-                "dropped": s.dropped,
-            }
-            for s in refinement.steps
-        ],
-        "checks": refinement.checks,
-        "effects": [e.name for e in fit.model.effects],
-        "parameters": fit.parameters,
-        "misfit": fit.misfit,
-        "validation": fit.validation.misfit,
-    }
+    return read_json(path, Discovery)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -121,6 +121,11 @@ class Surrogate(Printable, ReadOnly):
     tone: SurrogateTone | None = None
     amplitude: float | None = None
 
+    KEYS: ClassVar[str] = """
+        site variable variable_unit unit closed=share shape=shape.kind parity=shape.parity downwards=shape.downwards
+        position=shape.position period=dependence.period amplitude tone beside levels gap=holdout values curve
+        """
+
     @property
     def variable(self) -> str:
         """Name of the state or input that the curve is over, or ``time``."""
@@ -157,25 +162,6 @@ class Surrogate(Printable, ReadOnly):
         names = self.fit.model.names_of(CURVE) if CURVE in {e.name for e in self.fit.model.effects} else {}
         seen = levels_of({n: self.fit.model.values[in_model] for n, in_model in names.items()})
         return None if seen is None else len(seen)
-
-    def to_values(self) -> dict[str, Any]:
-        """What it says, without the arrays, ready for a finding or for JSON."""
-        return {
-            "site": self.site,
-            "variable": self.variable,
-            "variable_unit": self.variable_unit,
-            "unit": self.unit,
-            "closed": self.share,
-            "shape": self.shape.kind,
-            "parity": self.shape.parity,
-            "downwards": self.shape.downwards,
-            "position": self.shape.position,
-            "period": self.dependence.period,
-            "amplitude": self.amplitude,
-            "tone": None if self.tone is None else asdict(self.tone),
-            "beside": list(self.beside),
-            "levels": self.levels,
-        }
 
 
 def find_missing_sites(location: ResidualLocalisation, surrogate: Surrogate | None) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.json_shape import to_json_data
 from greybox.base.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
-from greybox.data.noise.policy import NoisePolicy
+from greybox.data.noise.noise_model import NoisePolicy
 from greybox.estimation.optim.minimisation import MinimisationPolicy
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
 

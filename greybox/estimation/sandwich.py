@@ -17,8 +17,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
-from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
-from greybox.data.noise.policy import NoisePolicy
+from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.estimation.options import DEFAULT_POLICY
 
 

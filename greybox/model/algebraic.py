@@ -72,9 +72,11 @@ def solve_relations(
     """
     if not balances:
         return ()
+    # 0 = g(z), the sum of the terms of each balance, in all such states together.
     z = ca.vertcat(*[symbols[b.state] for b in balances])
     residual = ca.vertcat(*[sum(map(ca.SX, b.terms.values()), ca.SX(0)) for b in balances])
     slope = ca.jacobian(residual, z)
+    # The structural rank is known before any value is: below full rank no value of a parameter determines z.
     if ca.sprank(slope) < z.numel():
         names = ", ".join(repr(b.name) for b in balances)
         raise ModelError(
@@ -83,6 +85,7 @@ def solve_relations(
         )
     is_exact = not ca.depends_on(slope, z)
     if is_exact:
+        # g is affine: z = -(dg/dz)^-1 g(0), exact and without iterations.
         value = -ca.solve(slope, ca.substitute(residual, z, ca.SX.zeros(z.numel())))
     else:
         bounds = [states[b.state].bounds for b in balances]
@@ -99,6 +102,7 @@ def _newton(z: ca.SX, residual: ca.SX, slope: ca.SX, start: ca.SX, bounds: np.nd
     and do not enter the value, so its slopes stay finite.
     """
     others = [s for s in ca.symvar(ca.vertcat(residual, start)) if not ca.depends_on(z, s)]
+    # |g|^2 and the Newton step -(dg/dz)^-1 g, as functions: written out at every trial point they would grow without end.
     size = ca.Function("size", [z, *others], [ca.sumsqr(residual)])
     step = ca.Function("step", [z, *others], [-ca.solve(slope, residual)])
     value = start
@@ -107,6 +111,7 @@ def _newton(z: ca.SX, residual: ca.SX, slope: ca.SX, start: ca.SX, bounds: np.nd
         trials = [
             ca.fmin(ca.fmax(value + 0.5**k * full, bounds[:, 0]), bounds[:, 1]) for k in range(ALGEBRAIC_HALVINGS + 1)
         ]
+        # The longest of the steps 1, 1/2, 1/4 ... that does not raise |g|^2; the shortest one where none does.
         chosen = trials[-1]
         for trial in reversed(trials[:-1]):
             chosen = ca.if_else(size(trial, *others) <= present, trial, chosen)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import casadi as ca
 
@@ -14,7 +15,7 @@ from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, 
 from greybox.model.balance import Balance
 from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.expressions.operations import UnitMismatchError
-from greybox.model.expressions.units import infer_unit
+from greybox.model.expressions.text import infer_unit
 from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
@@ -29,6 +30,8 @@ from greybox.model.system import (
     named_symbols,
 )
 from greybox.model.ties import apply_ties
+from greybox.model.unit_check import check_units
+from greybox.model.validation import check_expressions, check_names
 
 NOWHERE = Site("", PlaceKind.BALANCE, "")
 
@@ -207,9 +210,11 @@ class _Equations:
     def add(self, placed: PlacedEffect, x: NamedValues, u: NamedValues, p: NamedValues) -> None:
         """Apply an effect that comes to see the states ``x`` and the inputs ``u``."""
         effect, outputs = placed.effect, self.outputs
+        # An effect at a sensor sees its reading; one elsewhere that of the first output.
         sensor = outputs[placed.site if placed.site in outputs else self.statement.outputs[0].name]
         seen = placed.sees_states(x.replaced({"sensor": sensor, **self._balance_sums(placed, u)}))
         names = seen, placed.sees_inputs(u), placed.sees_parameters(p)
+        # What changes a term or a storage comes before what adds terms: an added term is not changed by its own effect.
         for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
             self.balances[site] = self._balance(site, effect).with_terms_replaced(changed)
         for site, factor in (effect.on_storage(*names) if effect.on_storage else {}).items():
@@ -221,6 +226,8 @@ class _Equations:
                 term_name = f"{effect.name}_beside" if effect.dry else effect.name
                 self.balances[site] = self._balance(site, effect).with_term(term_name, term)
         if effect.dry:
+            # Kept apart with the level at which the body sticks: the integrators decide between sliding and sticking. The term in the
+            # balance is what a reader sees.
             target = self._balance(placed.site, effect)
             state, friction = self.states.index(target.state), effect.dry(*names)
             self.dry.append(
@@ -251,6 +258,7 @@ class _Equations:
         velocity = self.plant_symbols[balance.state]
         inputs = ca.SX(ca.vertcat(*[ca.SX(u[i.name]) for i in self.statement.inputs]))
         symbols = ca.vertcat(*ca.symvar(inputs))
+        # What a bearing carries: friction under load grows with these, and not with losses that depend on the velocity.
         sizes = [ca.fabs(t) for t in terms if not ca.depends_on(t, velocity)]
         driven = [t for t in terms if symbols.numel() and ca.depends_on(t, symbols)]
         return {"transmitted": sum(sizes, ca.SX(0)), "driven": sum(driven, ca.SX(0))}
@@ -318,6 +326,7 @@ def _start(
 ) -> ca.SX:
     """The state at rest: that of the plant, and those of effects, which may speak of the reading and the displacement there at rest."""
     plant = _start_values(dynamic, p)
+    # At rest the inputs are zero, and the reading is that of the plant there.
     at_rest = ca.vertcat(plant, ca.SX.zeros(u.numel()))
     symbols = ca.vertcat(x[: plant.numel()], u)
     numbers = {s.name: k for k, s in enumerate(dynamic)}
@@ -414,6 +423,7 @@ def _sums(ordered: Sequence[Balance], dry: Sequence[DryFrictionTerm], direction:
     rows = []
     for balance in ordered:
         frictions = {d.effect: -d.sliding * direction[k] for k, d in enumerate(dry) if d.balance == balance.name}
+        # -F_sliding * direction in place of -F_sliding * sign(v): a symbol has a derivative, sign(v) has none at v = 0.
         rows.append(sum((frictions.get(name, ca.SX(term)) for name, term in balance.terms.items()), ca.SX(0)))
     return ca.vertcat(*rows)
 
@@ -427,3 +437,53 @@ def _hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
         if high < ca.inf:
             rhs = ca.substitute(rhs, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
     return rhs
+
+
+# The equations of models that were written out before: a search changes numbers a thousand times and equations rarely.
+
+
+def build_checked_system(statement: Statement) -> System:
+    """Write out the equations of a model and check all of it that no value of a parameter can change.
+
+    Raises ModelError for names that clash or are unknown and for balances or outputs that are no expressions, UnitError for a term whose
+    unit is not its balance's.
+    """
+    check_names(statement)
+    check_expressions(statement)
+    system = build_system(statement)
+    check_units(statement, system)
+    return system
+
+
+class SystemCache:
+    """Systems by the `Statement` that determines them, the most recently used ones.
+
+    Parameters
+    ----------
+    size
+        How many are kept: more than a search over pairs of effects of the catalogue has in use at a time.
+    """
+
+    def __init__(self, size: int = 1024) -> None:
+        self._build = lru_cache(maxsize=size)(build_checked_system)
+
+    def system(self, statement: Statement) -> System:
+        """The checked equations of a statement; one that cannot be hashed is written out every time.
+
+        Raises ModelError and UnitError as `build_checked_system` does.
+        """
+        try:
+            hash(statement)
+        except TypeError:
+            return build_checked_system(statement)
+        return self._build(statement)
+
+    def clear(self) -> None:
+        """Forget every system."""
+        self._build.cache_clear()
+
+    def __len__(self) -> int:
+        return self._build.cache_info().currsize
+
+
+SYSTEMS = SystemCache()

@@ -126,6 +126,7 @@ class Characteristic:
                 description=described,
             )
 
+        # Rises that cannot be negative keep a monotonic curve so during a fit, without a constraint between heights.
         heights = [height(0), *(change(k) if self._direction else height(k) for k in range(1, count))]
         places = [
             Parameter(
@@ -146,11 +147,14 @@ class Characteristic:
         places = [p[f"{self.name}_at_{k + 1}"] for k in range(count)]
         height = p[f"{self.name}_1"]
         for k in range(1, count):
+            # How far the argument has come into the piece from point k - 1 to k: none before it, all of it behind. The outermost
+            # pieces have no end, so that the curve goes on with their slope.
             within = argument - places[k - 1]
             if k > 1:
                 within = ca.fmax(within, 0)
             if k < count - 1:
                 within = ca.fmin(within, places[k] - places[k - 1])
+            # y = y_1 + sum_k (y_k - y_k-1) (share of piece k that lies below the argument)
             height += self._change(k, p) * within / (places[k] - places[k - 1])
         return height
 

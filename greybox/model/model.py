@@ -14,7 +14,7 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.values import Printable
 from greybox.model.balance import Balance, ClosedBalances
-from greybox.model.build_system import plant_sites
+from greybox.model.build_system import SYSTEMS, plant_sites
 from greybox.model.effect import Effect
 from greybox.model.process_noise import (
     check_process_noise,
@@ -23,12 +23,10 @@ from greybox.model.process_noise import (
     intensity_name,
     noise_intensities,
 )
-from greybox.model.schedules import schedule_effect
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
-from greybox.model.system_cache import SYSTEMS
-from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value
+from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, schedule_effect
 from greybox.model.validation import Rule, check_constants, check_measured, check_outputs_known
 
 
@@ -493,7 +491,7 @@ class Model(Printable):
         return replace(self, ties=left).start(**{name: self.tied_values[name] for name in names})
 
     def schedule(self, name: str, *, by: str, about: float | None = None, order: int = 1) -> Model:
-        """The model with a parameter that follows an operating condition, as a polynomial (`greybox.model.schedules.schedule_effect`).
+        """The model with a parameter that follows an operating condition, as a polynomial (`greybox.model.ties.schedule_effect`).
 
         Parameters
         ----------

@@ -46,6 +46,7 @@ def check_process_noise(title: str, system: System, parameters: Sequence[Paramet
             problems.append(
                 f"{subject}: {value:g} {intensity_unit(state)} is not an intensity; give a finite value of 0 or more"
             )
+        # dx = f dt + sigma dw pushes the rate of a state; one that is set has no rate.
         elif k in set_afterwards and not system.diffusion[k].is_zero():
             problems.append(f"{subject}: this state is set after each step and has no rate to push; put it on another")
     intensities = set(find_noise_parameters(system))
@@ -89,6 +90,7 @@ def find_noise_parameters(system: System) -> tuple[str, ...]:
     in_diffusion = {s.name() for s in ca.symvar(system.diffusion)}
     if not in_diffusion:
         return ()
+    # A parameter that another equation contains as well is a constant of the plant, whatever scales the noise.
     elsewhere = {s.name() for s in ca.symvar(ca.vertcat(*system.free_run_expressions))}
     return tuple(name for name in system.parameter_names if name in in_diffusion - elsewhere)
 

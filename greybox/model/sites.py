@@ -26,6 +26,7 @@ MOTION, STORE, PRESSURE, HEAT, VOLTAGE, ANGLE, SHAFT, FIRST_INPUT, DRIVE, VALVE,
     *("input", "drive", "valve", "sensor"),
 )
 # Words for balances of a state with a role, beside those of motion.
+# Role -> units of a balance and of its state that tell it.
 ROLE_OF_WORD = {STORE: "store", PRESSURE: "pressure", HEAT: "temperature", VOLTAGE: "current"}
 STORE_ROLES = ("pressure", "level", "upper_head", "lower_head")
 SPEEDS = tuple(map(parse_unit, ("m/s", "rad/s")))
@@ -34,7 +35,6 @@ ROLES_BY_UNITS = {
     role: (parse_unit(balance), parse_unit(state))
     for role, balance, state in (("current", "V", "A"), ("temperature", "W", "K"), ("level", "m^3/s", "m"))
 }
-"""Role -> units of a balance and of its state that tell it."""
 _KIND_OF_BALANCE = re.compile(r"_(torque|force|balance|moment|motion)$")
 
 

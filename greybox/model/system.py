@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -20,8 +20,10 @@ from greybox.model.effect import Effect, InputDelay, StateUpdate
 from greybox.model.expressions.graph import as_scalar, count_operands, nodes
 from greybox.model.expressions.operations import FLAT, OPERATIONS
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
-from greybox.model.sites import Site
-from greybox.model.ties import Tie
+
+if TYPE_CHECKING:
+    from greybox.model.sites import Site
+    from greybox.model.ties import Tie
 
 
 class ParameterSymbol(NamedTuple):
@@ -243,6 +245,7 @@ class System:
     @cached_property
     def relations(self) -> ca.Function:
         """``(x, u, p) -> (residual, largest term)`` of each balance that stores nothing."""
+        # Each sum beside its largest term: how well a relation holds is judged by what cancels in it.
         rows = [eliminate(ca.vertcat(*map(ca.SX, a.balance.terms.values())), self.algebraic) for a in self.algebraic]
         sums = ca.vertcat(*[ca.sum1(row) for row in rows])
         largest = ca.vertcat(*[ca.mmax(ca.fabs(row)) for row in rows])
@@ -258,6 +261,7 @@ class System:
         """The right-hand side with dry friction as ``-level * sign(velocity)``."""
         if not self.dry:
             return self.rhs
+        # The right-hand side has a symbol for the direction of motion, which integrators set; sliding it is sign(v).
         signs = ca.vertcat(*[ca.sign(self.x[d.state]) for d in self.dry])
         return ca.substitute(self.rhs, self.direction, signs)
 
@@ -270,6 +274,7 @@ class System:
     @cached_property
     def linear(self) -> bool:
         """Whether state and output equations are affine in ``x`` and ``u`` (``dx/dt = A x + B u + c``), with no state that is set."""
+        # Affine: no entry of the Jacobian over (x, u) depends on (x, u).
         xu = ca.vertcat(self.x, self.u)
         equations = ca.vertcat(self.rhs, self.outputs)
         if self.dry or self.updates or ca.depends_on(ca.jacobian(equations, xu), xu):
@@ -309,6 +314,7 @@ class System:
         """The state at rest (nx,) where it is the same whatever the parameters are, else None."""
         if ca.depends_on(self.start, self.p):
             return None
+        # Any values serve: the state at rest depends on none of them.
         return np.asarray(self.start_function(np.ones(self.p.numel()))[0]).ravel()
 
     @cached_property

@@ -12,7 +12,7 @@ from greybox.base.units import ONE, SECOND, Unit, format_unit, parse_unit, unit_
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.expressions.operations import UnitMismatchError
-from greybox.model.expressions.units import infer_unit
+from greybox.model.expressions.text import infer_unit
 from greybox.model.process_noise import intensity_unit
 from greybox.model.signals import NamedValues, names_by_role
 from greybox.model.system import Item, PlacedEffect, Statement, System

@@ -125,12 +125,12 @@ def _read_study(ctx: click.Context, name: str, command: Command, commands: Mappi
     return study
 
 
+# Option -> what to do where a study file lacks it.
 MISSING = {
     "model": 'name one, as in model = "micro_actuator"',
     "source": 'name one, as in source = "results/rig-fit/fit.json"',
     "estimation": 'name records, as in estimation = ["train.csv"]',
 }
-"""Option -> what to do where a study file lacks it."""
 
 
 def _refuse_missing(ctx: click.Context, study: Study, required: list[Option[Any]], first: str) -> None:

@@ -32,8 +32,8 @@ CORE: dict[str, Command] = {
     "extensions": EXTENSIONS,
 }
 reserve(ExtensionKind.COMMANDS, CORE)
+# Every command by its name, in the order of the help: those of the core, then those of extensions.
 COMMANDS: dict[str, Command] = {**CORE, **load_extensions(ExtensionKind.COMMANDS)}
-"""Every command by its name, in the order of the help: those of the core, then those of extensions."""
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:

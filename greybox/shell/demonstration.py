@@ -31,8 +31,8 @@ from greybox.shell.project import find_shipped_model
 from greybox.show.figures.pictures import draw_fit, draw_gap
 from greybox.simulation.simulate import simulate_twin, write_csv
 
+# The names of the two physical models in the comparison.
 PLAIN, EXTENDED = "plain model", "extended model"
-"""The names of the two physical models in the comparison."""
 
 Say = Callable[[str], None]
 

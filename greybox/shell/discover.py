@@ -24,8 +24,8 @@ from greybox.shell.terminal import exit_with_error, write_report
 if TYPE_CHECKING:
     from greybox.discovery.result import Discovery
 
+# What ``--effects`` takes for no effect at all.
 NO_EFFECTS = "none"
-"""What ``--effects`` takes for no effect at all."""
 
 
 def discover(study: Study) -> Answer:

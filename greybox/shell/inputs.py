@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -94,19 +94,10 @@ def constrain(model: Model, study: Study) -> Model:
 
 
 def fit_options(study: Study) -> FitOptions:
-    """The options of the estimation."""
+    """The options of the estimation: those that a study has under the same name."""
     from greybox.estimation.options import FitOptions
 
-    return FitOptions(
-        at_rest=study.at_rest,
-        method=study.method,
-        substeps=study.substeps,
-        loss=study.loss,
-        per_experiment=study.per_experiment,
-        common_noise=study.common_noise,
-        transcription=study.transcription,
-        arc_length=study.arc_length,
-    )
+    return FitOptions(**{f.name: getattr(study, f.name) for f in fields(FitOptions) if f.name in study.table()})
 
 
 def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tuple[Experiment, ...]]:
@@ -374,8 +365,8 @@ def refuse_broken_limits(run: Simulation, limits: Mapping[str, SignalLimit]) -> 
 
 # Where results go.
 
+# Finished starts of a command that was interrupted, in its output folder.
 STARTS_FILE = "starts.jsonl"
-"""Finished starts of a command that was interrupted, in its output folder."""
 
 
 def result_folder(study: Study, model: str) -> Path:

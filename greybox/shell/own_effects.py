@@ -10,7 +10,7 @@ from typing import Any
 
 from greybox.base.errors import GreyboxError, ModelError, nearest, shorten
 from greybox.base.files import write_file
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.base.texts import escape_line, to_comment
 from greybox.base.units import parse_unit
 from greybox.model.effect import Effect
@@ -95,6 +95,8 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     ModelError
         Without a project, for a name that is taken or none, and for a result without a law that can be kept.
     """
+    from greybox.discovery.result import Discovery
+
     root = project_root(folder)
     if root is None:
         raise ModelError("no project here to keep an effect in: a project has a folder models/; see greybox init")
@@ -103,7 +105,7 @@ def keep_effect(name: str, result: Path | None = None, folder: Path | None = Non
     if name in {e.name for e in (*all_effects(), *find_own_effects(folder))}:
         raise ModelError(f"effect {name!r}: there is one of this name already; give another one")
     source = result or _newest_result(root)
-    laws = [e for e in read_json(source, ResultKind.DISCOVERY)["effects"] if "formula" in e]
+    laws = [e for e in read_json(source, Discovery)["effects"] if "formula" in e]
     if not laws:
         raise ModelError(f"{display_path(source)} has no law to keep; greybox discover MODEL ... --laws looks for one")
     text = _write_module(name, laws, display_path(source))

@@ -10,15 +10,16 @@ from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base.errors import GreyboxError, nearest
 from greybox.base.extensions import ExtensionKind, list_extensions
-from greybox.base.json_file import ResultKind, read_schema
 from greybox.base.json_shape import DRAFT, FileKind, Interval, make_definitions
 from greybox.comparison.result import Comparison
 from greybox.estimation.result_parts import Estimate
 
+# Command -> types of what it prints with ``--json``; several where it depends on what was given. The module of a command or a plant of an
+# extension has a table of this name for its own.
 PRINTS: Mapping[str, tuple[str, ...]] = {
     "fit": ("greybox.shell.answers:FitAnswer",),
     "compare": ("greybox.shell.printed:ComparisonAnswer",),
-    "discover": (ResultKind.DISCOVERY,),
+    "discover": ("greybox.discovery.result:Discovery",),
     "check": (
         "greybox.estimation.check:ModelCheck",
         "greybox.data.survey:FileSurvey",
@@ -29,11 +30,9 @@ PRINTS: Mapping[str, tuple[str, ...]] = {
     "effects": ("greybox.shell.printed:EffectList",),
     "init": ("greybox.shell.printed:PrintedProject",),
     "extensions": ("greybox.shell.printed:ExtensionList",),
-    "demo": (ResultKind.DISCOVERY,),
+    "demo": ("greybox.discovery.result:Discovery",),
     "schema": ("greybox.shell.printed:JsonSchema",),
 }
-"""Command -> types of what it prints with ``--json``; several where it depends on what was given. The module of a command or a plant of an
-extension has a table of this name for its own."""
 
 
 def list_printed() -> dict[str, tuple[str, ...]]:
@@ -70,17 +69,19 @@ def schema_of_command(command: str) -> dict[str, Any]:
     printed = list_printed()
     if command not in printed:
         raise GreyboxError(f"no command {command!r}; {nearest(command, list(printed))}")
-    classes = [_find_type(place) for place in printed[command] if ":" in place]
-    references, definitions = make_definitions(*classes)
-    references += [{"$ref": f"#/$defs/{kind}"} for kind in printed[command] if ":" not in kind]
-    everything = {**read_schema()["$defs"], **definitions}
-    needed = _collect_definitions(re.findall(r"'#/\$defs/(\w+)'", repr(references)), everything)
+    references, definitions = make_definitions(*map(_find_type, printed[command]))
+    # What may be null is described in place: the definition that it was taken from is left out unless something else refers to it.
+    needed, pending = set[str](), [repr(references)]
+    while pending:
+        names = set(re.findall(r"'#/\$defs/(\w+)'", pending.pop())) - needed
+        needed |= names
+        pending += (repr(definitions[name]) for name in names)
     return {
         "$schema": DRAFT,
         "$id": f"urn:greybox:command:{command}:1",
         "title": f"What greybox {command} --json prints",
         **(references[0] if len(references) == 1 else {"anyOf": references}),
-        "$defs": {name: everything[name] for name in needed},
+        "$defs": {name: each for name, each in definitions.items() if name in needed},
     }
 
 
@@ -88,17 +89,6 @@ def _find_type(place: str) -> Any:
     """The type ``module:name``."""
     module, _, name = place.partition(":")
     return getattr(import_module(module), name)
-
-
-def _collect_definitions(kinds: list[str], everything: Mapping[str, Any]) -> list[str]:
-    """Names of these definitions and of all that they refer to, in the order of ``everything``."""
-    needed, pending = set[str](), list(kinds)
-    while pending:
-        name = pending.pop()
-        if name not in needed:
-            needed.add(name)
-            pending += re.findall(r"'#/\$defs/(\w+)'", repr(everything[name]))
-    return [name for name in everything if name in needed]
 
 
 class PrintedSimulation(TypedDict):

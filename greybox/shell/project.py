@@ -22,8 +22,8 @@ from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
 from greybox.simulation.plant import as_model, is_plant
 
+# The folder of a project with effects of its own.
 EFFECTS = "effects"
-"""The folder of a project with effects of its own."""
 PACKAGE = Path(__file__).resolve().parents[1]
 
 

@@ -511,23 +511,23 @@ class Command:
 
 # Options that go together.
 
+# How records are read.
 READING = (
     *(Study.columns, Study.headers, Study.sampling_time, Study.read_limit),
     *(Study.hold, Study.interpolation, Study.split_holes, Study.free_decay),
 )
-"""How records are read."""
+# What every command takes that looks at a model with records.
 ESTIMATING = (
     *(Study.model, Study.estimation, Study.fixed, Study.start, Study.free, Study.conditions, Study.noise),
     *(Study.at_rest, *(option for option in READING if option is not Study.free_decay)),
 )
-"""What every command takes that looks at a model with records."""
+# What a fit takes.
 INTEGRATING = (Study.effects, Study.ties, Study.free_decay, Study.method, Study.substeps)
 FITTING = (
     *(*ESTIMATING, *INTEGRATING, Study.priors, Study.per_experiment, Study.schedules, Study.process_noise),
     *(Study.common_noise, Study.quiet, Study.validation, Study.skip, Study.beginning, Study.loss),
     *(Study.transcription, Study.arc_length, Study.starts, Study.seed, Study.predict),
 )
-"""What a fit takes."""
 SHOWING = (Study.json, Study.no_report)
 SHARING = (Study.workers, Study.cluster)
 

@@ -229,8 +229,8 @@ def with_overrides(study: Study, given: Mapping[str, Any]) -> Study:
 
 # A study as a Python program: the same computation with the verbs of the library, for reading, changing and repeating it.
 
+# What the program calls its own folder.
 FOLDER = "HERE"
-"""What the program calls its own folder."""
 
 
 def study_script(study: Study, path: Path, *, searched: Study | None = None) -> str:
@@ -378,17 +378,8 @@ def _fit_lines(study: Study) -> list[str]:
     chosen, usual = fit_options(study), FitOptions()
     options = {
         name: str(value) if isinstance(value, str) else value
-        for name in (
-            "at_rest",
-            "method",
-            "substeps",
-            "loss",
-            "per_experiment",
-            "common_noise",
-            "transcription",
-            "arc_length",
-        )
-        if (value := getattr(chosen, name)) != getattr(usual, name)
+        for name, value in vars(chosen).items()
+        if value != getattr(usual, name)
     }
     texts = _data(study)
     if options:

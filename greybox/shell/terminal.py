@@ -155,7 +155,7 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 def write_report(value: Any, target: Path, **more: Any) -> Path:
     """Write the report of a result as ``target``; ``more`` goes to the builder of the page."""
-    from greybox.show.report import report
+    from greybox.show.describe import report
 
     return report(value, target, command=typed_command(), **more)
 

@@ -1,4 +1,4 @@
-"""What is said of a result: its document, found by its class."""
+"""What is said of a result: its document, found by its class; printed as text, or written as a page."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 from greybox.base.document import Block, Document, Paragraphs
+from greybox.base.errors import GreyboxError
 from greybox.base.findings import Check, Finding
 from greybox.show.printers.text import print_text
 from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
@@ -74,3 +76,53 @@ def _find_describer(kind: type) -> Describer | None:
         return None
     table: Mapping[str, Describer] = getattr(import_module(f"{package}.document"), "DOCUMENTS", {})
     return table.get(kind.__name__)
+
+
+def report(value: Any, path: str | Path, *, command: str = "", **options: Any) -> Path:
+    """Write the report of a result as one HTML file that opens without a network.
+
+    Parameters
+    ----------
+    value
+        What `greybox.fit`, `greybox.discover`, `greybox.simulate`, `greybox.linearise`, `greybox.compare` or `greybox.estimation.check`
+        gave.
+    path
+        The file, or a folder, which then gets ``report.html``.
+    command
+        What was typed, for the page to say how to repeat it.
+    **options
+        Passed to the builder of the page, such as ``model`` for a simulation.
+
+    Returns
+    -------
+    Path
+        The file that was written.
+
+    Raises
+    ------
+    GreyboxError
+        For a value of another kind.
+
+    Examples
+    --------
+    >>> import greybox as gb
+    >>> gb.report(result, "results/")  # doctest: +SKIP
+    """
+    from greybox.show.printers.html import write_page  # printing text needs none of it
+
+    target = Path(path)
+    target = target if target.suffix.lower() in (".html", ".htm") else target / "report.html"
+    return write_page(describe_page(value, command=command, **options), target)
+
+
+def describe_page(value: Any, **options: Any) -> Document:
+    """The document of a result that has a page. Raises GreyboxError where it has none."""
+    try:
+        document = describe(value, **options)
+    except TypeError:
+        document = None
+    if document is None or not document.sections:
+        raise GreyboxError(
+            f"report: a {type(value).__name__} has no page; give one of {', '.join(k for k in DOCUMENTS if not k.endswith('Answer'))}"
+        )
+    return document

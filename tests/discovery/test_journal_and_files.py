@@ -10,11 +10,11 @@ from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.errors import DataError
-from greybox.base.json_file import ResultKind
 from greybox.discovery import pipeline
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import estimate_residual_spectrum
 from greybox.discovery.pipeline import discover
+from greybox.discovery.result import Discovery
 from greybox.shell.commands import app
 from greybox.shell.project import find_model
 from greybox.simulation.simulate import write_csv
@@ -64,7 +64,7 @@ def written(rig, tmp_path_factory):
 def test_the_command_writes_answer_model_figures_and_journal(written):
     answer = json.loads((written / "discovery.json").read_text())
     assert answer["verdict"] == "named"
-    assert strict_offences(answer, ResultKind.DISCOVERY) == []
+    assert strict_offences(answer, Discovery) == []
     assert gb.discovery.load_discovery(written / "discovery.json") == answer
     assert answer["effects"][0]["name"] == "coulomb_friction"
     assert answer["sites"][0]["name"] == "force" and answer["sites"][0]["set"] == 0

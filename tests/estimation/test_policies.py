@@ -9,7 +9,7 @@ import pytest
 
 from greybox.comparison.compare import compare
 from greybox.comparison.result import save_comparison
-from greybox.data.noise.policy import NoisePolicy
+from greybox.data.noise.noise_model import NoisePolicy
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.estimation.check import check
 from greybox.estimation.fit import fit

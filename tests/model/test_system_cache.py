@@ -11,11 +11,11 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import ModelError, UnitError
+from greybox.model.build_system import SystemCache, build_checked_system
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
 from greybox.model.system import System
-from greybox.model.system_cache import SystemCache, build_checked_system
 from greybox.model.validation import Rule
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -107,7 +107,8 @@ def respond():
     s = 2j * np.pi * frequency
     values = 1.1 * 1.9e5 / (s**2 + 45.0 * s + 2e5)
     points = gb.frequency.FrequencyResponse(frequency, values[:, None, None], ("u",), ("y",))
-    return gb.frequency.fit_frequency_response(silverbox, points)
+    result = gb.frequency.fit_frequency_response(silverbox, points)
+    return {name: estimate.value for name, estimate in result.parameters.items()}
 
 records = sys.argv[1]
 chirp = gb.read_csv(f"{records}/silverbox_chirp.csv", silverbox, hold="first")

@@ -79,7 +79,7 @@ def test_a_discovery_names_its_model_without_a_path(trap: Path, form: str):
         "parameters": {},
         "gap": {},
     }
-    Path("discovery.json").write_text(json.dumps(data | {"alternatives": [], "noise": {}}))
+    Path("discovery.json").write_text(json.dumps(data | {"alternatives": [], "ranking": [], "noise": {}}))
     Path("r.csv").write_text("time,u,x\n")
     done = run("design", "discovery.json", "r.csv", "--limit", "u=-1:1", "--duration", "1")
     assert done.exit_code == 2

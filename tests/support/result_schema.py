@@ -7,14 +7,11 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from greybox.base.json_file import ResultKind, read_schema
 from greybox.base.json_shape import make_definitions
 
 
 def find_schema(kind: Any) -> dict[str, Any]:
     """The schema of a kind of file, whole in itself."""
-    if isinstance(kind, ResultKind):
-        return {"$ref": f"#/$defs/{kind}", "$defs": read_schema()["$defs"]}
     (schema,), definitions = make_definitions(kind)
     return {**schema, "$defs": definitions}
 

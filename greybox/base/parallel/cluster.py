@@ -14,8 +14,8 @@ from typing import Any, Protocol
 from greybox.base.errors import GreyboxError
 from greybox.base.parallel.local_pool import count_cores, quiet_children
 
+# The address of a cluster that is started on this machine, to try.
 LOCAL = "local"
-"""The address of a cluster that is started on this machine, to try."""
 
 
 class WorkersHealth(Protocol):

@@ -125,8 +125,8 @@ def _local_packages() -> list[ModuleType]:
     return result
 
 
+# Number of the Linux call that asks for a signal when the parent ends.
 PR_SET_PDEATHSIG = 1
-"""Number of the Linux call that asks for a signal when the parent ends."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 

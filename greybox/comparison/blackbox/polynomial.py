@@ -40,7 +40,7 @@ InitialChoice = Literal["zero", "measured", "estimated"]
 
 
 class BlackBoxFinding(StrEnum):
-    """Findings about a black-box model; their sentences are in `greybox.show.sentences.blackbox`."""
+    """Findings about a black-box model; their sentences are in `greybox.show.sentences.comparison`."""
 
     WEAK_EXCITATION = "weak_excitation"
     """An input is persistently exciting of a lower order than the structure needs."""

@@ -20,7 +20,7 @@ from greybox.base.values import Printable
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 
-# Codes of the tests of linearity; their sentences are in `greybox.show.sentences.frequency`.
+# Codes of the tests of linearity; their sentences are in `greybox.show.sentences.comparison`.
 
 
 class LinearityCheck(StrEnum):

@@ -2,16 +2,17 @@
 
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (
+    NOISE_POLICY,
     AutoRegression,
     BoundDirection,
     NoiseBound,
     NoiseModel,
+    NoisePolicy,
     NoiseSource,
     fit_autoregression,
     join_series,
 )
 from greybox.data.noise.noise_sources import estimate_noise
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.data.noise.spectrum import estimate_noise_from_differences, estimate_noise_of_records
 
 __all__ = [

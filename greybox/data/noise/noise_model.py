@@ -14,7 +14,21 @@ from greybox.base.json_shape import Finite
 from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
 from greybox.data.noise.growing import GrowingNoise
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
+
+
+@dataclass(frozen=True)
+class NoisePolicy:
+    """Rules for level and colour of the noise. Shares and ratios have no unit."""
+
+    max_order: int = 12
+    """Highest order of an autoregression that is tried; the noise of sensors and filters needs no more."""
+
+    min_relative_level: float = 1e-6
+    """Least noise over the movement of the signal: where a record shows none (a simulation), misfits are judged against this."""
+
+
+NOISE_POLICY = NoisePolicy()
+
 
 # Noise of a sensor that is not installed yet, as a share of the largest value that it would show.
 NEW_SENSOR_NOISE = 0.01

@@ -16,16 +16,17 @@ from greybox.base.errors import DataError, ModelError, nearest
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (
+    NOISE_POLICY,
     WHITE,
     AutoRegression,
     BoundDirection,
     NoiseBound,
     NoiseModel,
+    NoisePolicy,
     NoiseSource,
     fit_autoregression,
     join_series,
 )
-from greybox.data.noise.policy import NOISE_POLICY, NoisePolicy
 from greybox.data.noise.repeats import (
     deviations_between_periods,
     deviations_between_repeats,

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.problem import CandidateFit, DiscoveryProblem
-from greybox.discovery.result import Discovery
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Validation
@@ -26,6 +26,9 @@ from greybox.model.effect import Effect
 from greybox.model.effects.scales import bound_delays
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
+
+if TYPE_CHECKING:
+    from greybox.discovery.result import Discovery
 
 # Limits and sizes of the app in the browser.
 

@@ -33,12 +33,12 @@ from greybox.model.effects.placement import find_placements
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
 from greybox.model.system import Statement
+from greybox.show.describe import report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells
 from greybox.show.figures.discovery import plot_misfit_windows
 from greybox.show.figures.plotly_backend import height_on_page
 from greybox.show.figures.records import plot_inputs, plot_residual, plot_run
 from greybox.show.printers.html import figure_content, say
-from greybox.show.report import report
 
 if TYPE_CHECKING:
     from greybox.extensions.app.command import StudyOnFile

@@ -21,7 +21,7 @@ from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, MachineConstant
 from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, share_of, spread_text, with_unit
-from greybox.show.documents.provenance import provenance_section, records_section, signal_units
+from greybox.show.documents.tables import provenance_section, records_section, signal_units
 from greybox.show.figures.records import plot_residual, plot_run
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import count_noun, format_with_std, make_formatter

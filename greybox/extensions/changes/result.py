@@ -289,7 +289,7 @@ class ChangeDetection(Printable, StoredResult):
 def list_appeared_effects(discovery: Discovery | None) -> list[dict[str, Any]]:
     """Effects that a search has found, without those that stand in for something else."""
     effects = [] if discovery is None else discovery.effects
-    return [effect for effect in effects if effect["grade"] != Grade.STAND_IN]
+    return [dict(effect) for effect in effects if effect["grade"] != Grade.STAND_IN]
 
 
 def load_changes(path: str | Path) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from greybox.extensions.changes.constants import Yardstick
 from greybox.extensions.changes.result import ChangeCode, ChangeRule
 from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import (
-    TEXT_LIMITS,
+    CHANGE_REACH,
     count_noun,
     join_names,
     make_formatter,
@@ -111,7 +111,7 @@ def _not_seen(finding: Finding) -> str:
 
 
 def _says_nothing(share: float | None) -> bool:
-    return share is None or not share < TEXT_LIMITS.change_reach
+    return share is None or not share < CHANGE_REACH
 
 
 def merge_not_seen(findings: Sequence[Finding]) -> list[Finding]:
@@ -139,7 +139,7 @@ def is_determined(change: ConstantChange) -> bool:
     if change.interval is None:
         return False
     reach = max(map(abs, change.interval))
-    return math.isfinite(reach) and (not change.before or reach <= TEXT_LIMITS.change_reach * abs(change.before))
+    return math.isfinite(reach) and (not change.before or reach <= CHANGE_REACH * abs(change.before))
 
 
 def _cannot_tell(finding: Finding) -> str:

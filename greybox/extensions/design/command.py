@@ -159,12 +159,13 @@ def _kind_of(path: Path) -> str:
 
 def _from_discovery(path: Path, data: Sequence[Path], name: str) -> tuple[Fit, Fit, list[str]]:
     """The best explanation of a discovery fitted again to the records, the fit of its plain model, and the alternatives."""
-    from greybox.base.json_file import ResultKind, read_json
+    from greybox.base.json_file import read_json
+    from greybox.discovery.result import Discovery
     from greybox.estimation.options import FitOptions
     from greybox.extensions.design.next_record import fit_explanation
     from greybox.shell.project import find_model, is_model_path
 
-    content = read_json(path, ResultKind.DISCOVERY)
+    content = read_json(path, Discovery)
     if not data:
         raise GreyboxError(
             f"{path}: a discovery does not hold its records; give them too, as in greybox design {path} train.csv"

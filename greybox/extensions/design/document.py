@@ -7,15 +7,14 @@ from math import inf, isinf
 
 from greybox.base.document import Block, Document, Facts, FileLink, Later, Paragraphs, Section, TableBlock, Tone
 from greybox.base.findings import Severity
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.problem import Alternative, Design
 from greybox.extensions.design.sentences import name_explanation
 from greybox.model.effects.catalogue import effect
-from greybox.show.documents.equations import typeset_equations
-from greybox.show.documents.provenance import provenance_section
 from greybox.show.documents.simulation import run_figures
+from greybox.show.documents.tables import provenance_section, typeset_equations
 from greybox.show.sentences.wording import (
     change_text,
     count_noun,
@@ -238,7 +237,9 @@ def _widths(campaign: Campaign) -> Iterator[TableBlock]:
 
 def _last_values(campaign: Campaign, step: CampaignStep) -> dict[str, str]:
     """The value of each parameter after ``step``, with its unit: of the explanation that is left, else of the fit."""
-    kind, name = (ResultKind.DISCOVERY, "discovery.json") if step.effects else (Fit, "fit.json")
+    from greybox.discovery.result import Discovery
+
+    kind, name = (Discovery, "discovery.json") if step.effects else (Fit, "fit.json")
     path = campaign.folder / f"{step.number:02d}" / name
     if not path.exists():
         return {}

@@ -10,11 +10,9 @@ from greybox.base.document import Block, CodeBlock, Details, Document, Later, Pa
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.result import Fit
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import fit_verdict
 from greybox.show.documents.linearisation import linear_question, linear_sections, linear_verdict
-from greybox.show.documents.provenance import provenance_section
-from greybox.show.documents.tables import parameters_table
+from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
 from greybox.show.sentences.wording import count_noun
 
 READABLE = (".c", ".h", ".py", ".mo", ".json")

@@ -22,7 +22,7 @@ from greybox.base.document import (
 from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
 from greybox.base.findings import Severity
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
-from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, make_formatter

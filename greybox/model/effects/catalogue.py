@@ -26,6 +26,7 @@ from greybox.model.effects.scales import Scales, bound_delays, measure_scales, t
 from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
 from greybox.model.model import Model
 
+# Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`.
 CATALOGUE: tuple[Effect, ...] = (
     *FRICTION,
     *DAMPING,
@@ -40,7 +41,6 @@ CATALOGUE: tuple[Effect, ...] = (
     *SIGNAL_PATH,
     *BETWEEN_SAMPLES,
 )
-"""Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`."""
 reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))
 
 __all__ = [

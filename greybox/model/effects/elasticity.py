@@ -15,33 +15,9 @@ from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 
 
-def _cubic_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.K3 * x.displacement**3
-
-
-def _quadratic_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.K2 * x.displacement**2
-
-
-def _return_spring(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.Ks * x.displacement
-
-
-def _creep_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.K1 * (x.displacement - x.z)
-
-
-def _creep_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("creep", "{displacement}", p.tau1, "z", stretch=x.displacement - x.z)]
-
-
 def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
     # Faster than the body itself it is damping, slower than the record a stiffness.
     return {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
-
-
-def _hysteresis_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.alpha * x.z
 
 
 def _hysteresis_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
@@ -59,10 +35,6 @@ def _hysteresis_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 def _coupling_force(x: NamedValues, p: NamedValues) -> Expression:
     """Force of the second mass on the body."""
     return p.k2 * (x.z1 - x.displacement) + p.c2 * (x.z2 - x.velocity)
-
-
-def _second_mode_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return _coupling_force(x, p)
 
 
 def _second_mass_balances(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
@@ -116,7 +88,7 @@ cubic_stiffness = Effect(
     parameters=[
         amplitude_parameter("K3", "{force}/{displacement}**3", "cubic stiffness, positive for a spring that hardens")
     ],
-    terms=_cubic_spring,
+    terms=lambda x, u, p: -p.K3 * x.displacement**3,
     equation="-K3 x^3",
     parity="odd",
     tells_apart=(
@@ -136,7 +108,7 @@ quadratic_stiffness = Effect(
             "K2", "{force}/{displacement}**2", "quadratic stiffness of a spring that differs by side, either sign"
         )
     ],
-    terms=_quadratic_spring,
+    terms=lambda x, u, p: -p.K2 * x.displacement**2,
     equation="-K2 x^2",
     parity="even",
     tells_apart=(
@@ -156,8 +128,8 @@ viscoelastic_creep = Effect(
         shape_parameter("tau1", "s", 0.1, (1e-7, 1e6), "time in which it relaxes"),
     ],
     states=[State("z", "{displacement}", lambda p: p.displacement, relaxing=True, description="crept position")],
-    terms=_creep_force,
-    balances=_creep_balance,
+    terms=lambda x, u, p: -p.K1 * (x.displacement - x.z),
+    balances=lambda x, u, p: [Balance("creep", "{displacement}", p.tau1, "z", stretch=x.displacement - x.z)],
     equation="-K1 (x - z), tau1 z' = x - z",
     parity="linear",
     tells_apart=(
@@ -185,7 +157,7 @@ bouc_wen_hysteresis = Effect(
         ),
     ],
     states=[State("z", "{displacement}", relaxing=True, description="stretch of the hysteretic branch")],
-    terms=_hysteresis_force,
+    terms=lambda x, u, p: -p.alpha * x.z,
     balances=_hysteresis_balance,
     equation="-alpha z, z' = v - beta abs(v) z - gamma v abs(z)",
     parity="odd",
@@ -234,7 +206,7 @@ second_mode = Effect(
         State("z1", "{displacement}", lambda p: p.displacement, description="position of the second mass"),
         State("z2", "{velocity}", description="its velocity"),
     ],
-    terms=_second_mode_force,
+    terms=lambda x, u, p: _coupling_force(x, p),
     balances=_second_mass_balances,
     equation="k2 (z1 - x) + c2 (z2 - v), z1' = z2, m2 z2' = -(that) - m2 base acceleration",
     parity="linear",
@@ -255,7 +227,7 @@ return_spring = Effect(
     parameters=[
         amplitude_parameter("Ks", "{force}/{displacement}", "stiffness of a spring towards zero displacement", low=0.0)
     ],
-    terms=_return_spring,
+    terms=lambda x, u, p: -p.Ks * x.displacement,
     equation="-Ks s",
     parity="linear",
     tells_apart=(
@@ -286,14 +258,6 @@ STOP_TEXT = (
 )
 
 
-def _stop_on_both_sides(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kc * (x.displacement - ca.fmin(ca.fmax(x.displacement, -p.gap), p.gap))
-
-
-def _stop_on_one_side(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kc * p.side * ca.fmax(p.side * (x.displacement - p.gap), 0)
-
-
 # Share of the travel that a body goes into a stop of visible size.
 STOP_DEPTH = 0.3
 
@@ -315,16 +279,8 @@ def _travel(s: Scales) -> float:
 STOP_EDGES: tuple[float, ...] = (0.85, 0.6, 0.3)
 
 
-def _both_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"gap": [share * s.displacement for share in STOP_EDGES]}
-
-
 # Share of the travel within which no stop is looked for about zero, and beyond its ends.
 NEAREST_STOP = 0.05
-
-
-def _both_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"kc": _stiffest(s), "gap": (NEAREST_STOP * s.displacement, s.displacement)}
 
 
 def _one_grid(s: Scales) -> Mapping[str, list[float]]:
@@ -390,7 +346,7 @@ end_stop = Effect(
         # Which end it is at: no constant to be found, both are tried.
         replace(shape_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for a stop above, -1 for one below"), fixed=True),
     ],
-    terms=_stop_on_one_side,
+    terms=lambda x, u, p: -p.kc * p.side * ca.fmax(p.side * (x.displacement - p.gap), 0),
     equation="-kc max(x - gap, 0), or kc max(gap - x, 0) for a stop below",
     parents=("quadratic_stiffness", "cubic_stiffness"),
     parity="even",
@@ -410,7 +366,7 @@ end_stops = Effect(
         STIFFNESS,
         shape_parameter("gap", "{displacement}", 1.0, (1e-12, 1e9), "distance of both stops from zero"),
     ],
-    terms=_stop_on_both_sides,
+    terms=lambda x, u, p: -p.kc * (x.displacement - ca.fmin(ca.fmax(x.displacement, -p.gap), p.gap)),
     equation="-kc (x - min(max(x, -gap), gap))",
     parents=("cubic_stiffness",),
     parity="odd",
@@ -418,8 +374,8 @@ end_stops = Effect(
     source=STOP_SOURCE,
     amplitudes=("kc",),
     probe=_stop_probe,
-    grid=_both_grid,
-    limits=_both_limits,
+    grid=lambda s: {"gap": [share * s.displacement for share in STOP_EDGES]},
+    limits=lambda s: {"kc": _stiffest(s), "gap": (NEAREST_STOP * s.displacement, s.displacement)},
     from_parent=_both_from_cubic,
 )
 

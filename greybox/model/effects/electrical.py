@@ -21,10 +21,6 @@ def _drooping_constants(x: NamedValues, u: NamedValues, p: NamedValues) -> Mappi
     return {role: p[role] * left for role in roles}
 
 
-def _warm_resistance(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"resistance": p.resistance * (1 + x.z)}
-
-
 def _heat_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     # The resistance as it is used already carries the factor 1 + z.
     return [Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)]
@@ -36,29 +32,9 @@ def _amplifier_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Expres
     return (u.drive - emf + p.Re * x.current) / (p.resistance + p.Re)
 
 
-def _current_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"current": _amplifier_current(x, u, p)}
-
-
 def _force_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
     # Only the current in the inductance makes force; the other terms take the current from the amplifier.
     return {"force": {"coil": p.force_constant * x.current}}
-
-
-def _saturated_inductance(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"inductance": p.inductance / (1 + p.a * x.current**2)}
-
-
-def _contact_drop(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.Ub * ca.tanh(x.current / p.ib)
-
-
-def _heating_probe(s: Scales) -> Mapping[str, float]:
-    return {"Rth": 0.1 / (s.input * s.current)}
-
-
-def _heating_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)}
 
 
 force_constant_droop = Effect(
@@ -87,7 +63,7 @@ winding_heating = Effect(
         shape_parameter("tau_th", "s", 1.0, (1e-3, 1e7), "time in which the winding warms"),
     ],
     states=[State("z", "", description="rise of the resistance, as a share")],
-    on_parameter=_warm_resistance,
+    on_parameter=lambda x, u, p: {"resistance": p.resistance * (1 + x.z)},
     balances=_heat_balance,
     equation="Ra (1 + z), tau_th z' = Rth Ra (1 + z) i^2 - z",
     parity="slow",
@@ -97,8 +73,8 @@ winding_heating = Effect(
     ),
     source="temperature coefficient of copper, 0.39 % per kelvin, with one thermal time constant",
     amplitudes=("Rth",),
-    probe=_heating_probe,
-    grid=_heating_grid,
+    probe=lambda s: {"Rth": 0.1 / (s.input * s.current)},
+    grid=lambda s: {"tau_th": geometric_grid(0.02 * s.duration, 2 * s.duration, 4)},
 )
 
 eddy_current = Effect(
@@ -114,7 +90,7 @@ eddy_current = Effect(
             "large: absent until fitted",
         )
     ],
-    on_state=_current_with_eddies,
+    on_state=lambda x, u, p: {"current": _amplifier_current(x, u, p)},
     on_term=_force_with_eddies,
     equation="La iL' = Re (i - iL), u = Ra i + Re (i - iL) + Kv v, force Kf iL",
     parity="linear",
@@ -132,7 +108,7 @@ saturating_inductance = Effect(
     "saturating_inductance",
     site="voltage",
     parameters=[amplitude_parameter("a", "1/{current}**2", "loss of inductance per squared current", low=0.0)],
-    on_parameter=_saturated_inductance,
+    on_parameter=lambda x, u, p: {"inductance": p.inductance / (1 + p.a * x.current**2)},
     equation="La / (1 + a i^2)",
     parity="odd",
     tells_apart=(
@@ -160,7 +136,7 @@ brush_drop = Effect(
             fixed=True,
         ),
     ],
-    terms=_contact_drop,
+    terms=lambda x, u, p: -p.Ub * ca.tanh(x.current / p.ib),
     equation="-Ub sign(i), smooth within ib",
     parity="odd",
     tells_apart=(
@@ -192,22 +168,10 @@ def _ambient(u: NamedValues, p: NamedValues) -> Expression:
     return u.ambient_temperature if "ambient_temperature" in u else p.ambient_temperature
 
 
-def _radiation(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kr * ((x.temperature + p.T0) ** 4 - (_ambient(u, p) + p.T0) ** 4)
-
-
 def _convection(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     excess = x.temperature - _ambient(u, p)
     # A root of a square keeps its slope at zero; below the least excess the loss is proportional.
     return -p.c * excess * (excess**2 + p.least**2) ** 0.125
-
-
-def _heat_into_store(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.g * (x.temperature - x.z)
-
-
-def _store_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("store", "{temperature}", p.tau_g, "z", body=x.temperature, store=-x.z)]
 
 
 # Zero of the Celsius scale (K).
@@ -240,7 +204,7 @@ radiation_loss = Effect(
             fixed=True,
         ),
     ],
-    terms=_radiation,
+    terms=lambda x, u, p: -p.kr * ((x.temperature + p.T0) ** 4 - (_ambient(u, p) + p.T0) ** 4),
     equation="-kr ((T + T0)^4 - (Ta + T0)^4)",
     parity="even",
     tells_apart=(
@@ -291,8 +255,8 @@ heat_storage = Effect(
         shape_parameter("tau_g", "s", 100.0, (1e-3, 1e9), "time in which the second body follows"),
     ],
     states=[State("z", "{temperature}", lambda p: p.temperature, description="temperature of the second body")],
-    terms=_heat_into_store,
-    balances=_store_balance,
+    terms=lambda x, u, p: -p.g * (x.temperature - x.z),
+    balances=lambda x, u, p: [Balance("store", "{temperature}", p.tau_g, "z", body=x.temperature, store=-x.z)],
     equation="-g (T - z), tau_g z' = T - z",
     parity="slow",
     tells_apart=(

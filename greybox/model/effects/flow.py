@@ -10,9 +10,17 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
-from greybox.model.effects.policy import FLOW_LIMITS
 from greybox.model.effects.scales import VISIBLE_SHARE, Scales
 from greybox.model.signals import Expression, NamedValues, State
+
+# What keeps the equations finite where a trial step of a fit leaves the physical range.
+#
+# Square of the flow function below which the flow is laminar: the root has no slope where both pressures are equal.
+LAMINAR = 0.01
+# Smallest volume of a chamber, as a share of half the total volume.
+LEAST_VOLUME = 0.01
+# Smallest pressure of a chamber, as a share of the ambient pressure.
+LEAST_PRESSURE = 0.01
 
 
 def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
@@ -26,7 +34,7 @@ def _orifice_pressure(upstream: Expression, downstream: Expression, b: Expressio
     # 1 - (r - b)/(1 - b) between -1 and 1, with the sign of the flow: phi^2 is this times (2 - its size)
     fall = ca.fmin(ca.fmax((upstream - downstream) / ((1 - b) * high), -1), 1)
     square = fall * (2 - ca.fabs(fall))
-    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), FLOW_LIMITS.laminar))
+    return high * square / ca.sqrt(ca.fmax(ca.fabs(square), LAMINAR))
 
 
 def _choked_rate(u: Expression, p: NamedValues) -> Expression:
@@ -48,39 +56,23 @@ def _filling(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Map
 
 def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     def vented(opening: Expression, pressure: Expression) -> Expression:
-        inside = ca.fmax(pressure, FLOW_LIMITS.least_pressure * p.ambient_pressure)
+        inside = ca.fmax(pressure, LEAST_PRESSURE * p.ambient_pressure)
         return -p.ce * _choked_rate(opening, p) * _orifice_pressure(inside, p.ambient_pressure, p.b) / p.supply_pressure
 
     return {"pressure_a": vented(-u.valve, x.chamber_a), "pressure_b": vented(u.valve, x.chamber_b)}
 
 
-def _drooping_gain(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"valve_gain": p.valve_gain * (1 - x.z)}
-
-
-def _droop_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)]
-
-
-def _droop_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)}
-
-
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
     return {
-        "pressure_a": ca.fmax(1 + change, FLOW_LIMITS.least_volume),
-        "pressure_b": ca.fmax(1 - change, FLOW_LIMITS.least_volume),
+        "pressure_a": ca.fmax(1 + change, LEAST_VOLUME),
+        "pressure_b": ca.fmax(1 - change, LEAST_VOLUME),
     }
 
 
 def _root_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     pressure = x.pressure
     return -p.c * pressure / (pressure**2 + p.laminar**2) ** 0.25
-
-
-def _back_pressure(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.b * x.store * x.driven
 
 
 chamber_leakage = Effect(
@@ -132,8 +124,8 @@ supply_droop = Effect(
         shape_parameter("tau_d", "s", 0.5, (1e-6, 1e6), "time in which the supply follows"),
     ],
     states=[State("z", "", relaxing=True, description="share of the flow lost")],
-    on_parameter=_drooping_gain,
-    balances=_droop_balance,
+    on_parameter=lambda x, u, p: {"valve_gain": p.valve_gain * (1 - x.z)},
+    balances=lambda x, u, p: [Balance("droop", "1", p.tau_d, "z", drain=p.r * ca.fabs(u.valve), recovery=-x.z)],
     equation="G (1 - z) u, tau_d z' = r abs(u) - z",
     parity="odd",
     tells_apart=(
@@ -142,7 +134,7 @@ supply_droop = Effect(
     source="flow resistance between reservoir and valve, with one time constant",
     amplitudes=("r",),
     probe=lambda s: {"r": 0.03 / s.input},
-    grid=_droop_grid,
+    grid=lambda s: {"tau_d": geometric_grid(max(s.fastest, 4 * s.period), 0.2 * s.duration, 4)},
 )
 
 position_dependent_volume = Effect(
@@ -196,7 +188,7 @@ pump_back_pressure = Effect(
     "pump_back_pressure",
     site="store",
     parameters=[amplitude_parameter("b", "1/{store}", "share of the driven flow lost per pressure or level", low=0.0)],
-    terms=_back_pressure,
+    terms=lambda x, u, p: -p.b * x.store * x.driven,
     equation="-b p (flow driven by the inputs)",
     parity="even",
     tells_apart=(
@@ -233,36 +225,12 @@ def _upper_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[s
     return {"upper_level": -spilt, "lower_level": p.share * spilt * p.lower_inlet / p.upper_outlet}
 
 
-def _lower_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -_overflow(x.lower_head, p.edge, p.ko)
-
-
-def _own_overflow(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -_overflow(x.store, p.edge, p.ko)
-
-
-def _own_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.kl * x.store
-
-
 # Largest rate of an overflow, per sampling period: faster than the samples follow, an edge is an edge.
 FASTEST_OVERFLOW = 4.0
 
 
-def _own_overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    return {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)}
-
-
 # Edges over which a tank may run, as shares of the highest level of the record, the faintest first.
 OVERFLOW_EDGES: tuple[float, ...] = (0.95, 0.8, 0.65, 0.5, 0.35, 0.25)
-
-
-def _upper_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]}
-
-
-def _lower_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]}
 
 
 # Rate of an overflow to start from, per sampling period.
@@ -283,10 +251,6 @@ def _bend_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedVal
     return value + (1 - share) * (p.y0 - p.bow * value)
 
 
-def _limit_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return ca.fmin(value, p.y_max)
-
-
 upper_overflow = Effect(
     "upper_overflow",
     site="upper_level",
@@ -305,7 +269,7 @@ upper_overflow = Effect(
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark: part of the overflow reaches the lower tank",
     amplitudes=("ko",),
     probe=_overflow_probe,
-    grid=_upper_grid,
+    grid=lambda s: {"edge": [share * s.peaks["upper_head"] for share in OVERFLOW_EDGES], "share": [0.2, 0.6]},
     limits=_overflow_limits,
 )
 
@@ -316,7 +280,7 @@ lower_overflow = Effect(
         amplitude_parameter("ko", "1/s", "rate at which what stands above the edge runs over", low=0.0),
         shape_parameter("edge", "{lower_head}", 10.0, (1e-6, 1e6), "level of the edge"),
     ],
-    terms=_lower_overflow,
+    terms=lambda x, u, p: -_overflow(x.lower_head, p.edge, p.ko),
     equation="-ko max(x2 - edge, 0)",
     parity="even",
     tells_apart=(
@@ -326,7 +290,7 @@ lower_overflow = Effect(
     source="Schoukens, Mattsson, Wigren, Noel 2016, Cascaded tanks benchmark",
     amplitudes=("ko",),
     probe=_overflow_probe,
-    grid=_lower_grid,
+    grid=lambda s: {"edge": [share * s.peaks["lower_head"] for share in OVERFLOW_EDGES]},
     limits=_overflow_limits,
 )
 
@@ -337,7 +301,7 @@ overflow = Effect(
         amplitude_parameter("ko", "{force}/{store}", "what runs over for each unit above the edge", low=0.0),
         shape_parameter("edge", "{store}", 1.0, (1e-9, 1e9), "level of the edge, or pressure at which a valve opens"),
     ],
-    terms=_own_overflow,
+    terms=lambda x, u, p: -_overflow(x.store, p.edge, p.ko),
     equation="-ko max(h - edge, 0)",
     approaches=("linear_leak",),
     parity="even",
@@ -349,14 +313,14 @@ overflow = Effect(
     amplitudes=("ko",),
     probe=lambda s: {"ko": OVERFLOW_RATE * s.storage / s.period},
     grid=lambda s: {"edge": [share * s.store for share in OVERFLOW_EDGES]},
-    limits=_own_overflow_limits,
+    limits=lambda s: {"ko": (0.0, FASTEST_OVERFLOW * s.storage / s.period)},
 )
 
 linear_leak = Effect(
     "linear_leak",
     site="store",
     parameters=[amplitude_parameter("kl", "{force}/{store}", "leak over the level or pressure", low=0.0)],
-    terms=_own_leak,
+    terms=lambda x, u, p: -p.kl * x.store,
     equation="-kl h",
     parity="linear",
     tells_apart=(
@@ -409,7 +373,7 @@ sensor_saturation = Effect(
             "large: absent until fitted",
         )
     ],
-    on_output=_limit_reading,
+    on_output=lambda value, x, u, p: ca.fmin(value, p.y_max),
     equation="min(y, y_max)",
     parity="even",
     tells_apart=(

@@ -11,8 +11,8 @@ from greybox.model.effect import Effect
 from greybox.model.expressions.text import evaluate_formula, list_formula_names
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
+# Name of the state of a formula with memory.
 LAGGED = "lagged"
-"""Name of the state of a formula with memory."""
 
 
 def formula_effect(

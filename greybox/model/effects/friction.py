@@ -31,10 +31,6 @@ def _steady_level(x: NamedValues, p: NamedValues) -> Expression:
     return p.Fc + ca.fmax(p.Fs - p.Fc, 0) * ca.exp(-((x.velocity / p.vs) ** 2))
 
 
-def _stribeck_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
-    return DryFriction(sliding=_steady_level(x, p), static=ca.fmax(p.Fs, p.Fc))
-
-
 def _speed_grid(s: Scales) -> list[float]:
     return geometric_grid(0.01 * s.velocity, 0.5 * s.velocity, 4)
 
@@ -59,14 +55,6 @@ def _bristle_rate(x: NamedValues, p: NamedValues) -> Expression:
     # Without friction (Fc = Fs = 0) the bristles bend freely and carry nothing: keep the quotient finite.
     level = _steady_level(x, p)
     return x.velocity - p.s0 * ca.fabs(x.velocity) * x.z / ca.if_else(level > 0, level, ca.inf)
-
-
-def _lugre_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return ca.if_else(_steady_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0)
-
-
-def _bristle_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("bristles", "{velocity}", 1, "z", bending=_bristle_rate(x, p))]
 
 
 def _bristle_grid(level: float, s: Scales) -> list[Mapping[str, float]]:
@@ -121,18 +109,6 @@ def _friction_by_direction(x: NamedValues, u: NamedValues, p: NamedValues) -> Dr
     return DryFriction(sliding=mean, static=mean)
 
 
-def _force_by_direction(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return (p.Fm - p.Fp) / 2
-
-
-def _directions_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    return [{"Fp": share * values["Fc"], "Fm": (2 - share) * values["Fc"]} for share in (1.0, 1.5, 0.5)]
-
-
-def _quadratic_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.B2 * ca.fabs(x.velocity) * x.velocity
-
-
 coulomb_friction = Effect(
     "coulomb_friction",
     site="force",
@@ -155,7 +131,7 @@ stribeck_friction = Effect(
     "stribeck_friction",
     site="force",
     parameters=FRICTION_LEVELS,
-    dry=_stribeck_friction,
+    dry=lambda x, u, p: DryFriction(sliding=_steady_level(x, p), static=ca.fmax(p.Fs, p.Fc)),
     equation="-(Fc + (Fs - Fc) exp(-(v/vs)^2)) sign(v), Fs >= Fc",
     parents=("coulomb_friction",),
     parity="odd",
@@ -179,8 +155,8 @@ lugre_friction = Effect(
         shape_parameter("s1", "{force}/{velocity}", 1.0, (0.0, 1e12), "damping of the bristles"),
     ),
     states=(State("z", "{displacement}", relaxing=True, description="mean bending of the bristles"),),
-    terms=_lugre_force,
-    balances=_bristle_balance,
+    terms=lambda x, u, p: ca.if_else(_steady_level(x, p) > 0, -(p.s0 * x.z + p.s1 * _bristle_rate(x, p)), 0),
+    balances=lambda x, u, p: [Balance("bristles", "{velocity}", 1, "z", bending=_bristle_rate(x, p))],
     equation="-(s0 z + s1 z'), z' = v - s0 abs(v) z / (Fc + (Fs - Fc) exp(-(v/vs)^2)), Fs >= Fc",
     parents=("coulomb_friction", "stribeck_friction"),
     parity="odd",
@@ -200,7 +176,7 @@ quadratic_damping = Effect(
     "quadratic_damping",
     site="force",
     parameters=[amplitude_parameter("B2", "{force}/{velocity}**2", "drag force over squared velocity", low=0.0)],
-    terms=_quadratic_damping,
+    terms=lambda x, u, p: -p.B2 * ca.fabs(x.velocity) * x.velocity,
     equation="-B2 abs(v) v",
     parity="odd",
     tells_apart=(
@@ -243,7 +219,7 @@ asymmetric_friction = Effect(
         amplitude_parameter("Fm", "{force}", "friction while sliding backward", low=0.0),
     ],
     dry=_friction_by_direction,
-    terms=_force_by_direction,
+    terms=lambda x, u, p: (p.Fm - p.Fp) / 2,
     equation="-Fp for v > 0, +Fm for v < 0",
     parents=("coulomb_friction",),
     stands_for=("coulomb_friction", "constant_load"),
@@ -258,7 +234,9 @@ asymmetric_friction = Effect(
     ),
     amplitudes=("Fp", "Fm"),
     probe=lambda s: {"Fp": s.visible_force, "Fm": 0.5 * s.visible_force},
-    from_parent=_directions_from_coulomb,
+    from_parent=lambda values, s: [
+        {"Fp": share * values["Fc"], "Fm": (2 - share) * values["Fc"]} for share in (1.0, 1.5, 0.5)
+    ],
 )
 
 FRICTION: tuple[Effect, ...] = (
@@ -281,22 +259,6 @@ FAMILY = (
 )
 
 
-def _displacement_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.D2 * x.displacement**2 * x.velocity
-
-
-def _cubic_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.B3 * x.velocity**3
-
-
-def _directional_damping(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.Ba * ca.fabs(x.velocity)
-
-
-def _displacement_probe(s: Scales) -> dict[str, float]:
-    return {"D2": s.visible_force / (s.displacement**2 * s.velocity)}
-
-
 displacement_damping = Effect(
     "displacement_damping",
     site="force",
@@ -305,20 +267,20 @@ displacement_damping = Effect(
             "D2", "{force}/({displacement}**2*{velocity})", "damping over squared displacement, either sign"
         )
     ],
-    terms=_displacement_damping,
+    terms=lambda x, u, p: -p.D2 * x.displacement**2 * x.velocity,
     equation="-D2 x^2 v",
     parity="odd",
     tells_apart=FAMILY,
     source="B. van der Pol 1926, On relaxation-oscillations: the damping term of second order in the displacement",
     amplitudes=("D2",),
-    probe=_displacement_probe,
+    probe=lambda s: {"D2": s.visible_force / (s.displacement**2 * s.velocity)},
 )
 
 cubic_damping = Effect(
     "cubic_damping",
     site="force",
     parameters=[amplitude_parameter("B3", "{force}/{velocity}**3", "damping force over cubed velocity", low=0.0)],
-    terms=_cubic_damping,
+    terms=lambda x, u, p: -p.B3 * x.velocity**3,
     equation="-B3 v^3",
     parity="odd",
     tells_apart=FAMILY,
@@ -335,7 +297,7 @@ directional_damping = Effect(
             "Ba", "{force}/{velocity}", "half the difference of the viscous friction by direction, either sign"
         )
     ],
-    terms=_directional_damping,
+    terms=lambda x, u, p: -p.Ba * ca.fabs(x.velocity),
     equation="-Ba abs(v): damping B + Ba forward, B - Ba backward",
     parity="even",
     tells_apart=(

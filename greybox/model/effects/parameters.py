@@ -29,3 +29,7 @@ def shape_parameter(
 def geometric_grid(low: float, high: float, count: int) -> list[float]:
     """``count`` values from ``low`` to ``high`` with equal ratios."""
     return [float(value) for value in np.geomspace(low, high, count)]
+
+
+# Bounds of a delay (s) before a record says how it is sampled.
+UNTAILORED_DELAY = (0.0, 5e-3)

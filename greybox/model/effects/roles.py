@@ -41,6 +41,7 @@ class SignalRole:
 
 _STATE, _INPUT, _PARAMETER = (RoleOwner.STATE,), (RoleOwner.INPUT,), (RoleOwner.PARAMETER,)
 
+# Every role that an effect of the catalogue asks for. Others say in a model what a signal is, and nothing asks for them.
 ROLES: tuple[SignalRole, ...] = (
     SignalRole(
         "velocity",
@@ -147,4 +148,3 @@ ROLES: tuple[SignalRole, ...] = (
         "lower_inlet", _PARAMETER, ("m^0.5/s",), "what of it enters the lower tank", "overflow of the upper tank"
     ),
 )
-"""Every role that an effect of the catalogue asks for. Others say in a model what a signal is, and nothing asks for them."""

@@ -10,19 +10,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import Scales
-from greybox.model.signals import Expression, NamedValues, State
-
-
-def _gravity(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.Gs * ca.sin(x.displacement) - p.Gc * ca.cos(x.displacement)
-
-
-def _ripple(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return -p.Fs * ca.sin(p.n * x.a) - p.Fc * ca.cos(p.n * x.a)
-
-
-def _angle_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("angle", "rad/s", 1, "a", speed=x.velocity)]
+from greybox.model.signals import State
 
 
 def _both_amplitudes(sine: str, cosine: str) -> Callable[[Scales], Mapping[str, float]]:
@@ -43,7 +31,7 @@ gravity_torque = Effect(
             "Gc", "{force}", "the same against its cosine, where zero is not at the bottom; either sign"
         ),
     ],
-    terms=_gravity,
+    terms=lambda x, u, p: -p.Gs * ca.sin(x.displacement) - p.Gc * ca.cos(x.displacement),
     equation="-Gs sin(a) - Gc cos(a)",
     parity="odd",
     tells_apart=(
@@ -72,8 +60,8 @@ torque_ripple = Effect(
         ),
     ],
     states=[State("a", "rad", description="angle from where the record begins")],
-    terms=_ripple,
-    balances=_angle_balance,
+    terms=lambda x, u, p: -p.Fs * ca.sin(p.n * x.a) - p.Fc * ca.cos(p.n * x.a),
+    balances=lambda x, u, p: [Balance("angle", "rad/s", 1, "a", speed=x.velocity)],
     equation="-Fs sin(n a) - Fc cos(n a), a' = w",
     parity="even",
     tells_apart=(
@@ -92,15 +80,11 @@ ROTATION: tuple[Effect, ...] = (gravity_torque, torque_ripple)
 # Loads: forces from outside that do not depend on the motion.
 
 
-def _constant_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return p.F0
-
-
 constant_load = Effect(
     "constant_load",
     site="force",
     parameters=[amplitude_parameter("F0", "{force}", "constant external force (a weight), either sign")],
-    terms=_constant_force,
+    terms=lambda x, u, p: p.F0,
     equation="+F0",
     parity="even",
     tells_apart=(

@@ -12,7 +12,7 @@ from greybox.base.errors import DataError
 from greybox.base.numerics import INTEGRATING_POLE
 from greybox.model.algebraic import eliminate
 from greybox.model.effect import Effect
-from greybox.model.effects.policy import UNTAILORED_DELAY
+from greybox.model.effects.parameters import UNTAILORED_DELAY
 from greybox.model.model import Model
 from greybox.model.sites import PlaceKind, Site, find_sites
 

@@ -10,35 +10,18 @@ import casadi as ca
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.effects.flow import OUT_OF_REACH
-from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
-from greybox.model.effects.policy import UNTAILORED_DELAY
+from greybox.model.effects.parameters import UNTAILORED_DELAY, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import LONGEST_DELAY, Scales
 from greybox.model.signals import Expression, NamedValues, State
-
-
-def _add_offset(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return value + p.u0
 
 
 def _clip(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
 
 
-def _clip_softly(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return p.u_max * ca.tanh(value / p.u_max)
-
-
 def _soft_from_hard_limit(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
     # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
     return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
-
-
-def _subtract_dead_zone(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return value - ca.fmin(ca.fmax(value, -p.d), p.d)
-
-
-def _scale_by_sign(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return value - p.g * ca.fmin(value, 0)
 
 
 # Difference of the gain by sign that a search starts from beside a constant load, as a share.
@@ -54,62 +37,6 @@ def _gain_from_offset(values: Mapping[str, float], s: Scales) -> list[Mapping[st
 def _play_of_input(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     # What the state was and where the input is: play does not depend on the way between.
     return ca.fmin(ca.fmax(x.w, value - p.h), value + p.h)
-
-
-def _update_input_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"w": ca.fmin(ca.fmax(x.w, u.input - p.h), u.input + p.h)}
-
-
-def _rectify(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return value - 2 * p.r * ca.fmin(value, 0)
-
-
-def _spool_position(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return x.w
-
-
-def _spool_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)]
-
-
-def _delivered(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return x.w
-
-
-def _drive_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("drive", "{drive}", p.tau_u, "w", command=u.drive, drive=-x.w)]
-
-
-def _delay_seconds(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return p.delay
-
-
-def _add_drift(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return value + x.drift
-
-
-def _drift_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)]
-
-
-def _lagged_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return x.y
-
-
-def _lag_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    return [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)]
-
-
-def _reading_with_play(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    return x.w
-
-
-def _update_play(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
-    return {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)}
-
-
-def _saturation_grid(s: Scales) -> Mapping[str, list[float]]:
-    return {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]}
 
 
 input_saturation = Effect(
@@ -135,14 +62,14 @@ input_saturation = Effect(
     source="supply voltage of an amplifier, end stop of a spool",
     amplitudes=("u_max",),
     neutral={"u_max": OUT_OF_REACH},
-    grid=_saturation_grid,
+    grid=lambda s: {"u_max": [share * s.input for share in (0.97, 0.85, 0.7, 0.5)]},
 )
 
 soft_saturation = Effect(
     "soft_saturation",
     site="input",
     parameters=[shape_parameter("u_max", "{input}", OUT_OF_REACH, (1e-9, 1e9), "input that is never exceeded")],
-    on_input=_clip_softly,
+    on_input=lambda value, x, u, p: p.u_max * ca.tanh(value / p.u_max),
     equation="u_max tanh(u / u_max)",
     parents=("input_saturation",),
     parity="odd",
@@ -161,7 +88,7 @@ input_dead_zone = Effect(
     "input_dead_zone",
     site="drive",
     parameters=[amplitude_parameter("d", "{drive}", "half-width of the zone without effect", low=0.0)],
-    on_input=_subtract_dead_zone,
+    on_input=lambda value, x, u, p: value - ca.fmin(ca.fmax(value, -p.d), p.d),
     equation="0 inside +-d, u -+ d outside",
     parity="odd",
     tells_apart=(
@@ -190,7 +117,7 @@ input_hysteresis = Effect(
     site="drive",
     parameters=[amplitude_parameter("h", "{drive}", "half of the width of the loop", low=0.0)],
     states=[State("w", "{drive}", description="input that gets through")],
-    update=_update_input_play,
+    update=lambda x, u, p: {"w": ca.fmin(ca.fmax(x.w, u.input - p.h), u.input + p.h)},
     on_input=_play_of_input,
     equation="w = min(max(w, u - h), u + h), w in the place of u",
     parity="odd",
@@ -219,7 +146,7 @@ rectified_reading = Effect(
     parameters=[
         amplitude_parameter("r", "1", "0.5 for a sensor that ends at zero, 1 for one without sign", low=0.0, high=1.0)
     ],
-    on_output=_rectify,
+    on_output=lambda value, x, u, p: value - 2 * p.r * ca.fmin(value, 0),
     equation="y for y > 0, (1 - 2 r) y for y < 0",
     parity="even",
     tells_apart=(
@@ -243,8 +170,8 @@ valve_lag = Effect(
         )
     ],
     states=[State("w", "{valve}", relaxing=True, description="spool position, as the voltage that would hold it")],
-    on_input=_spool_position,
-    balances=_spool_balance,
+    on_input=lambda value, x, u, p: x.w,
+    balances=lambda x, u, p: [Balance("spool", "{valve}", p.tau_v, "w", voltage=u.valve, spool=-x.w)],
     equation="tau_v w' = u - w, w in the place of u",
     parity="linear",
     tells_apart=(
@@ -268,8 +195,8 @@ drive_lag = replace(
         ),
     ),
     states=(State("w", "{drive}", relaxing=True, description="what the drive delivers"),),
-    on_input=_delivered,
-    balances=_drive_balance,
+    on_input=lambda value, x, u, p: x.w,
+    balances=lambda x, u, p: [Balance("drive", "{drive}", p.tau_u, "w", command=u.drive, drive=-x.w)],
     equation="tau_u w' = u - w, w in the place of u",
     tells_apart=(
         "Measure what the drive delivers (current, heat, flow). From the command to the output its lag and that of a sensor are the same;"
@@ -286,7 +213,7 @@ transport_delay = Effect(
     "transport_delay",
     site="input",
     parameters=[amplitude_parameter("delay", "s", "time by which the input arrives late", *UNTAILORED_DELAY)],
-    delay=_delay_seconds,
+    delay=lambda x, u, p: p.delay,
     equation="u(t - delay)",
     parity="linear",
     tells_apart=(
@@ -303,7 +230,7 @@ input_offset = Effect(
     "input_offset",
     site="input",
     parameters=[amplitude_parameter("u0", "{input}", "offset between the recorded and the acting input, either sign")],
-    on_input=_add_offset,
+    on_input=lambda value, x, u, p: value + p.u0,
     equation="u + u0",
     parity="even",
     tells_apart=(
@@ -323,7 +250,7 @@ gain_by_sign = Effect(
             "g", "1", "share by which a negative input does less, negative where it does more", high=1.0
         )
     ],
-    on_input=_scale_by_sign,
+    on_input=lambda value, x, u, p: value - p.g * ca.fmin(value, 0),
     equation="u for u > 0, (1 - g) u for u < 0",
     parents=("input_offset", "constant_load"),
     parity="even",
@@ -343,8 +270,8 @@ sensor_drift = Effect(
     site="sensor",
     parameters=[amplitude_parameter("rate", "{sensor}/s", "drift of the reading, either sign")],
     states=[State("drift", "{sensor}", description="how far the reading has drifted")],
-    balances=_drift_balance,
-    on_output=_add_drift,
+    balances=lambda x, u, p: [Balance("drift", "{sensor}/s", 1, "drift", rate=p.rate)],
+    on_output=lambda value, x, u, p: value + x.drift,
     equation="x + rate t",
     parity="slow",
     tells_apart=(
@@ -365,8 +292,8 @@ sensor_lag = Effect(
         )
     ],
     states=[State("y", "{sensor}", lambda p: p.sensor, relaxing=True, description="what the sensor shows")],
-    balances=_lag_balance,
-    on_output=_lagged_reading,
+    balances=lambda x, u, p: [Balance("lag", "{sensor}", p.tau_s, "y", value=x.sensor, reading=-x.y)],
+    on_output=lambda value, x, u, p: x.y,
     equation="tau_s y' = x - y, y in the place of x",
     parity="linear",
     tells_apart=(
@@ -385,8 +312,8 @@ backlash = Effect(
     site="sensor",
     parameters=[amplitude_parameter("gap", "{sensor}", "half of the play between the body and its sensor", low=0.0)],
     states=[State("w", "{sensor}", lambda p: p.sensor, description="what the sensor shows")],
-    update=_update_play,
-    on_output=_reading_with_play,
+    update=lambda x, u, p: {"w": ca.fmin(ca.fmax(x.w, x.sensor - p.gap), x.sensor + p.gap)},
+    on_output=lambda value, x, u, p: x.w,
     equation="w = min(max(w, s - gap), s + gap), w in the place of s",
     parity="odd",
     tells_apart=(

@@ -5,13 +5,22 @@ from __future__ import annotations
 import ast
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError, ModelError, nearest
-from greybox.model.expressions.operations import OPERATIONS, Binding, Operation, operation_name
+from greybox.base.errors import GreyboxError, ModelError, UnitError, nearest
+from greybox.base.units import ONE, Unit, parse_unit, unit_name
+from greybox.model.expressions.graph import walk
+from greybox.model.expressions.operations import (
+    OPERATIONS,
+    Binding,
+    Operands,
+    Operation,
+    UnitMismatchError,
+    operation_name,
+)
 from greybox.model.expressions.printer import FORMULA, CodeDialect, Dialect, Printed
 
 Factors = dict[str, float]  # text that stands for itself (a name, a call, a bracket) -> exponent
@@ -434,3 +443,50 @@ def _evaluate(node: ast.expr, subject: str, text: str, p: Values) -> ca.SX:
             raise ModelError(f"{subject}: {text!r} gives {name} {len(node.args)} numbers; {REMEDY}")
         return ca.SX(getattr(ca, row.name)(*(_evaluate(a, subject, text, p) for a in node.args)))
     raise ModelError(f"{subject}: {ast.unparse(node)!r} in {text!r} is not part of a formula; {REMEDY}")
+
+
+# The unit of an expression, from the units of its symbols.
+
+
+def unit_of(value: ca.SX | float, units: Mapping[str, str]) -> Unit:
+    """The unit of an expression whose symbols have ``units`` (name -> unit); one that fits anything is a plain number.
+
+    Raises UnitError where the expression adds, compares or raises what has no common sense.
+    """
+    try:
+        return infer_unit(value, units) or ONE
+    except UnitMismatchError as mismatch:
+        raise UnitError(f"'{expression_text(value)}' {mismatch}") from None
+
+
+def infer_unit(value: ca.SX | float, units: Mapping[str, str]) -> Unit | None:
+    """The unit of an expression, None for one that fits anything (0, infinity). Raises UnitMismatchError for operands that do not fit."""
+
+    def label(unit: Unit) -> str:
+        return "a number" if unit == ONE else unit_name(unit, units.values())
+
+    def leaf(symbol: str) -> Unit | None:
+        if symbol not in units:
+            raise UnitMismatchError(f"uses {symbol!r}, which is not a state, input or parameter of the model")
+        return parse_unit(units[symbol])
+
+    def constant(number: float) -> Unit | None:
+        return ONE if number and math.isfinite(number) else None
+
+    def combine(node: ca.SX, operands: list[Unit | None]) -> Unit | None:
+        row = OPERATIONS.get(node.op())
+        if node.op() == ca.OP_CALL:
+            raise UnitMismatchError(
+                "calls a function of its own, such as casadi.interpolant, that no formula stands for; write a table as"
+                " greybox.Characteristic, and other functions as their formulas"
+            )
+        if row is None:
+            raise UnitMismatchError(
+                f"'{expression_text(node)}' is an operation whose unit is not known; write it with ordinary functions"
+            )
+        try:
+            return row.unit(Operands(node, operands, label))
+        except UnitMismatchError as mismatch:
+            raise UnitMismatchError(f"{mismatch} in '{expression_text(node)}'") from None
+
+    return walk(value, leaf, constant, combine)

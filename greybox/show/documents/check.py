@@ -25,10 +25,9 @@ from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model.equations import equations_text
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.provenance import format_sampling_time, provenance_section, signal_units
-from greybox.show.figures.parameters import plot_intervals
+from greybox.show.documents.tables import format_sampling_time, provenance_section, signal_units, typeset_equations
+from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict

@@ -25,10 +25,8 @@ from greybox.base.findings import Finding, with_code
 from greybox.base.units import format_unit
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
-from greybox.show.documents.provenance import provenance_section
-from greybox.show.documents.tables import parameters_table
+from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.registry import sentence, sentences

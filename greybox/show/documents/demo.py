@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from greybox.base.document import Block, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
+from greybox.base.document import Block, BulletList, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
 from greybox.base.units import format_unit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
-from greybox.show.documents.discovery import discovery_sections, discovery_verdict
-from greybox.show.documents.equations import typeset_equations
+from greybox.show.documents.discovery import discovery_sections, discovery_verdict, holdout_lines
 from greybox.show.documents.fit import fit_verdict
 from greybox.show.documents.linearisation import linear_sections
-from greybox.show.documents.provenance import fit_provenance_section, records_section
-from greybox.show.documents.tables import misfit_table
+from greybox.show.documents.tables import fit_provenance_section, misfit_table, records_section, typeset_equations
 from greybox.show.figures.discovery import plot_holdout_error
-from greybox.show.sentences.discovery import conclusion_text
 from greybox.show.sentences.wording import format_with_std, join_names
 
 if TYPE_CHECKING:
@@ -40,12 +37,8 @@ def describe_demo(demo: Demo, *, command: str = "") -> Document:
 def _brief(demo: Demo) -> Iterator[Block]:
     """Parameters and true values, the missing effect, the errors before and after, the best model, the state space."""
     yield _parameters(demo)
-    gaps = [
-        f"  {output}: rms error on the validation record {gap.before:.3g} -> {gap.after:.3g} {format_unit(gap.unit)}"
-        + (f" (noise {gap.floor:.3g})" if gap.is_floor_known else "")
-        for output, gap in demo.discovery.holdout.items()
-    ]
-    yield Paragraphs([conclusion_text(demo.discovery), *gaps])
+    yield Paragraphs([demo.discovery.story])
+    yield BulletList(holdout_lines(demo.discovery))
     yield Paragraphs(demo.comparison.verdict[:1])
     yield from demo.plant.describe().brief
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
 
 from greybox.base.document import (
     Block,
@@ -15,20 +16,23 @@ from greybox.base.document import (
     Section,
     Subheading,
     TableBlock,
-    Text,
     Tone,
 )
+from greybox.base.json_shape import to_values
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import claim_values
+from greybox.discovery.claims import Depth
 from greybox.discovery.decision import Verdict
-from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.refinement import Refinement
-from greybox.discovery.result import Discovery
+from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.result import Fit
-from greybox.show.documents.equations import typeset_equations
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.provenance import fit_provenance_section, records_section, signal_units
-from greybox.show.documents.tables import estimate_cells, parameters_table
+from greybox.show.documents.tables import (
+    estimate_cells,
+    fit_provenance_section,
+    parameters_table,
+    records_section,
+    signal_units,
+    typeset_equations,
+)
 from greybox.show.figures.discovery import (
     errors_to_judge,
     explained_share,
@@ -45,17 +49,22 @@ from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.discovery import (
     GRADES,
     claim_text,
+    constant_text,
     probability_text,
     refinement_text,
     rival_text,
     surrogate_title,
-    write_discovery,
 )
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text
+from greybox.show.sentences.wording import capitalise, count_noun, record_text
 
+if TYPE_CHECKING:
+    from greybox.discovery.holdout import HoldoutError
+    from greybox.discovery.refinement import Refinement
+    from greybox.discovery.result import Discovery
+
+# How the answer is marked; every other verdict asks for caution.
 TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
-"""How the answer is marked; every other verdict asks for caution."""
 
 
 def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
@@ -63,13 +72,62 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
     plain = discovery.base.model.title
     return Document(
         f"Effects that {plain} lacks",
-        Later(lambda: [Paragraphs([write_discovery(discovery)])]),
+        Later(_brief, discovery),
         f"Which effect, if any, does {plain} lack?",
         discovery_verdict(discovery),
         Later(_sections, discovery, command),
         "discovery",
         Later(lambda: [FigureBlock(plot_holdout_error(discovery))]),
     )
+
+
+# Candidates that a terminal shows; a page has all.
+LISTED_CANDIDATES = 10
+# An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
+FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
+
+
+def _brief(d: Discovery) -> Iterator[Block]:
+    """The answer, the effects with what speaks for them, the errors, the claims, the candidates, and what to do next."""
+    further = [refinement_text(d.refinement)] if d.refinement is not None and d.refinement.steps else []
+    yield Paragraphs([d.story, *further])
+    where = str(d.localisation).splitlines() if d.localisation.is_missing else []
+    yield BulletList(
+        [
+            *(f"the plain model: {line}" for line in where),
+            *_effects(d, indent="  "),
+            *holdout_lines(d),
+            *([] if d.surrogate is None else [f"surrogate: {d.surrogate}"]),
+        ]
+    )
+    if d.claims and d.verdict is not Verdict.NAMED:
+        yield _claims(d)
+    if d.ranking:
+        yield _candidates_table(d, LISTED_CANDIDATES)
+    failed = {name: finding for name, finding in d.not_tried.items() if finding.code in FAILED_CODES}
+    yield Paragraphs(
+        [
+            *(f"next: {step}" for step in d.next_steps),
+            *(f"note: {name} is out: {finding}" for name, finding in failed.items()),
+            *(f"note: {finding}" for finding in d.findings),
+        ]
+    )
+
+
+def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str], str] = str) -> Iterator[str]:
+    """Each effect with where it acts and its constants, and what speaks for it."""
+    evidence = {e.effect: e for e in discovery.evidence}
+    for effect in discovery.effects:
+        constants = [constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()]
+        equation = f"{effect['equation']}, " if "equation" in effect else ""
+        yield f"{effect['name']} -> {effect['site']}: {equation}{', '.join(constants)}"
+        if effect["name"] in evidence:
+            yield f"{indent}{evidence[effect['name']]}"
+
+
+def holdout_lines(discovery: Discovery) -> list[str]:
+    """The error of each output before and after."""
+    return [f"{output}: rms error on the validation records {error}" for output, error in discovery.holdout.items()]
 
 
 def _sections(discovery: Discovery, command: str) -> Iterator[Section]:
@@ -83,23 +141,11 @@ def _sections(discovery: Discovery, command: str) -> Iterator[Section]:
 
 
 def discovery_verdict(discovery: Discovery) -> Paragraphs:
-    """The answer, the summary, the effects with their parameters, the next steps and the findings."""
-    items: list[Text] = [*sentences(discovery.conclusion)]
-    for effect in discovery.effects if discovery.verdict != "complete" else []:
-        values = [
-            f"{name} = {format_number(c['value'])}{_std(c['std'])} {typeset_unit(c['unit'])}".rstrip()
-            for name, c in effect["parameters"].items()
-        ]
-        look_alike = "The nearest look-alike is " if effect["grade"] == Grade.STAND_IN else ""
-        items.append(f"{look_alike}{effect['name']} ({effect['site']}): {join_names(values)}.")
-        items += (str(e) for e in discovery.evidence if e.effect == effect["name"])
-    items += [f"Next step: {step}" for step in discovery.next_steps]
+    """The answer, the effects with their constants, the next steps and the findings."""
+    effects = _effects(discovery, write_unit=typeset_unit) if discovery.verdict is not Verdict.COMPLETE else ()
+    steps = [f"Next step: {step}" for step in discovery.next_steps]
     tone = TONES.get(discovery.verdict, Tone.CAUTION)
-    return Paragraphs([*items, *discovery.findings], tone)
-
-
-def _std(std: float | None) -> str:
-    return f" +- {std:.2g}" if std else ""
+    return Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *discovery.findings], tone)
 
 
 def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
@@ -126,18 +172,29 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
         yield Section("candidates", "Candidates", list(_candidates(discovery)))
 
 
+# What a claim of each depth states.
+DEPTHS = {
+    Depth.MISSING: "something",
+    Depth.PLACE: "where",
+    Depth.VARIABLES: "of what",
+    Depth.FAMILY: "family",
+    Depth.NAME: "effect",
+}
+
+
 def _claims(discovery: Discovery) -> TableBlock:
-    """What is said of the plain model, from what is missing to its name."""
+    """What is said of the plain model, from what is missing to its name; the sentence last, as it may be long."""
     rows = [
         [
-            capitalise(claim_text(claim_values(claim))),
+            DEPTHS[claim.depth],
             f"{GRADES[claim.grade]} ({probability_text(claim.probability)})",
             f"{100 * claim.share:.0f} % in {claim.output}",
             rival_text(claim.rival) or "none",
+            capitalise(claim_text(to_values(claim))),
         ]
         for claim in discovery.claims
     ]
-    head = ["claim", "certainty", "share of the error", "best rival"]
+    head = ["claim", "certainty", "share of the error", "best rival", "in words"]
     return TableBlock("What the plain model lacks, from something to its name", head, rows)
 
 
@@ -274,10 +331,15 @@ def _candidates(discovery: Discovery) -> Iterator[Block]:
         yield FigureBlock(figure)
     if discovery.alternatives:
         yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
-    rows = [[" + ".join(r.effects), f"{r.misfit:.4g} × noise", f"{r.behind:.4g}"] for r in discovery.ranking]
+    yield Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_candidates_table(discovery)])
+
+
+def _candidates_table(discovery: Discovery, most: int | None = None) -> TableBlock:
+    """The candidates, best first."""
+    rows = [[" + ".join(r.effects), f"{r.misfit:.4g}", f"{r.behind:.4g}"] for r in discovery.ranking[:most]]
+    least = "at least " * discovery.localisation.is_noise_bounded
     note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
-    table = TableBlock("Candidates", ["effects", "misfit", "behind"], rows, note)
-    yield Details(f"All {count_noun(len(rows), 'candidate')}", [table])
+    return TableBlock("Candidates", ["candidate", f"{least}misfit/noise", "behind the best"], rows, note)
 
 
 def _parameters_before_after(discovery: Discovery) -> TableBlock:

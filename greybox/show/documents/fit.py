@@ -28,25 +28,29 @@ from greybox.estimation.optimum import has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
-from greybox.show.documents.equations import typeset_equations
-from greybox.show.documents.provenance import (
+from greybox.show.documents.tables import (
+    MISFIT_HEADS,
     computation_facts,
     fit_provenance_section,
+    misfit_cells,
+    misfit_table,
+    parameters_table,
     records_section,
     signal_units,
+    typeset_equations,
 )
-from greybox.show.documents.tables import MISFIT_HEADS, misfit_cells, misfit_table, parameters_table
-from greybox.show.figures.parameters import (
+from greybox.show.figures.fit import (
     plot_correlation,
     plot_intervals,
+    plot_residual_tests,
     relative_half_width,
     relative_half_widths,
     strongly_correlated_pairs,
 )
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
-from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
+from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
 
 
@@ -92,7 +96,8 @@ def _brief(fit: Fit) -> Iterator[Block]:
     yield from _misfits(fit)
     if kind := _interval_kind(fit):
         yield Facts([("intervals", kind)])
-    notes = (("note", finding) for finding in fit.findings)
+    # Directions among the same constants are different figures and one sentence.
+    notes = (("note", text) for text in dict.fromkeys(sentences(fit.findings)))
     yield Facts([("noise", str(fit.noise)), *computation_facts(fit), *notes])
 
 
@@ -244,7 +249,7 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Bloc
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
         yield Subheading("How to determine the other parameters")
-        yield BulletList(recommendations)
+        yield BulletList(list(dict.fromkeys(sentences(recommendations))))
     intervals = plot_intervals(relative_half_widths(fit), "Half width of each 95 % interval: smaller is better.")
     if intervals is not None:
         yield FigureBlock(intervals)

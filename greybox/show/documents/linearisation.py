@@ -25,7 +25,7 @@ from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.linear.plant import format_signals
 from greybox.estimation.linear.transfer_channel import describe_behaviour
-from greybox.show.documents.provenance import provenance_section
+from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.figures.linear import plot_bode, plot_poles
 from greybox.show.sentences.linear import channel_lines, poles_table

@@ -11,13 +11,13 @@ from greybox.base.errors import ModelError
 from greybox.base.figure import Role
 from greybox.base.units import format_unit
 from greybox.model.model import Model
-from greybox.show.documents.equations import typeset_equations
-from greybox.show.documents.provenance import (
+from greybox.show.documents.tables import (
     format_range,
     format_sampling_time,
     hidden_states,
     provenance_section,
     signal_units,
+    typeset_equations,
 )
 from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.figures.records import plot_signals

@@ -6,13 +6,12 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
-from greybox.discovery.effect_signal import EffectSignal
-from greybox.discovery.result import Discovery
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
 from greybox.estimation.result import Fit
@@ -29,6 +28,7 @@ from greybox.show.figures.discovery import (
     plot_surrogate,
 )
 from greybox.show.figures.figure import draw_sizes
+from greybox.show.figures.fit import plot_residual_tests
 from greybox.show.figures.records import (
     liveliest_window,
     plot_residual,
@@ -36,10 +36,13 @@ from greybox.show.figures.records import (
     plot_run,
     plot_runs_before_after,
 )
-from greybox.show.figures.residual_tests import plot_residual_tests
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import record_text
+
+if TYPE_CHECKING:
+    from greybox.discovery.effect_signal import EffectSignal
+    from greybox.discovery.result import Discovery
 
 
 def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:

@@ -67,6 +67,7 @@ RED, BLUE, GREY = Shade("#c0392b", "#ff7b6b"), Shade("#1f5a8a", "#79b8ff"), Shad
 PURPLE, GREEN, ORANGE = Shade("#7a4fa3", "#c79bf2"), Shade("#18794e", "#5bd29b"), Shade("#b5651d", "#f0a868")
 TEAL, PINK, SLATE = Shade("#0f7c8a", "#5cc8d6"), Shade("#9a3b6d", "#ee8fbe"), Shade("#4b5a67", "#a9b7c4")
 
+# The colour of each role.
 PALETTE: Mapping[Role, Shade] = MappingProxyType(
     {
         Role.MEASURED: GREY,
@@ -93,7 +94,6 @@ PALETTE: Mapping[Role, Shade] = MappingProxyType(
         Role.MODEL_8: SLATE,
     }
 )
-"""The colour of each role."""
 
 
 @dataclass(frozen=True)

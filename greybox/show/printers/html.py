@@ -37,13 +37,13 @@ from greybox.show.figures.sheet import PALETTE
 from greybox.show.sentences.registry import sentence
 from greybox.show.sentences.wording import as_sentence
 
+# What attributes an equation may have: none that links, loads or runs.
 MATHML_ATTRIBUTES = (
     "xmlns display stretchy fence form separator accent accentunder linethickness mathvariant columnalign columnspacing rowspacing"
     " columnlines rowlines displaystyle scriptlevel width height depth minsize maxsize movablelimits lspace rspace"
 )
-"""What attributes an equation may have: none that links, loads or runs."""
+# Characters that HTML does not have: left out.
 CONTROL_CHARACTERS = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
-"""Characters that HTML does not have: left out."""
 MARKUP = {"hovertemplate"}  # templates hold markup of ours, and what they hold of others is escaped already
 
 
@@ -151,7 +151,9 @@ def say(texts: Text | Sequence[Text]) -> str:
 
 def label(text: Text) -> str:
     """A text that is no sentence: a title, a caption of a table."""
-    return typeset_number(sentence(text) if isinstance(text, Finding) else text)
+    return typeset_number(sentence(text) if isinstance(text, Finding) else text).replace(
+        " -> ", " \N{RIGHTWARDS ARROW} "
+    )
 
 
 # Spaces at which a line of a cell should not break: around ± and ×, and in front of the unit at its end.

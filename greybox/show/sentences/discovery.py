@@ -3,38 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from greybox.base.findings import Check, Finding
+from greybox.base.json_shape import to_values
 from greybox.base.units import format_unit
+from greybox.data.signals import InputKind
 from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Depth, claim_values
+from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
-from greybox.discovery.decision import Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
-from greybox.discovery.proposals import InputKind
 from greybox.show.sentences.estimation import status_text
-from greybox.show.sentences.registry import register, renders, sentence, sentences
-from greybox.show.sentences.wording import TEXT_LIMITS, change_text, quantity_text
+from greybox.show.sentences.registry import register, renders, sentence
+from greybox.show.sentences.wording import MOST_PERCENT, change_text, join_names, quantity_text, value_with_unit
 
 if TYPE_CHECKING:
-    from greybox.discovery.claims import Claim
     from greybox.discovery.curve_shape import Dependence
-    from greybox.discovery.effect_signal import RemainingError
     from greybox.discovery.effect_test import EffectTest
     from greybox.discovery.evidence import EffectEvidence
     from greybox.discovery.holdout import HoldoutError
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
     from greybox.discovery.refinement import Refinement, RefinementStep
-    from greybox.discovery.result import Discovery
     from greybox.discovery.surrogate import Surrogate
-
-
-def _quantity(value: float, unit: str, digits: int = 3) -> str:
-    return f"{value:.{digits}g} {unit}".rstrip()
 
 
 def _percent(share: float, digits: int = 3) -> str:
@@ -51,11 +44,13 @@ def shape_text(values: Mapping[str, Any]) -> str:
     kind, parity, position = values["shape"], values["parity"], values["position"]
     unit = values.get("variable_unit", values["unit"])
     if kind == ShapeKind.PERIODIC:
-        text = f"periodic, every {_quantity(values['period'], unit)}"
+        text = f"periodic, every {value_with_unit(values['period'], unit)}"
         amplitude = values.get("amplitude")
-        return text if amplitude is None else f"{text}, with an amplitude of {_quantity(amplitude, values['unit'])}"
+        return (
+            text if amplitude is None else f"{text}, with an amplitude of {value_with_unit(amplitude, values['unit'])}"
+        )
     if kind == ShapeKind.BEND:
-        return f"a bend at {_quantity(position, unit)}"
+        return f"a bend at {value_with_unit(position, unit)}"
     if kind == ShapeKind.CURVED:
         return "curving downwards" if values["downwards"] else "curving upwards"
     if kind == ShapeKind.UNNAMED:
@@ -72,7 +67,7 @@ def shape_text(values: Mapping[str, Any]) -> str:
         ShapeKind.TONE: "a tone",
     }[kind]
     if kind == ShapeKind.FLAT_MIDDLE:
-        text += f" up to about {_quantity(position, unit)}"
+        text += f" up to about {value_with_unit(position, unit)}"
     return f"{text}, downwards" if values["downwards"] else text
 
 
@@ -90,7 +85,7 @@ def dependence_text(values: Mapping[str, Any]) -> str:
 
 @renders("Dependence")
 def _dependence(dependence: Dependence) -> str:
-    return dependence_text(dependence.to_values())
+    return dependence_text(to_values(dependence))
 
 
 def timing_text(timing: MisfitTiming | None, listed: int = 4) -> str:
@@ -132,7 +127,7 @@ def _localisation(location: ResidualLocalisation) -> str:
     lines.append(f"when:  {timing_text(location.timing)}")
     if location.likeliest:
         site = location.sites[0]
-        size = f", {_quantity(site.size, site.unit)} rms" if site.unit else ""
+        size = f", {value_with_unit(site.size, site.unit)} rms" if site.unit else ""
         lines.append(f"where: {sites_text(location.likeliest)}{size}")
     relevant = [str(d) for d in location.dependences if d.is_relevant][:3]
     lines.append(f"as:    {'; '.join(relevant) if relevant else 'no function of any one variable'}")
@@ -149,7 +144,7 @@ def tone_title(frequency: float) -> str:
 
 def surrogate_title(surrogate: Surrogate) -> str:
     """``a curve over x``, ``a sinusoid over x`` or ``a tone of 50.00 Hz``."""
-    return _surrogate_title(surrogate.to_values())
+    return _surrogate_title(to_values(surrogate))
 
 
 def _surrogate_title(values: Mapping[str, Any]) -> str:
@@ -165,7 +160,7 @@ def explained_share_text(share: float) -> str:
 
 @renders("Surrogate")
 def _surrogate(surrogate: Surrogate) -> str:
-    return surrogate_text(surrogate.to_values())
+    return surrogate_text(to_values(surrogate))
 
 
 def surrogate_text(values: Mapping[str, Any]) -> str:
@@ -208,7 +203,7 @@ def _effect_test(test: EffectTest) -> str:
         estimate = test.larger.parameters.get(in_model)
         if estimate is not None:
             values = {"value": estimate.value, "std": estimate.std, "unit": estimate.unit}
-            lines.append(f"  {_parameter(name, values)}")
+            lines.append(f"  {constant_text(name, values)}")
     lines += [f"  {output}: rms error on the validation records {error}" for output, error in test.holdout.items()]
     return "\n".join(lines)
 
@@ -260,11 +255,6 @@ def effect_title(name: str) -> str:
     return EFFECT_TITLES.get(name, name.replace("_", " "))
 
 
-def list_text(names: Sequence[str]) -> str:
-    """``a, b and c``."""
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
-
-
 GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
 
 
@@ -278,7 +268,7 @@ def _evidence(e: EffectEvidence) -> str:
     else:
         text += f", takes nothing of the error in {e.output}"
     if e.alike:
-        text += f"; {list_text([effect_title(name) for name in e.alike])} in its place would do the same"
+        text += f"; {join_names([effect_title(name) for name in e.alike])} in its place would do the same"
     if e.rival and math.isfinite(e.rival_error):
         rest, with_rival = (quantity_text(v, e.unit, beside=e.without) for v in (e.error, e.rival_error))
         # The outputs decide together, and this one need not tell the two apart.
@@ -298,7 +288,7 @@ def _evidence(e: EffectEvidence) -> str:
 
 def probability_text(probability: float) -> str:
     """``98 %``; nothing is quite certain, and nothing impossible."""
-    most = TEXT_LIMITS.most_percent
+    most = MOST_PERCENT
     return f"{min(max(100 * probability, 100 - most), most):.0f} %"
 
 
@@ -309,7 +299,7 @@ def _sites_of(values: Mapping[str, Any]) -> list[str]:
 def _variables_text(variables: Sequence[str]) -> str:
     """``of v``, ``of x and v``, ``of time``; of nothing in particular where there are none."""
     return (
-        f"of {list_text(['time' if v == TIME else v for v in variables])}"
+        f"of {join_names(['time' if v == TIME else v for v in variables])}"
         if variables
         else "of no variable of the model"
     )
@@ -341,17 +331,7 @@ def rival_text(rival: str) -> str:
     """The sets of effects that win where a claim does not hold."""
     if not rival:
         return ""
-    return list_text([effect_title(name) for name in rival.split(" + ")])
-
-
-@renders("Claim")
-def _claim(claim: Claim) -> str:
-    v = claim_values(claim)
-    text = f"{GRADES[claim.grade]} ({probability_text(claim.probability)}): {claim_text(v)}"
-    if claim.depth > Depth.MISSING and claim.share > 0:
-        text += f", {100 * claim.share:.0f} % of the error in {claim.output}"
-    rival = rival_text(claim.rival)
-    return f"{text}; the best rival is {rival}" if rival else text
+    return join_names([effect_title(name) for name in rival.split(" + ")])
 
 
 def _claim_established(finding: Finding) -> str:
@@ -359,11 +339,6 @@ def _claim_established(finding: Finding) -> str:
     text = claim_text(v)
     share = f": {100 * v['share']:.0f} % of the error in {v['output']}" if v["share"] > 0 else ""
     return f"{text[0].upper()}{text[1:]}{share} ({probability_text(v['probability'])} certain). The name is open."
-
-
-@renders("RemainingError")
-def _remaining_error(error: RemainingError) -> str:
-    return _remaining_text(error.output, error.to_values())
 
 
 def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
@@ -383,7 +358,7 @@ def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
 
 def _error_reduced(finding: Finding) -> str:
     v = finding.values
-    effects = list_text([effect_title(name) for name in v["effects"]])
+    effects = join_names([effect_title(name) for name in v["effects"]])
     if not v["share"] > 0:
         return f"The error in {finding.subject} on the validation records does not fall with {effects}."
     return (
@@ -395,80 +370,29 @@ def _error_reduced(finding: Finding) -> str:
 def _effects_established(finding: Finding) -> str:
     v = finding.values
     names = [effect_title(name) for name in v["established"]]
-    text = f"{list_text(names)} {'are' if len(names) > 1 else 'is'} established"
+    text = f"{join_names(names)} {'are' if len(names) > 1 else 'is'} established"
     text = text[0].upper() + text[1:]
     for grade, words in ((Grade.PROBABLE, "probable"), (Grade.STAND_IN, "only a stand-in for something else")):
         others = [effect_title(name) for name, given in v["others"].items() if given == grade]
         if others:
-            text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} {words}"
+            text += f"; {join_names(others)} {'are' if len(others) > 1 else 'is'} {words}"
     return f"{text}. More than that is missing, or not certain."
 
 
 def _effects_probable(finding: Finding) -> str:
     v = finding.values
-    names = [
-        f"{effect_title(name)} ({min(100 * p, TEXT_LIMITS.most_percent):.0f} %)"
-        for name, p in v["probabilities"].items()
-    ]
+    names = [f"{effect_title(name)} ({min(100 * p, MOST_PERCENT):.0f} %)" for name, p in v["probabilities"].items()]
     text = (
-        f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {list_text(names)}"
+        f"No effect is established. {'Probable are' if len(names) > 1 else 'The most probable is'} {join_names(names)}"
     )
     others = [effect_title(name) for name in v["others"]]
     if others:
-        text += f"; {list_text(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
+        text += f"; {join_names(others)} {'are' if len(others) > 1 else 'is'} only a stand-in for something else"
     return f"{text}."
 
 
-# The whole discovery
-
-# An effect of the catalogue with no place in the model is no news in the text; one that should have worked is.
-FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
-
-
-def conclusion_text(discovery: Discovery) -> str:
-    """The answer in one paragraph."""
-    return " ".join(sentences(discovery.conclusion))
-
-
-def write_discovery(d: Discovery) -> str:
-    """The answer, the effects with what speaks for them, the errors, the candidates, and what to do next."""
-    lines = [conclusion_text(d)]
-    if d.refinement is not None and d.refinement.steps:
-        lines.append(refinement_text(d.refinement))
-    lines.append("")
-    if d.localisation.is_missing:
-        lines += [f"  the plain model: {line}" for line in str(d.localisation).splitlines()]
-    evidence = {e.effect: e for e in d.evidence}
-    for effect in d.effects:
-        values = ", ".join(_parameter(name, parameter) for name, parameter in effect["parameters"].items())
-        equation = f"{effect['equation']}, " if "equation" in effect else ""
-        lines.append(f"  {effect['name']} -> {effect['site']}: {equation}{values}")
-        if effect["name"] in evidence:
-            lines.append(f"    {evidence[effect['name']]}")
-    if d.claims and d.verdict is not Verdict.NAMED:
-        lines.append("  claims, from what is missing to its name:")
-        lines += [f"    {'  ' * claim.depth}{claim}" for claim in d.claims]
-    lines += [f"  {output}: rms error on the validation records {error}" for output, error in d.holdout.items()]
-    if d.surrogate is not None:
-        lines.append(f"  surrogate: {d.surrogate}")
-    lines += _ranking(d)
-    lines += [f"next: {step}" for step in sentences(d.next_steps)]
-    failed = {n: f for n, f in d.not_tried.items() if f.code in FAILED_CODES}
-    lines += [f"note: {name} is out: {finding}" for name, finding in failed.items()]
-    lines += [f"note: {finding}" for finding in sentences(d.findings)]
-    return "\n".join(lines)
-
-
-def _ranking(d: Discovery) -> Iterator[str]:
-    if d.ranking:
-        yield ""
-        least = "at least " * d.localisation.is_noise_bounded
-        yield f"  {'candidate':31s}{least:>9s} misfit/noise   behind the best"
-        for rank in d.ranking[:10]:
-            yield f"  {' + '.join(rank.effects):40s} {rank.misfit:12.4g}   {rank.behind:15.4g}"
-
-
-def _parameter(name: str, values: Mapping[str, Any]) -> str:
+def constant_text(name: str, values: Mapping[str, Any]) -> str:
+    """``Fc = 0.05 +- 0.001 N``."""
     std = "" if values["std"] is None else f" +- {values['std']:.2g}"
     return f"{name} = {values['value']:.5g}{std} {values['unit']}".rstrip()
 
@@ -484,7 +408,7 @@ def _effects_tied(finding: Finding) -> str:
 
 def _laws_text(laws: Sequence[Mapping[str, str]]) -> str:
     """``-0.6*a*b (1/s) in the prey balance``; several with ``and``."""
-    return list_text(
+    return join_names(
         [
             f"{law['equation']}{f' ({unit})' if (unit := law['unit']) not in ('', '-', '1') else ''} in the {law['site']} balance"
             for law in laws
@@ -526,9 +450,9 @@ LIKENESSES = {
 
 def _law_likeness(finding: Finding) -> str:
     v = finding.values
-    place = "" if v["place"] is None else _quantity(v["place"], _shown_unit(v["place_unit"]))
+    place = "" if v["place"] is None else value_with_unit(v["place"], _shown_unit(v["place_unit"]))
     words = LIKENESSES[LikenessKind(v["kind"])].format(
-        size=_quantity(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
+        size=value_with_unit(abs(v["size"]), _shown_unit(v["size_unit"])), place=place, variable=v["variable"]
     )
     return f"{finding.subject if v['several'] else 'It'} behaves as {words}."
 
@@ -540,10 +464,10 @@ def _shown_unit(unit: str) -> str:
 def _law_range(finding: Finding) -> str:
     v = finding.values
     ranges = [
-        f"{name} from {low:.3g} to {_quantity(high, _shown_unit(v['units'].get(name, '')))}"
+        f"{name} from {low:.3g} to {value_with_unit(high, _shown_unit(v['units'].get(name, '')))}"
         for name, (low, high) in v["range"].items()
     ]
-    return f"{finding.subject} was seen with {list_text(ranges)}: beyond that it is a guess"
+    return f"{finding.subject} was seen with {join_names(ranges)}: beyond that it is a guess"
 
 
 def _missing_signal(finding: Finding) -> str:
@@ -554,14 +478,14 @@ def _missing_signal(finding: Finding) -> str:
         dependence = f"a function of {values['variable']}"
     else:
         dependence = "no function of any one variable"
-    size = _quantity(values["size"], values["unit"])
+    size = value_with_unit(values["size"], values["unit"])
     return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'])}. The signal is {dependence}."
 
 
 def _check_noise(finding: Finding) -> str:
     values = finding.values
     each = zip(values["std"], values["units"], values["outputs"], strict=True)
-    sizes = ", ".join(f"{_quantity(std, unit)} in {output}" for std, unit, output in each)
+    sizes = ", ".join(f"{value_with_unit(std, unit)} in {output}" for std, unit, output in each)
     return (
         f"check that the sensor noise is {sizes}: it was estimated from these records, and a smaller noise would mean that an effect is"
         " missing; give the noise as a number or as a quiet record"
@@ -572,8 +496,8 @@ def _cover_validation_range(finding: Finding) -> str:
     v = finding.values
     return (
         f"use estimation records that cover the whole range: the validation records reach from {v['least']:.3g} to"
-        f" {_quantity(v['most'], v['unit'])} in {finding.subject}, the estimation records only from {v['low']:.3g} to"
-        f" {_quantity(v['high'], v['unit'])}"
+        f" {value_with_unit(v['most'], v['unit'])} in {finding.subject}, the estimation records only from {v['low']:.3g} to"
+        f" {value_with_unit(v['high'], v['unit'])}"
     )
 
 
@@ -619,7 +543,7 @@ def _look_at_stretch(finding: Finding) -> str:
 
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
-    return f"{finding.subject} is not detectable below {v['parameter']} = {_quantity(v['limit'], v['unit'], 2)}"
+    return f"{finding.subject} is not detectable below {v['parameter']} = {value_with_unit(v['limit'], v['unit'], 2)}"
 
 
 register(
@@ -678,7 +602,7 @@ register(
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
         DiscoveryCode.TRIED_AS_OTHERS: lambda f: (
-            f"{list_text([effect_title(name) for name in f.values['others']])} together are exactly the same"
+            f"{join_names([effect_title(name) for name in f.values['others']])} together are exactly the same"
         ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",

@@ -20,7 +20,8 @@ from greybox.estimation.transcription.problem import SolutionCode, Transcription
 from greybox.show.sentences.data import describe_source
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 from greybox.show.sentences.wording import (
-    TEXT_LIMITS,
+    LONGEST_FORMULA,
+    NOISE_REACH,
     capitalise,
     format_shares,
 )
@@ -116,7 +117,7 @@ def _write_term_not_finite(finding: Finding) -> str:
             "storage": f"the inverse storage of balance {v['balance']!r}",
             "output": f"the output {v['name']!r}",
         }[v["kind"]]
-        formula = f" ({v['formula']})" if len(v["formula"]) <= TEXT_LIMITS.longest_formula else ""
+        formula = f" ({v['formula']})" if len(v["formula"]) <= LONGEST_FORMULA else ""
         what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
     return f"{_write_place(finding)}: {what} at {_write_point(finding)}"
 
@@ -444,7 +445,7 @@ def _write_growth(noise: FitNoise, output: str) -> str:
 
 def _write_estimated_level(noise: FitNoise, output: str) -> str:
     low, high = noise.interval(output)
-    known = math.log(high / noise.std[output]) < TEXT_LIMITS.noise_reach
+    known = math.log(high / noise.std[output]) < NOISE_REACH
     ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
     return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"
 

@@ -17,8 +17,8 @@ Writer = Callable[[Any], str | Sequence[Any]]
 
 _templates: dict[str, Template] = {}
 _writers: dict[str, Writer] = {}
+# Packages that bring a module ``sentences`` of their own.
 EXTENSIONS = "greybox.extensions"
-"""Packages that bring a module ``sentences`` of their own."""
 
 
 def register(new: Mapping[str, Template]) -> None:

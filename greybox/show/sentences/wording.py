@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from greybox.base.findings import Finding
@@ -127,22 +126,11 @@ def format_shares(shares: Mapping[str, float], digits: int = 2) -> str:
 
 # What sentences leave out.
 
-
-@dataclass(frozen=True)
-class TextLimits:
-    """Up to where figures and formulas are written out."""
-
-    longest_formula: int = 80
-    """Characters of a formula that are worth showing in a sentence."""
-
-    most_percent: float = 99.0
-    """Nothing is said to be more certain than this."""
-
-    noise_reach: float = 5.0
-    """A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing."""
-
-    change_reach: float = 10.0
-    """A change whose 95 % interval reaches further than so many times the value is not determined: its figures say nothing."""
-
-
-TEXT_LIMITS = TextLimits()
+# Characters of a formula that are worth showing in a sentence.
+LONGEST_FORMULA = 80
+# Nothing is said to be more certain than this, in percent.
+MOST_PERCENT = 99.0
+# A noise level whose 95 % interval reaches further than a factor e to this is written without the interval: it says nothing.
+NOISE_REACH = 5.0
+# A change whose 95 % interval reaches further than so many times the value is not determined: its figures say nothing.
+CHANGE_REACH = 10.0

@@ -14,6 +14,7 @@ import pytest
 from greybox.base.json_file import read_json
 from greybox.base.json_shape import iterate_json
 from greybox.comparison.result import Comparison
+from greybox.discovery.result import Discovery
 from greybox.estimation.check import ModelCheck
 from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.uncertainty import Bootstrap, Profile, load_bootstrap, load_profile
@@ -42,6 +43,7 @@ KINDS: dict[str, Any] = {
     "check": ModelCheck,
     "compare": Comparison,
     "design": Design,
+    "discovery": Discovery,
     "fmu_fit": FmuWithEffects,
     "linear_model": LinearFile,
 }

@@ -11,9 +11,11 @@ from jsonschema import Draft202012Validator
 
 import greybox as gb
 from greybox.base.errors import DataError
-from greybox.base.json_file import ResultKind, parse_json, read_json
+from greybox.base.json_file import parse_json, read_json
 from greybox.comparison.result import Comparison
 from greybox.data.noise.noise_model import NoiseSource
+from greybox.discovery.execution import RefitEntry
+from greybox.discovery.result import Discovery
 from greybox.estimation.check import ModelCheck, check
 from greybox.estimation.result import Fit, load_fit
 from greybox.estimation.uncertainty import Bootstrap, Profile
@@ -29,7 +31,19 @@ from tests.oracles.independent import linear_record, multisine
 from tests.support.result_schema import find_schema, strict_offences
 
 KINDS = (
-    *(*ResultKind, Fit, FitAnswer, Profile, Bootstrap, Comparison, ComparisonAnswer, Design, Campaign, ChangeDetection),
+    *(
+        Discovery,
+        RefitEntry,
+        Fit,
+        FitAnswer,
+        Profile,
+        Bootstrap,
+        Comparison,
+        ComparisonAnswer,
+        Design,
+        Campaign,
+        ChangeDetection,
+    ),
     *(ModelCheck, LinearFile, FmuWithEffects),
 )
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import f_oneway, jarque_bera, levene, probplot
 
 from greybox.estimation.residuals import equal_mean_test, equal_variance_test, normality_test
-from greybox.show.figures.residual_tests import expect_normal_order
+from greybox.show.figures.fit import expect_normal_order
 
 
 def blocks(seed: int) -> list[np.ndarray]:

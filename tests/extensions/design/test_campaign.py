@@ -19,8 +19,9 @@ from click.testing import CliRunner
 import greybox as gb
 from greybox.base.errors import DataError
 from greybox.base.files import hold_file
-from greybox.base.json_file import ResultKind, read_json
+from greybox.base.json_file import read_json
 from greybox.data.signals import SignalLimit
+from greybox.discovery.result import Discovery
 from greybox.estimation.result import load_fit
 from greybox.extensions.design.campaign import (
     MODEL_ERROR,
@@ -34,7 +35,7 @@ from greybox.extensions.design.campaign import (
 )
 from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignPolicy
 from greybox.shell.commands import app
-from greybox.show.report import describe_page
+from greybox.show.describe import describe_page
 from tests.support.result_schema import strict_offences
 
 PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
@@ -99,7 +100,7 @@ def test_it_names_the_hidden_effect_within_the_limits(finished) -> None:
     steps, _, _ = describe_page(finished).sections
     widths = next(block for block in steps.blocks if block.caption.startswith("Half width of the 95 % interval"))
     (value,) = [row[-1] for row in widths.rows if row[0] == "K3"]
-    discovered = read_json(finished.folder / f"{len(finished.steps):02d}" / "discovery.json", ResultKind.DISCOVERY)
+    discovered = read_json(finished.folder / f"{len(finished.steps):02d}" / "discovery.json", Discovery)
     assert float(value.split()[0]) == pytest.approx(discovered["parameters"]["K3"]["value"], rel=1e-4)
 
 

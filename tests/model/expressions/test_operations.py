@@ -13,8 +13,7 @@ from greybox.base.errors import GreyboxError, ModelError
 from greybox.base.units import ONE
 from greybox.model.expressions.operations import FLAT, OPERATIONS, Binding, Operation, Slopes, function, operation_name
 from greybox.model.expressions.printer import MODELICA, NUMPY, PYTHON, Printer, c_instruction, c_literal, c_type
-from greybox.model.expressions.text import LATEX, TEXT, evaluate_formula, expression_text, format_formula
-from greybox.model.expressions.units import infer_unit
+from greybox.model.expressions.text import LATEX, TEXT, evaluate_formula, expression_text, format_formula, infer_unit
 from greybox.simulation.kernel.interpreted import evaluate_tape
 from greybox.simulation.kernel.tape import read_tape
 

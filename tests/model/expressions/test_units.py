@@ -7,7 +7,7 @@ import pytest
 
 from greybox.base.errors import ModelError, UnitError
 from greybox.base.units import parse_unit
-from greybox.model.expressions.units import unit_of
+from greybox.model.expressions.text import unit_of
 
 UNITS = {"x": "m", "y": "m", "v": "m/s", "F": "N", "r": "", "k": "N/m", "mm": "mm", "t": "s", "angle": "deg"}
 x, y, v, F, r, k, mm, t, angle = (ca.SX.sym(symbol) for symbol in UNITS)

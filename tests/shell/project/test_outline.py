@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from greybox.shell.outline import find_outline, list_outlines, read_outlines
+from greybox.shell.completion import find_outline, list_outlines, read_outlines
 from greybox.shell.project import list_models
 
 TRAP = """

@@ -32,7 +32,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "models" / "rig.py").write_text("import greybox\n")
     (tmp_path / "effects").mkdir()
     (tmp_path / "results" / "rig-discover").mkdir(parents=True)
-    empty = {"parameters": {}, "gap": {}}
+    empty = {"parameters": {}, "gap": {}, "alternatives": [], "ranking": [], "noise": {}}
     data = {"format": 1, "verdict": "named", "effects": [LAW], "model": "rig", **empty}
     (tmp_path / "results" / "rig-discover" / "discovery.json").write_text(json.dumps(data))
     monkeypatch.chdir(tmp_path)

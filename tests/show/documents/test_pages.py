@@ -27,10 +27,10 @@ from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
 from greybox.shell.commands import app
+from greybox.show.describe import describe_page
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, label, render_page, say, write_page
-from greybox.show.report import describe_page
 from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 

@@ -18,8 +18,8 @@ from greybox.estimation.errors import OutputRun
 from greybox.estimation.linear.linearise import linearise
 from greybox.show.figures.comparison import model_roles, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import plot_effect_signal, plot_unexplained_signal
+from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.linear import plot_bode, plot_poles, response_frequencies
-from greybox.show.figures.parameters import plot_intervals
 from greybox.show.figures.pictures import comparison_sheet
 from models.micro_actuator import micro_actuator
 
