@@ -230,8 +230,8 @@ def is_same(trip: Mapping[str, Any]) -> bool:
     return bool(trip["said"]) or all(abs(ratio - 1) <= SAME for ratio in trip["ratio"].values())
 
 
-def write_page(lines: Sequence[Mapping[str, Any]]) -> str:
-    """The page `measured_certainty.md`."""
+def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
+    """The page `measured_certainty.md`; ``note`` is a sentence on which state of the program the searches are of."""
     counts = count_claims(lines)
     by_depth = [
         [word, *(str(counts[depth, grade, truth]) for grade in GRADES for truth in WORDS)]
@@ -293,7 +293,9 @@ def write_page(lines: Sequence[Mapping[str, Any]]) -> str:
     ]
     return "\n".join(
         [
-            HEAD.format(searches=len(lines), rigs=len({line["rig"] for line in lines})),
+            HEAD.format(
+                searches=len(lines), planned=len(SEARCHES), rigs=len({line["rig"] for line in lines}), note=note
+            ),
             markdown(["what", "answers"], totals),
             "\n## By depth and grade\n",
             markdown(heads, by_depth),
@@ -355,9 +357,10 @@ def tell_trip(trip: Mapping[str, Any]) -> str:
 
 HEAD = """# Certainty on measured records
 
-Written by `python -m fits.measured_certainty FOLDER --page docs/measured_certainty.md`: {searches} searches on {rigs} rigs, nothing told
-but the plain model. Each learns from one record, chooses by another and is judged on a third (two falls of a ball on another ball of
-its kind). The records are public and not part of this project; `fits.measured_rigs` says whose they are and what is known of each rig.
+Written by `python -m fits.measured_certainty FOLDER --page docs/measured_certainty.md`: {searches} of {planned} searches, on {rigs} rigs,
+nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
+(two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
+they are and what is known of each rig.
 
 - Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
   pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
@@ -393,6 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--rig", action="append", choices=list(RIGS), dest="rigs", help="these rigs alone")
     parser.add_argument("--page", type=Path, help="write the page of the searches that are done, and search nothing")
+    parser.add_argument("--note", default="", help="a sentence for the page on the state of the program that searched")
     given = parser.parse_args(arguments)
     given.output.mkdir(parents=True, exist_ok=True)
     cases = [case for case in SEARCHES if case.rig in (given.rigs or RIGS)]
@@ -413,7 +417,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Judged anew: what is known of a rig may have grown since.
     lines = [judge_again(line) for line in sorted(lines, key=lambda line: list(RIGS).index(line["rig"]))]
     if given.page:
-        given.page.write_text(write_page(lines), encoding="utf-8")
+        given.page.write_text(write_page(lines, given.note and f" {given.note}"), encoding="utf-8")
     for line in lines:
         sys.stdout.write(f"{line['rig']}: {line['verdict']}; {tell_effects(line)}; {tell_deepest(line)}\n")
 
