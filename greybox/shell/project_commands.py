@@ -173,7 +173,7 @@ KEEP = "keep"
 
 
 def effects(study: Study) -> Answer:
-    """List the effects of the catalogue, or where they find a place in a model.
+    """List the effects of the catalogue, or where they find a place in a model; or show one of them.
 
     greybox effects keep NAME writes the law of a discovery to effects/NAME.py of the project: from then on it is a candidate
     beside those of the catalogue. Any effect of your own in effects/ is.
@@ -195,8 +195,9 @@ def effects(study: Study) -> Answer:
             )
         return Answer(written([keep_effect(study.own_name, study.kept_result)]), str)
     entries = (*all_effects(), *find_own_effects())
-    listing = EffectListing("", entries)
-    if model:
+    alone = tuple(entry for entry in entries if entry.name == model)
+    listing = EffectListing("", alone or entries)
+    if model and not alone:
         plant = add_effects(find_model(model), study.added)
         listing = EffectListing(plant.title, entries, tuple(find_placements(plant, entries)))
     return Answer(listing, lambda _: _as_json(_to_data(listing)))
@@ -211,13 +212,14 @@ EFFECTS = Command(
     "List the effects, or where they act in a model.",
     (
         Study.some_model.but(
-            help="The model in which they look for a place: its name or its file. Without MODEL, the catalogue is listed. The word"
-            " keep: the law of a discovery becomes an effect of the project."
+            help="The model in which they look for a place: its name or its file; or the name of one effect. Without MODEL, the"
+            " catalogue is listed. The word keep: the law of a discovery becomes an effect of the project."
         ),
         *(Study.own_name, Study.added, Study.kept_result, Study.json),
     ),
     (
         "greybox effects",
+        "greybox effects coulomb_friction",
         "greybox effects micro_actuator",
         "greybox effects my/rig.py --json",
     ),

@@ -578,3 +578,10 @@ def test_a_plant_in_a_model_file_is_fitted_and_what_needs_equations_refuses_it(r
         judge = ["--validate", tmp_path / "run.csv"] * (command == "discover")
         refused = run(command, *given, *judge)
         assert refused.exit_code == 2 and "needs equations" in refused.stderr, refused.output
+
+
+def test_one_effect_is_shown_by_its_name(run: Run) -> None:
+    shown = json.loads(run("effects", "coulomb_friction", "--json").stdout)
+    assert [e["name"] for e in shown] == ["coulomb_friction"]
+    text = run("effects", "coulomb_friction").stdout
+    assert "Fc" in text and "stribeck" not in text

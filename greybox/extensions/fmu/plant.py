@@ -16,7 +16,7 @@ from greybox.base.errors import ModelError, nearest
 from greybox.base.texts import to_identifiers
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
-from greybox.extensions.fmu.description import FmuDescription, FmuVariable, read_description
+from greybox.extensions.fmu.description import FmuDescription, read_description
 from greybox.extensions.fmu.simulator import FmuSimulator
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter
@@ -73,8 +73,14 @@ class FmuPlant(Printable):
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """What can be set before a run; initial states are fixed, and so is everything where it is too much."""
-        is_crowded = sum(not v.is_initial for v in self.fmu.parameters) > MOST_FREE
-        return tuple(_to_parameter(v, v.is_initial or is_crowded, self.fmu.path.name) for v in self.fmu.parameters)
+        is_crowded, stated = sum(not v.is_initial for v in self.fmu.parameters) > MOST_FREE, []
+        for v in self.fmu.parameters:
+            # A start outside of its own bounds is the FMU's mistake, and what it runs with.
+            low, high = min(v.bounds[0], v.start), max(v.bounds[1], v.start)
+            bounds = (low, high) if low < high else (-np.inf, np.inf)
+            fixed, source = v.is_initial or is_crowded, self.fmu.path.name
+            stated.append(Parameter(v.label, v.unit, v.start, bounds, fixed, source, description=v.description))
+        return tuple(stated)
 
     @cached_property
     def model(self) -> PlantModel:
@@ -145,7 +151,10 @@ class FmuPlant(Printable):
             return None
         known = {v.label: v for v in self.fmu.parameters}
         unknowns = [known[name] for name in names]
-        widths = np.array([self._choose_width(v, values[v.label]) for v in unknowns])
+        sizes = [PLANT_DIFFERENCE * (max(abs(values[v.label]), abs(v.start)) or 1.0) for v in unknowns]
+        # To the other side where the upper bound is near.
+        above = [values[v.label] + size > v.bounds[1] for v, size in zip(unknowns, sizes, strict=True)]
+        widths = np.where(above, -1.0, 1.0) * sizes
         # What is differentiated must be set, also where it is at the FMU's own value.
         settings = self._settings(values) | {v.name: values[v.label] for v in unknowns}
         return self.simulator.differentiate(record, settings, unknowns, widths, outputs)
@@ -161,21 +170,6 @@ class FmuPlant(Printable):
     def _settings(self, values: Mapping[str, float]) -> dict[str, float]:
         """Variable of the FMU -> value, of those that are not at its own: a start that is not stated is not known."""
         return {v.name: values[v.label] for v in self.fmu.parameters if values[v.label] != v.start}
-
-    @staticmethod
-    def _choose_width(variable: FmuVariable, value: float) -> float:
-        width = PLANT_DIFFERENCE * (max(abs(value), abs(variable.start)) or 1.0)
-        return -width if value + width > variable.bounds[1] else width
-
-
-def _to_parameter(variable: FmuVariable, fixed: bool, source: str) -> Parameter:
-    low, high = variable.bounds
-    # A start outside of its own bounds is the FMU's mistake, and what it runs with.
-    bounds = (min(low, variable.start), max(high, variable.start))
-    bounds = bounds if bounds[0] < bounds[1] else (-np.inf, np.inf)
-    return Parameter(
-        variable.label, variable.unit, variable.start, bounds, fixed, source, description=variable.description
-    )
 
 
 def read_fmu(path: str | os.PathLike[str], *, outputs: Sequence[str] | None = None) -> FmuPlant:
