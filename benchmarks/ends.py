@@ -80,8 +80,8 @@ def draw_case(rng: random.Random, largest: int = 50) -> Case:
     return Case(bodies, rng.random() < 0.5, rng.choice([*STATUS, *SIGNALS]), rng.uniform(0.2, LATEST))
 
 
-def run_case(case: Case, cache: Path) -> str:
-    """What was wrong with the end of a program; an empty text where nothing was."""
+def run_case(case: Case, cache: Path, limit: float = LONGEST) -> str:
+    """What was wrong with the end of a program, which may take ``limit`` seconds; an empty text where nothing was."""
     mark = f"{os.getpid()}-{time.monotonic_ns()}"
     environment = os.environ | {
         "PYTHONPATH": str(ROOT),
@@ -103,7 +103,6 @@ def run_case(case: Case, cache: Path) -> str:
             text=True,
             start_new_session=True,
         )
-        limit = LONGEST
         if case.end in SIGNALS:
             time.sleep(case.after)
             program.send_signal(SIGNALS[case.end])
@@ -163,6 +162,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--programs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--largest", type=int, default=50, help="bodies of the largest chain")
+    parser.add_argument("--limit", type=float, default=LONGEST, help="s that a program may take")
     chosen = parser.parse_args(arguments)
     rng, faults, ends = random.Random(chosen.seed), 0, Counter[str]()
     with tempfile.TemporaryDirectory() as folder:
@@ -174,11 +174,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             if rng.random() < 0.5:
                 cache = Path(folder, f"cache{k}")
                 cache.mkdir(mode=0o700)
-            fault = run_case(case, cache)
+            fault = run_case(case, cache, chosen.limit)
             ends[case.end] += 1
             faults += bool(fault)
             if fault:
                 print(f"{case}: {fault}", flush=True)
+            elif (k + 1) % 10 == 0:
+                print(f"{k + 1} programs, {faults} with a fault", flush=True)
     print(
         f"{chosen.programs} programs, {faults} with a fault; "
         + ", ".join(f"{n} {end}" for end, n in sorted(ends.items()))

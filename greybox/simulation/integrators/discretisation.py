@@ -140,7 +140,7 @@ EXPLICIT = {"rk4": rk4}
 """Methods whose substeps are tied to the fastest eigenvalue: ``(system, substeps, past) -> Step``."""
 
 IMPLICIT = {"midpoint": midpoint, "radau": radau}
-"""Methods that take stiff modes in one step: ``(system, substeps, past, policy) -> Step``."""
+"""Methods that take stiff modes in one step: ``(system, substeps, past) -> Step``."""
 
 METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
 """What may be asked for."""
@@ -209,7 +209,7 @@ def discretise(
             " use RK4, or resample the record"
         )
     if method == "exact" or (method == "automatic" and system.linear and few_lengths and not uneven_delay):
-        return _make_exact(system, past)
+        return _make(system, "exact", (), 1, past)
     longest = float(np.max(lengths, initial=0.0))
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
     first = substeps or (
@@ -218,7 +218,7 @@ def discretise(
     )
 
     def make(count: int) -> Step:
-        return _make_stepped(method, system, tuple(fast), count, past, policy)
+        return _make(system, method, tuple(fast), count, past)
 
     if target <= 0 or inputs is None or substeps:
         return make(first)
@@ -226,21 +226,9 @@ def discretise(
 
 
 @lru_cache(maxsize=64)  # for the next fit of the same equations at other values
-def _make_exact(system: System, past: InputHistory | None) -> Step:
-    return exact_hold(system, past)
-
-
-@lru_cache(maxsize=64)
-def _make_stepped(
-    method: str,
-    system: System,
-    fast: tuple[int, ...],
-    substeps: int,
-    past: InputHistory | None,
-    policy: DiscretisationPolicy,
-) -> Step:
+def _make(system: System, method: str, fast: tuple[int, ...], substeps: int, past: InputHistory | None) -> Step:
+    if method == "exact":
+        return exact_hold(system, past)
     if method == "mixed":
         return mixed(system, fast, substeps, past)
-    if method in IMPLICIT:
-        return IMPLICIT[method](system, substeps, past)
-    return EXPLICIT.get(method, rk4)(system, substeps, past)
+    return (IMPLICIT | EXPLICIT).get(method, rk4)(system, substeps, past)

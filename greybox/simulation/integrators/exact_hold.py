@@ -253,7 +253,7 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
 
     advance = ca.Function("advance", [x, ua, ub, q, h], [following])
     # With a delay q has gains beside the exponential's entries: no kernel computes them by itself.
-    generator = None if delayed else _write_generator(system)
+    generator = None if delayed else ca.Function("generator", [system.p], [ca.densify(ca.vec(_write_matrix(system)))])
     regressors = ca.Function("regressors", [ua, ub], [ca.densify(ca.vertcat(*parts[1:]))])
     return Step(
         "exact hold",
@@ -265,11 +265,6 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
         generator=generator,
         regressors=regressors,
     )
-
-
-def _write_generator(system: System) -> ca.Function:
-    """``p -> vec([A, B, c])`` of ``dx/dt = A x + B u + c``."""
-    return ca.Function("generator", [system.p], [ca.densify(ca.vec(_write_matrix(system)))])
 
 
 def _write_matrix(system: System) -> ca.SX:

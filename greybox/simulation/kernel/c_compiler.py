@@ -84,8 +84,9 @@ class NoCompilerError(CompilerError):
     """There is no C compiler on this machine."""
 
 
-# Seconds after which a compilation is given up. The largest models take one tenth of it on a slow machine.
-COMPILE_SECONDS = 300.0
+# Seconds after which a compilation is given up: few models are fitted for as long as a longer text takes, and what is waited for, the tape
+# machine, takes half a second of an idle processor.
+COMPILE_SECONDS = 60.0
 
 
 @dataclass(frozen=True)
@@ -99,22 +100,16 @@ class Compiler:
     """Whether nobody waits for it."""
 
 
-# Seconds that a compiler may take in the background, where nobody waits for it. Few models are fitted for as long as a longer text takes.
-BACKGROUND_SECONDS = 60.0
-
-
 def load_library(
-    source: Callable[[], str], key: str, is_quick: bool = False, budget: float | None = None
+    source: Callable[[], str], key: str, is_quick: bool = False, is_background: bool = False
 ) -> ctypes.CDLL:
     """The library compiled from the C text that ``source()`` writes, from the cache where it is there already.
 
     ``key`` says what the text is made from: it is not written where a library of that key is there. ``is_quick``: compile in half the
-    time what runs a tenth slower. ``budget``: seconds after which this library is given up; without one a compiler that hangs is not
-    asked again. Raises CompilerError.
+    time what runs a tenth slower. ``is_background``: nobody waits for it; a compiler that was waited for and hangs is not asked again.
+    Raises CompilerError.
     """
-    compiler = find_compiler()
-    if budget is not None:
-        compiler = replace(compiler, timeout=min(budget, compiler.timeout), is_background=True)
+    compiler = replace(find_compiler(), is_background=is_background)
     flags = _flags(compiler, is_quick)
     name = _name_of_library(compiler, flags, key)
     try:

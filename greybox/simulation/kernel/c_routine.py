@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from importlib.resources import files
 
 import casadi as ca
 
@@ -27,6 +28,11 @@ def refuse_unwritable(op: int) -> None:
             f"CasADi operation number {op} ({operation_name(op)}) cannot be written in C;"
             " write the term without it, or let the interpreted kernel run it"
         )
+
+
+def read_template(name: str) -> str:
+    """A C text of this package."""
+    return files("greybox.simulation.kernel").joinpath(name).read_text(encoding="utf-8")
 
 
 # Values that may be computed before the first tangent, in a step that calls functions such as ``tanh``: they lie in memory until then. A
@@ -111,16 +117,14 @@ class CRoutine:
     def _order(self) -> list[tuple[str, int]]:
         """The instructions as they run; tangents after all values where calls of functions would come between their registers."""
         values = [(kind, k) for kind, k in self.tape.order if kind == "node"]
+        operations = {self.tape.nodes[k].op for _, k in values}
+        # Square roots, signs and rounding are instructions of the processor, the others functions.
+        has_calls = any(op in OPERATIONS and CALL.search(OPERATIONS[op].c) for op in operations)
         # A call may use every vector register: tangents that are in them would be saved and fetched again around
         # each call.
-        if len(values) > MOST_VALUES_AHEAD or not any(self._is_call(self.tape.nodes[k]) for _, k in values):
+        if len(values) > MOST_VALUES_AHEAD or not has_calls:
             return self.tape.order
         return [*values, *((kind, k) for kind, k in self.tape.order if kind != "node")]
-
-    @staticmethod
-    def _is_call(node: Node) -> bool:
-        """Whether an operation calls a function; square roots, signs and rounding are instructions of the processor."""
-        return node.op in OPERATIONS and bool(CALL.search(OPERATIONS[node.op].c))
 
     @staticmethod
     def _type(node: Node) -> str:

@@ -10,7 +10,6 @@ import ctypes
 from collections.abc import Collection
 from dataclasses import replace
 from functools import cached_property
-from importlib.resources import files
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.simulation.integrators.composition import as_coefficients
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import choose_vector_width, load_library
-from greybox.simulation.kernel.c_routine import CRoutine, refuse_unwritable
+from greybox.simulation.kernel.c_routine import CRoutine, read_template, refuse_unwritable
 from greybox.simulation.kernel.interface import (
     GaussNewtonSums,
     KernelArguments,
@@ -294,11 +293,6 @@ def _declare(function: Any, result: Any, leading: tuple[Any, ...], numbers: tupl
     function.argtypes = (*leading, ctypes.c_long, *numbers, *[ctypes.c_void_p] * arrays)
     function.restype = result
     return function
-
-
-def read_template(name: str) -> str:
-    """A C text of this package."""
-    return files("greybox.simulation.kernel").joinpath(name).read_text(encoding="utf-8")
 
 
 def _choose_shape(directions: int, first_order: bool, free: frozenset[int] | None) -> LibraryShape:

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import (
-    BACKGROUND_SECONDS,
     CompilerBudgetError,
     CompilerError,
     find_library,
@@ -66,7 +65,7 @@ class CompilerKind(Enum):
 SECONDS_OF_INSTRUCTION = 2.5e-9
 # Seconds that each way to code takes for an instruction of the machine with one block of tangents: chains of 3 to 25 nonlinear springs, 26
 # directions at most. Work of a model begins to be compiled when it has taken as long as that will.
-COMPILER_SECONDS = {CompilerKind.TRANSLATED: 7e-5, CompilerKind.QUICK: 1e-4, CompilerKind.FULL: 2e-4}
+COMPILER_SECONDS = {CompilerKind.TRANSLATED: 4e-5, CompilerKind.QUICK: 1e-4, CompilerKind.FULL: 2e-4}
 # Share of a pass by the machine for which its library is waited for: the two together take at most half as long again.
 WAITED_SHARE = 0.5
 
@@ -155,7 +154,7 @@ def _forget_translated(most: int) -> None:
         if name[1] is CompilerKind.TRANSLATED and order.result is not None
     ]
     # The dictionary keeps the order of use: `_find_order` puts what is asked for at its end.
-    for name in translated[: len(translated) - most]:
+    for name in translated[: max(0, len(translated) - most)]:
         _orders.pop(name, None)
 
 
@@ -289,7 +288,7 @@ class GradualKernel(CompiledKernel):
                 return lambda: TapeMachine(self._machine_sizes(shape), tapes, is_translated=True)
             # Written here, in the thread of the search: CasADi's functions are not shared between threads.
             text = self.source(shape)
-            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK, BACKGROUND_SECONDS)
+            return lambda: load_library(lambda: text, key, kind is CompilerKind.QUICK, is_background=True)
 
         order.place(prepare, key, kind.value)
 

@@ -103,8 +103,6 @@ if hasattr(os, "register_at_fork"):
 # Instructions of LLVM from which its code generator runs in a process of its own. It takes 0.3 ms each, and more in long routines, and
 # nothing can interrupt it in this process; a process of its own costs 0.2 s and ends with the program.
 LONG_ROUTINE = 700
-# Seconds after which a code generator is given up: the tape machine has done the work of several fits by then.
-GENERATOR_SECONDS = 60.0
 
 
 def _run_generator(llvm: ModuleType, source: str, instructions: int) -> Any:
@@ -120,7 +118,7 @@ def _run_generator(llvm: ModuleType, source: str, instructions: int) -> Any:
         write_file(text, source)
         command = [sys.executable, "-P", "-c", GENERATOR, str(text), str(code)]
         try:
-            run = run_compiler(command, GENERATOR_SECONDS, is_background=True)
+            run = run_compiler(command, is_background=True)
         except CompilerError as error:  # it takes too long, or the program has ended
             raise RuntimeError(str(error)) from error
         if run.returncode or not code.exists():

@@ -34,66 +34,34 @@ struct registers {
 #define SUM_MORE -12
 #define END -13
 
-#define A r[pc[2]]
-#define B r[pc[3]]
-#define C r[pc[4]]
-#define BLOCKS for (int b = 0; b < nb; b++)
+#define RUN run
+#define LANE v
+#define LANE_U vu
+#define FUSE FMA_LANES
+#include "machine_run.h"
 
-INLINE void run(const int *pc, double *r, v *t, const double *const *in, const vu *const *din, double *z, v *dz, const int nb)
+/* Two blocks at a time, where the processor has registers of that width. A lane is computed as it is alone: the bits are the same. */
+#if defined(__AVX512F__) && W == 4
+typedef double wide __attribute__((vector_size(16 * W), aligned(8), may_alias));
+INLINE wide FMA_WIDE(double a, wide b, wide c)
 {
-    for (;;)
-        switch (*pc) {
-            VALUE_CASES
-        case LOAD:
-            r[pc[1]] = in[pc[2]][pc[3]], pc += 4;
-            break;
-        case LOAD_TANGENT:
-            BLOCKS t[pc[1] * nb + b] = din[pc[2]][pc[3] * nb + b];
-            pc += 4;
-            break;
-        case STORE:
-            z[pc[1]] = r[pc[2]], pc += 3;
-            break;
-        case STORE_TANGENT:
-            BLOCKS dz[pc[1] * nb + b] = t[pc[2] * nb + b];
-            pc += 3;
-            break;
-        case PICK:
-            BLOCKS t[pc[1] * nb + b] = pick(r[pc[2]] != 0, t[pc[3] * nb + b], t[pc[4] * nb + b]);
-            pc += 5;
-            break;
-        case SUM_1:
-            BLOCKS t[pc[1] * nb + b] = A * t[pc[3] * nb + b];
-            pc += 4;
-            break;
-        case SUM_2:
-            BLOCKS t[pc[1] * nb + b] = FMA_LANES(C, t[pc[5] * nb + b], A * t[pc[3] * nb + b]);
-            pc += 6;
-            break;
-        case SUM_3:
-            BLOCKS t[pc[1] * nb + b] =
-                FMA_LANES(r[pc[6]], t[pc[7] * nb + b], FMA_LANES(C, t[pc[5] * nb + b], A * t[pc[3] * nb + b]));
-            pc += 8;
-            break;
-        case SUM_MORE: {
-            const int *end = pc + 3 + 2 * pc[2];
-            BLOCKS {
-                v sum = r[pc[3]] * t[pc[4] * nb + b];
-                for (const int *term = pc + 5; term < end; term += 2)
-                    sum = FMA_LANES(r[term[0]], t[term[1] * nb + b], sum);
-                t[pc[1] * nb + b] = sum;
-            }
-            pc = end;
-            break;
-        }
-        default:
-            return;
-        }
+    return __builtin_ia32_vfmaddpd512_mask(a - (wide){0}, b, c, -1, 4);
 }
-
-#undef A
-#undef B
-#undef C
+#define RUN run_wide
+#define LANE wide
+#define LANE_U wide
+#define FUSE FMA_WIDE
+#include "machine_run.h"
+INLINE void run_many(const int *pc, double *r, v *t, const double *const *in, const vu *const *din, double *z, v *dz, const int nb)
+{
+    if (nb % 2)
+        run(pc, r, t, in, din, z, dz, nb);
+    else
+        run_wide(pc, r, (wide *)t, in, (const wide *const *)din, z, (wide *)dz, nb / 2);
+}
+#else
+#define run_many run
+#endif
 
 /* Compiled code, or else the instructions, with the usual numbers of blocks as constants: their loops then vanish. */
 static void execute(const struct registers *c, const int *pc, code *compiled, const double *const *in, const vu *const *din, double *z, v *dz)
@@ -119,7 +87,7 @@ static void execute(const struct registers *c, const int *pc, code *compiled, co
         run(pc, c->r, c->t, in, din, z, dz, 4);
         return;
     default:
-        run(pc, c->r, c->t, in, din, z, dz, c->nb);
+        run_many(pc, c->r, c->t, in, din, z, dz, c->nb);
     }
 }
 
