@@ -28,11 +28,12 @@ from typing import Any
 import numpy as np
 
 import greybox as gb
-from fits.measured_rigs import RIGS, SEARCHES, Case, Fact, Rig
+from fits.measured_rigs import RIGS, SEARCHES, TIMING, Case, Fact, Rig
 from fits.paper_page import markdown
 from greybox.base.errors import GreyboxError
 from greybox.base.json_shape import to_values
 from greybox.base.texts import to_identifier
+from greybox.discovery.claims import TIMING as TIMING_FORM
 from greybox.discovery.claims import Depth
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.validate import validate
@@ -59,6 +60,9 @@ def judge_claim(rig: Rig, claim: Mapping[str, Any]) -> bool | None:
     if any(_agrees(fact, claim, depth) for fact in rig.facts):
         return True
     if (depth is Depth.NAME and base in rig.open) or (depth is Depth.FAMILY and set(claim["family"]) & set(rig.open)):
+        return None
+    # A lag or a delay at a place where one may be.
+    if depth is Depth.VARIABLES and claim.get("form") == TIMING_FORM and set(TIMING) & set(rig.open):
         return None
     if rig.is_whole or (depth is Depth.NAME and base in rig.false):
         return False
@@ -165,6 +169,9 @@ def relative_difference(values: Mapping[str, float], others: Mapping[str, float]
 
 def run_in_c(model: gb.Model, record: gb.Experiment, folder: Path) -> float | str:
     """How far the model in C is from the library over the inputs of a record, as a share of the largest output; or why there is none."""
+    # A step in C knows the input of now alone.
+    if moving := [effect.name for effect in model.effects if effect.hold]:
+        return f"not compared, as a step holds its input and {moving[0]} does not"
     dt = float(np.median(np.diff(record.time)))
     time = dt * np.arange(record.rows)
     inputs = np.column_stack([record.inputs[i.name] for i in model.inputs] or [np.zeros(record.rows)])
@@ -223,8 +230,8 @@ def is_same(trip: Mapping[str, Any]) -> bool:
     return bool(trip["said"]) or all(abs(ratio - 1) <= SAME for ratio in trip["ratio"].values())
 
 
-def write_page(lines: Sequence[Mapping[str, Any]]) -> str:
-    """The page `measured_certainty.md`."""
+def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
+    """The page `measured_certainty.md`; ``note`` is a sentence on which state of the program the searches are of."""
     counts = count_claims(lines)
     by_depth = [
         [word, *(str(counts[depth, grade, truth]) for grade in GRADES for truth in WORDS)]
@@ -286,7 +293,9 @@ def write_page(lines: Sequence[Mapping[str, Any]]) -> str:
     ]
     return "\n".join(
         [
-            HEAD.format(searches=len(lines), rigs=len({line["rig"] for line in lines})),
+            HEAD.format(
+                searches=len(lines), planned=len(SEARCHES), rigs=len({line["rig"] for line in lines}), note=note
+            ),
             markdown(["what", "answers"], totals),
             "\n## By depth and grade\n",
             markdown(heads, by_depth),
@@ -348,9 +357,10 @@ def tell_trip(trip: Mapping[str, Any]) -> str:
 
 HEAD = """# Certainty on measured records
 
-Written by `python -m fits.measured_certainty FOLDER --page docs/measured_certainty.md`: {searches} searches on {rigs} rigs, nothing told
-but the plain model. Each learns from one record, chooses by another and is judged on a third (two falls of a ball on another ball of
-its kind). The records are public and not part of this project; `fits.measured_rigs` says whose they are and what is known of each rig.
+Written by `python -m fits.measured_certainty FOLDER --page docs/measured_certainty.md`: {searches} of {planned} searches, on {rigs} rigs,
+nothing told but the plain model.{note} Each learns from one record, chooses by another and is judged on a third
+(two falls of a ball on another ball of its kind). The records are public and not part of this project; `fits.measured_rigs` says whose
+they are and what is known of each rig.
 
 - Known by construction, weighing or publication: balls (of heavy ones only the camera shows), rotor (braked at known times, or healthy),
   pendulum, heaters, damper. Of the others nobody knows all: what is claimed beside the known facts is counted as *not known*.
@@ -386,6 +396,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--rig", action="append", choices=list(RIGS), dest="rigs", help="these rigs alone")
     parser.add_argument("--page", type=Path, help="write the page of the searches that are done, and search nothing")
+    parser.add_argument("--note", default="", help="a sentence for the page on the state of the program that searched")
     given = parser.parse_args(arguments)
     given.output.mkdir(parents=True, exist_ok=True)
     cases = [case for case in SEARCHES if case.rig in (given.rigs or RIGS)]
@@ -406,7 +417,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Judged anew: what is known of a rig may have grown since.
     lines = [judge_again(line) for line in sorted(lines, key=lambda line: list(RIGS).index(line["rig"]))]
     if given.page:
-        given.page.write_text(write_page(lines), encoding="utf-8")
+        given.page.write_text(write_page(lines, given.note and f" {given.note}"), encoding="utf-8")
     for line in lines:
         sys.stdout.write(f"{line['rig']}: {line['verdict']}; {tell_effects(line)}; {tell_deepest(line)}\n")
 

@@ -431,7 +431,10 @@ SEARCHES: tuple[Case, ...] = (
     Case("pendulum", "direct_collocation", "ddp", "ilqr_torque_limited"),
     Case("pendulum", "ddp", "direct_collocation", "ilqr_torque_limited"),
     Case("pendulum", "ddp 0 1500", "ddp 1500 3000", "direct_collocation"),
-    *rotations("heaters", "a", "b", "c"),
+    # Three boards, each with constants of its own: within a record, and judged on another board where there is no third stretch.
+    *thirds("heaters", "c", 597),
+    Case("heaters", "a 0 100", "a 100 201", "b"),
+    Case("heaters", "b 0 100", "b 100 201", "a"),
     Case("damper", "0V_ensaio1.1", "0V_ensaio4.1", "0V_ensaio8.1"),
     Case("damper", "0.871V_ensaio1.2.2 0 750", "0.871V_ensaio1.2.2 750 1500", "0.871V_ensaio4.2.2"),
     Case("damper", "1.98V_ensaio.B.1 0 750", "1.98V_ensaio.B.1 750 1500", "1.98V_ensaio.B.6"),

@@ -26,6 +26,8 @@ def claim(depth: int, site: str, variables: tuple[str, ...] = (), family: tuple[
         ("heavy ball", claim(0, ""), False),
         ("heavy ball", claim(1, "balance force"), False),
         ("healthy rotor", claim(4, "input u", name="input_dead_zone"), False),
+        ("braked rotor", claim(2, "balance torque", ("u",)), False),
+        ("braked rotor", claim(2, "balance torque", ("u",)) | {"form": "timing"}, None),
         ("pendulum", claim(3, "balance torque", family=("stribeck_friction", "coulomb_friction")), True),
         ("pendulum", claim(4, "balance torque", name="lugre_friction"), None),
         ("heaters", claim(4, "balance heat_1", name="radiation_loss"), False),

@@ -103,13 +103,15 @@ class Repeats:
 
 def match_repeats(reference: Sequence[Experiment], records: Sequence[Experiment]) -> Repeats:
     """The records of each motion that today's repeat; nothing where one of today's repeats none of the fit."""
-
-    # A motion goes by the first record of the fit that shows it.
-    known: list[int] = []
-    for k, one in enumerate(reference):
-        known.append(next((known[j] for j in range(k) if is_alike(reference[j], one)), k))
-    motions = [next((known[j] for j, one in enumerate(reference) if is_alike(one, r)), -1) for r in records]
-    if -1 in motions:
+    everything = (*reference, *records)
+    # Alike records show one motion, and so do two that a third links: a record that is left out says nothing of how far constants scatter.
+    shown = list(range(len(everything)))
+    for k, one in enumerate(everything):
+        for j in range(k):
+            if shown[j] != shown[k] and is_alike(everything[j], one):
+                shown = [shown[j] if m == shown[k] else m for m in shown]
+    known, motions = shown[: len(reference)], shown[len(reference) :]
+    if not set(motions) <= set(known):
         return Repeats()
     before = {m: [one for one, of in zip(reference, known, strict=True) if of == m] for m in dict.fromkeys(motions)}
     rows = {

@@ -80,6 +80,15 @@ def test_all_records_of_the_motion_that_is_repeated_are_compared_over_the_same_r
     assert not match_repeats(ones, [other, day(1, 2.0)]).pairs
 
 
+def test_records_that_a_third_links_show_one_motion() -> None:
+    t = 0.1 * np.arange(60)
+    # Beginnings that differ by 8 % are no repeats, those by 4 % are.
+    runs = [gb.Experiment(f"{start}", t, {}, {"w": start * np.exp(-0.2 * t)}) for start in (100.0, 108.0, 104.0, 109.0)]
+    assert [is_alike(runs[0], other) for other in runs[1:]] == [False, True, False]
+    repeats = match_repeats(runs[:3], runs[3:])
+    assert len(repeats.before) == 3 and len(repeats.pairs) == 1
+
+
 def test_a_run_that_covers_less_than_half_of_the_other_is_no_repeat() -> None:
     one = coast(1)
     assert not is_alike(one, one.window(0, one.rows // 2 - 1))
