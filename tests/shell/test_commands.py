@@ -513,7 +513,7 @@ def test_ctrl_c_while_the_command_is_being_loaded_is_told_in_one_line() -> None:
 
 def test_help_and_version_load_nothing_heavy() -> None:
     heavy = {"casadi", "numpy", "pandas", "scipy", "matplotlib", "control", "pint"}
-    code = f"import sys, greybox.shell; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, greybox.shell.commands; print(sorted({heavy} & set(sys.modules)))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
     shown = subprocess.run([sys.executable, "-m", "greybox", "--version"], capture_output=True, text=True, check=False)
