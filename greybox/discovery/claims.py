@@ -25,7 +25,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base.numerics import TINY
-from greybox.base.values import Printable, ReadOnly
+from greybox.base.values import ReadOnly
 from greybox.discovery.candidates import family_of
 from greybox.discovery.certainty import Grade
 from greybox.discovery.curve_shape import TIME
@@ -56,7 +56,7 @@ class Depth(IntEnum):
 
 
 @dataclass(frozen=True)
-class Claim(Printable, ReadOnly):
+class Claim(ReadOnly):
     """One statement about what the plain model lacks.
 
     Parameters

@@ -17,7 +17,7 @@ import numpy as np
 
 from greybox.base.json_shape import to_values
 from greybox.base.numerics import TINY
-from greybox.base.values import Printable, ReadOnly
+from greybox.base.values import ReadOnly
 from greybox.discovery.curve_shape import Dependence, rank_dependences
 from greybox.discovery.disturbance_sites import (
     DisturbanceSite,
@@ -48,7 +48,7 @@ from greybox.model.model import Model
 
 
 @dataclass(frozen=True)
-class RemainingError(Printable):
+class RemainingError:
     """The error that a model leaves in one output.
 
     Parameters

@@ -17,7 +17,6 @@ from pathlib import Path
 import click
 
 from greybox.base.errors import GreyboxError
-from greybox.shell.project import model_files, project_root, template_root
 
 Offer = tuple[str, str]  # what to type, and what it is
 
@@ -141,6 +140,8 @@ class ModelOutline:
 
 def list_outlines(folder: Path | None = None) -> list[ModelOutline]:
     """The models of the project around ``folder`` (None: the working one), then the shipped ones that it does not have."""
+    from greybox.shell.project import model_files, project_root, template_root  # loads models, which no help needs
+
     outlines: dict[str, ModelOutline] = {}
     for root in dict.fromkeys(filter(None, (project_root(folder), template_root().resolve()))):
         for file in model_files(root):

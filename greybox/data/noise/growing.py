@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.base.errors import ModelError
-from greybox.base.values import Printable
 
 # Least standard deviation of a row over the rms of all rows: a reading of zero is not free of noise, and must not decide a fit alone.
 LEAST_SHARE_OF_RMS = 1e-4
@@ -19,7 +18,7 @@ NARROWINGS = 6
 
 
 @dataclass(frozen=True)
-class GrowingNoise(Printable):
+class GrowingNoise:
     """Standard deviation ``floor + share |y|`` of the noise of one output, ``y`` being the model's run; a part that is None is estimated.
 
     The scales of measuring ranges, pipettes and flow meters: an error of the zero and one of the gain. The estimate is that of weighted

@@ -150,12 +150,6 @@ def behaviour_blocks(behaviour: LinearBehaviour) -> list[Block]:
     return [poles_table(behaviour.poles, behaviour.dt), *(Paragraphs(channel_lines(c)) for c in behaviour.channels)]
 
 
-@renders("TransferChannel")
-def channel_text(channel: TransferChannel) -> str:
-    """Zeros, gain, bandwidth of one channel."""
-    return "\n".join(channel_lines(channel))
-
-
 @renders("ModelFamily")
 def model_family_blocks(family: ModelFamily) -> list[Block]:
     """How far poles, gains and frequency responses spread."""

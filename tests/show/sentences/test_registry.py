@@ -10,8 +10,9 @@ import pytest
 
 import greybox
 from greybox.base.findings import Check, Finding, Severity, with_code
-from greybox.show.describe import text
-from greybox.show.sentences.registry import register, sentence, templates
+from greybox.base.values import Printable
+from greybox.show.describe import _find_describer, text
+from greybox.show.sentences.registry import _writers, register, sentence, templates
 
 
 def codes() -> dict[str, str]:
@@ -45,6 +46,17 @@ def test_a_finding_without_a_template_is_refused() -> None:
 def test_a_value_that_no_module_writes_is_refused() -> None:
     with pytest.raises(TypeError, match="int"):
         text(1)
+
+
+def test_every_value_that_is_printed_has_words() -> None:
+    modules = [m.name for m in pkgutil.walk_packages(greybox.__path__, "greybox.") if not m.name.endswith("__main__")]
+    found = {value for name in modules for value in vars(import_module(name)).values() if isinstance(value, type)}
+    printed = [kind for kind in found if issubclass(kind, Printable) and kind.__str__ is Printable.__str__]
+    templates()  # loads every writer
+    wordless = [
+        k.__name__ for k in printed if not (_find_describer(k) or {b.__name__ for b in k.__mro__} & {*_writers})
+    ]
+    assert sorted(wordless) == ["Check", "Finding", "Printable"]  # the first two have templates
 
 
 def test_findings_are_chosen_by_code() -> None:
