@@ -216,8 +216,10 @@ def first_family(line: Mapping[str, Any]) -> Mapping[str, Any] | None:
 def said(line: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Every statement of an answer below "something is missing": its claims, and the effects of which no claim has the name."""
     claims = [c for c in line["claims"] if c["depth"] > Depth.MISSING]
-    names = {c["name"] for c in claims if c["depth"] == Depth.NAME}
-    return [*claims, *({**e, "depth": Depth.NAME} for e in line["effects"] if e["name"] not in names)]
+    # An effect of the answer counts with the grade that the answer gives it, whatever grade its claim has.
+    names = {e["name"] for e in line["effects"]}
+    others = [c for c in claims if c["depth"] != Depth.NAME or c["name"] not in names]
+    return [*others, *({**e, "depth": Depth.NAME} for e in line["effects"])]
 
 
 def count_claims(lines: Iterable[Mapping[str, Any]]) -> Counter[tuple[int, str, bool | None]]:
