@@ -13,7 +13,6 @@ from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
-from scipy.signal import lsim
 
 from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
@@ -108,6 +107,8 @@ class LinearResponse:
         """Outputs (N, ny) from rest to inputs (N, nu)."""
         if not len(self.A):
             return np.asarray(u @ self.D.T)
+        from scipy.signal import lsim  # half a second to import
+
         _, y, _ = lsim((self.A, self.B, self.C, self.D), u, time - time[0], interp=hold != "zero")
         return np.asarray(y).reshape(len(time), -1)
 

@@ -6,7 +6,8 @@ import pytest
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
-from greybox.discovery.findings import DiscoveryCode, InputKind
+from greybox.data.signals import InputKind
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.proposals import candidate_inputs
 from greybox.model.effects.catalogue import effect
 

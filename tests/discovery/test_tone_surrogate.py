@@ -60,7 +60,7 @@ def test_a_hum_is_a_tone_at_its_site_and_explains_the_gap(found):
     assert surrogate.explained_fraction > 0.98
     assert np.abs(surrogate.curve).max() == pytest.approx(FORCE, rel=0.01)
     assert found.conclusion[-1].code == DiscoveryCode.SURROGATE_FITTED
-    assert found.conclusion[-1].values["tone"]["alike"] == ("sensor of x",)
+    assert found.conclusion[-1].values["tone"]["alike"] == ["sensor of x"]
 
 
 def test_the_mains_are_suspected(found):

@@ -129,7 +129,7 @@ def test_predictions_beyond_every_record_are_refused(fitted) -> None:
         score(fitted, steps=[1, 300])
     with pytest.raises(DataError, match="steps ahead: 5000, but the longest record has 300 rows"):
         compare([fitted], driven(1), steps=[5000])
-    assert np.isfinite(score(fitted, steps=[200]).outputs["x"].prediction[200])
+    assert np.isfinite(score(fitted, steps=[200]).outputs["x"].ahead[200])
 
 
 def test_arcs_that_leave_the_record_whole_are_called_so() -> None:

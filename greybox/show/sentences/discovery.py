@@ -296,15 +296,6 @@ def _sites_of(values: Mapping[str, Any]) -> list[str]:
     return values["site"].split(" or ") if values["site"] else []
 
 
-def _variables_text(variables: Sequence[str]) -> str:
-    """``of v``, ``of x and v``, ``of time``; of nothing in particular where there are none."""
-    return (
-        f"of {join_names(['time' if v == TIME else v for v in variables])}"
-        if variables
-        else "of no variable of the model"
-    )
-
-
 def claim_text(values: Mapping[str, Any]) -> str:
     """What a claim says, in half a sentence, from its values."""
     if values["depth"] == Depth.MISSING:
@@ -312,10 +303,13 @@ def claim_text(values: Mapping[str, Any]) -> str:
     place = sites_text(_sites_of(values))
     if values["depth"] == Depth.PLACE:
         return f"something acts at {place}"
-    kind = {"static": "a static function", "with memory": "a function with memory"}.get(values["form"], "a function")
-    what = f"{kind} {_variables_text(values['variables'])}"
-    if values["form"] == "timing":
-        what = f"a lag or a delay {_variables_text(values['variables'])}"
+    kind = {"static": "a static function", "with memory": "a function with memory", "timing": "a lag or a delay"}.get(
+        values["form"], "a function"
+    )
+    # A static function of nothing that moves is a constant.
+    what = "a constant" if values["form"] == "static" and not values["variables"] else kind
+    if values["variables"]:
+        what += f" of {join_names(['time' if v == TIME else v for v in values['variables']])}"
     if values["depth"] == Depth.VARIABLES:
         return f"{what} acts at {place}"
     if values["depth"] == Depth.FAMILY and values["form"] == "timing":
@@ -584,7 +578,7 @@ register(
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
         " the validation records",
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
-        " and nothing in it is established; repeat the command to continue with its finished refits, or give it more time",
+        " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.REFIT_ELSEWHERE: lambda f: (
             f"{f.subject}: a fit of this model that begins at these constants does not end with success"
             + (f" ({status_text(f.values['status'])})" if f.values["status"] else "")
