@@ -36,58 +36,56 @@ def prepare_numba(task: Pass) -> Callable[[], Sums]:
     n, h, g = len(task.stiffness), STEP / task.substeps, HARDENING
 
     @numba.njit(fastmath=True)
-    def rate(x, v, dx, dv, k, c, force, rx, rv, drx, drv):
-        """Rates of positions and speeds, and of their tangents along the stiffnesses and the damping."""
-        n, directions = dx.shape
+    def rate(s, k, c, force, r):
+        """Rates ``r`` of the state ``s`` (2 n, 1 + n + 1): positions, then speeds; each row the value, then its tangents."""
+        n, columns = len(s) // 2, s.shape[1]
         for i in range(n):
-            rx[i], rv[i] = v[i], -c * v[i]
-            for j in range(directions):
-                drx[i, j], drv[i, j] = dv[i, j], -c * dv[i, j]
-            drv[i, n] -= v[i]
-        rv[n - 1] += force
+            for j in range(columns):
+                r[i, j], r[n + i, j] = s[n + i, j], -c * s[n + i, j]
+            r[n + i, columns - 1] -= s[n + i, 0]
+        r[2 * n - 1, 0] += force
         for i in range(n):
-            e = x[i] - (x[i - 1] if i else 0.0)
+            e = s[i, 0] - (s[i - 1, 0] if i else 0.0)
             pull, slope = e * (1 + g * e * e), k[i] * (1 + 3 * g * e * e)
-            rv[i] -= k[i] * pull
-            drv[i, i] -= pull
+            r[n + i, 0] -= k[i] * pull
+            r[n + i, 1 + i] -= pull
             if i:
-                rv[i - 1] += k[i] * pull
-                drv[i - 1, i] += pull
-                for j in range(directions):
-                    change = slope * (dx[i, j] - dx[i - 1, j])
-                    drv[i, j] -= change
-                    drv[i - 1, j] += change
+                r[n + i - 1, 0] += k[i] * pull
+                r[n + i - 1, 1 + i] += pull
+                for j in range(1, columns):
+                    change = slope * (s[i, j] - s[i - 1, j])
+                    r[n + i, j] -= change
+                    r[n + i - 1, j] += change
             else:
-                for j in range(directions):
-                    drv[i, j] -= slope * dx[i, j]
+                for j in range(1, columns):
+                    r[n, j] -= slope * s[0, j]
 
     @numba.njit(fastmath=True)
     def move(a, b, share, target):
         """target = a + share b"""
-        a, b, target = a.ravel(), b.ravel(), target.ravel()
-        for i in range(len(a)):
-            target[i] = a[i] + share * b[i]
+        for i in range(a.shape[0]):
+            for j in range(a.shape[1]):
+                target[i, j] = a[i, j] + share * b[i, j]
 
     @numba.njit(fastmath=True)
     def run(k, c, force, measured, substeps):
         rows, n = measured.shape
-        x, v, dx, dv = np.zeros(n), np.zeros(n), np.zeros((n, n + 1)), np.zeros((n, n + 1))
-        ax, av, adx, adv = x.copy(), v.copy(), dx.copy(), dv.copy()  # where a stage begins
-        bx, bv, bdx, bdv = x.copy(), v.copy(), dx.copy(), dv.copy()  # the sum of the stages
-        rx, rv, drx, drv = x.copy(), v.copy(), dx.copy(), dv.copy()
+        s = np.zeros((2 * n, n + 2))
+        stage, total, r = s.copy(), s.copy(), s.copy()
         residual, jacobian = np.empty((rows, n)), np.empty((rows, n, n + 1))
         for row in range(rows):
-            residual[row] = measured[row] - x
-            jacobian[row] = dx
+            for i in range(n):
+                residual[row, i] = measured[row, i] - s[i, 0]
+                for j in range(n + 1):
+                    jacobian[row, i, j] = s[i, 1 + j]
             for _ in range(substeps):
-                rate(x, v, dx, dv, k, c, force[row], rx, rv, drx, drv)
-                move(x, rx, h / 6, bx), move(v, rv, h / 6, bv), move(dx, drx, h / 6, bdx), move(dv, drv, h / 6, bdv)
+                rate(s, k, c, force[row], r)
+                move(s, r, h / 6, total)
                 for share, ahead in ((h / 3, h / 2), (h / 3, h / 2), (h / 6, h)):
-                    move(x, rx, ahead, ax), move(v, rv, ahead, av), move(dx, drx, ahead, adx), move(dv, drv, ahead, adv)
-                    rate(ax, av, adx, adv, k, c, force[row], rx, rv, drx, drv)
-                    move(bx, rx, share, bx), move(bv, rv, share, bv), move(bdx, drx, share, bdx)
-                    move(bdv, drv, share, bdv)
-                x[:], v[:], dx[:], dv[:] = bx, bv, bdx, bdv
+                    move(s, r, ahead, stage)
+                    rate(stage, k, c, force[row], r)
+                    move(total, r, share, total)
+                s, total = total, s
         return residual.ravel(), jacobian.reshape(rows * n, n + 1)
 
     def sums() -> Sums:

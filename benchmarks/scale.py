@@ -39,7 +39,7 @@ BODIES = (1, 2, 4, 7, 8, 12, 25, 50, 100)
 PEER_BODIES = (2, 7, 12, 25, 50)
 CONSTANTS = (1, 4, 16, 64, 256)
 ROWS = (1_000, 10_000, 100_000, 1_000_000)
-RECORDS = (1, 10, 100, 1_000)
+RECORDS = (1, 10, 100, 1_000, 10_000)
 SUBSTEPS = 2  # of RK4 in a sampling interval of a nonlinear chain
 LIMIT = 3600  # s of one size, on a busy machine
 
@@ -171,7 +171,7 @@ def measure_records(count: int) -> Numbers:
 
 
 # Records of a fleet that two workers share, and how often each number of workers has its turn.
-SHARED_RECORDS, TURNS = 200, 2
+SHARED_RECORDS, TURNS = 2_000, 2
 
 
 def measure_workers() -> Numbers:

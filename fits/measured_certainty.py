@@ -260,7 +260,7 @@ def write_page(lines: Sequence[Mapping[str, Any]], note: str = "") -> str:
             f"{sum(any(c['grade'] == 'established' for c in said(line)) for line in null)} of {len(null)}",
         ],
         [
-            "round trips with the same error within 1 %",
+            "round trips with the same error within 1 %, or told",
             f"{sum(is_same(line['round_trip']) for line in lines)} of {len(lines)}",
         ],
         ["searches that ended at their time limit", f"{sum(line['out_of_time'] for line in lines)} of {len(lines)}"],

@@ -48,10 +48,9 @@ def describe(value: Any, **options: Any) -> Document:
     TypeError
         For a value that nothing describes.
     """
-    for kind in type(value).__mro__:
-        describer = _find_describer(kind)
-        if describer is not None:
-            return describer(value, **options)
+    describer = _describer_of(value)
+    if describer is not None:
+        return describer(value, **options)
     written: Any = find_writer(value)(value)
     brief: Sequence[Block] = [Paragraphs([written])] if isinstance(written, str) else written
     return Document(type(value).__name__, brief)
@@ -60,6 +59,11 @@ def describe(value: Any, **options: Any) -> Document:
 def text(value: Any) -> str:
     """A result in plain text: what ``print(value)`` shows."""
     return sentence(value) if isinstance(value, (Finding, Check)) else print_text(describe(value))
+
+
+def _describer_of(value: Any) -> Describer | None:
+    """The function that describes a value, of the first of its classes that has one."""
+    return next(filter(None, map(_find_describer, type(value).__mro__)), None)
 
 
 @cache
@@ -117,10 +121,9 @@ def report(value: Any, path: str | Path, *, command: str = "", **options: Any) -
 
 def describe_page(value: Any, **options: Any) -> Document:
     """The document of a result that has a page. Raises GreyboxError where it has none."""
-    try:
-        document = describe(value, **options)
-    except TypeError:
-        document = None
+    # What has no describer of its own has a sentence, and no page; an error inside a describer is a bug, and is not hidden.
+    describer = _describer_of(value)
+    document = None if describer is None else describer(value, **options)
     if document is None or not document.sections:
         raise GreyboxError(
             f"report: a {type(value).__name__} has no page; give one of {', '.join(k for k in DOCUMENTS if not k.endswith('Answer'))}"

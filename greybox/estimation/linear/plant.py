@@ -46,6 +46,8 @@ class ExportFinding(StrEnum):
     """Every mode decays within one sample."""
     TUSTIN_RINGS = "export_tustin_rings"
     """The trapezoidal rule turns a fast real pole into an alternating one."""
+    INPUT_BETWEEN_ROWS = "export_input_between_rows"
+    """An effect says what the input does between the rows of a record."""
     ABOUT_A_RUN = "export_about_a_run"
     """The linear model is the answer to small changes along a run of a plant without equations."""
     PARAMETERS_NOT_DRAWN = "export_parameters_not_drawn"
@@ -126,11 +128,17 @@ def to_plant(source: Fit | Model | Plant, *, with_equations: bool = True) -> Exp
         model = model.equations
     if with_equations:
         model.require_equations("a linearisation or an export")
+    # What is exported gets its input from elsewhere: how a record's went on between its rows is no part of it.
+    findings = [
+        Finding(ExportFinding.INPUT_BETWEEN_ROWS, Severity.WARNING, effect.name)
+        for effect in model.effects
+        if effect.hold
+    ]
     if isinstance(source, Model):
-        return ExportedModel(model)
-    values = {"status": str(source.status)}
-    failed = () if source.success else (Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values=values),)
-    return ExportedModel(model, source, failed)
+        return ExportedModel(model, findings=tuple(findings))
+    if not source.success:
+        findings.append(Finding(ExportFinding.FIT_FAILED, Severity.ERROR, values={"status": str(source.status)}))
+    return ExportedModel(model, source, tuple(findings))
 
 
 def format_signals(names: Sequence[str], values: Sequence[float] | np.ndarray, units: Sequence[str]) -> str:

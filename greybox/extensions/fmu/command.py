@@ -26,20 +26,20 @@ ALWAYS = (
 JUDGING = (Study.candidates, Study.skip, Study.beginning)
 # What integrates and linearises equations changes nothing; neither do initial states, with which an FMU begins by itself.
 NEED_EQUATIONS = (
-    *(
-        Study.method,
-        Study.substeps,
-        Study.transcription,
-        Study.arc_length,
-        Study.schedules,
-        Study.process_noise,
-        Study.at_rest,
-    ),
+    Study.method,
+    Study.substeps,
+    Study.transcription,
+    Study.arc_length,
+    Study.schedules,
+    Study.process_noise,
+    Study.at_rest,
 )
 USED = {
     "fit": (
-        *(o for o in FITTING if o not in (*NEED_EQUATIONS, Study.effects)),
-        *(Study.time_limit, Study.profiles, Study.bootstrap),
+        *(option for option in FITTING if option not in (*NEED_EQUATIONS, Study.effects)),
+        Study.time_limit,
+        Study.profiles,
+        Study.bootstrap,
     ),
     "fit with effects": (*ALWAYS, Study.effects),
     "check": ALWAYS,

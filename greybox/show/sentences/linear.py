@@ -117,6 +117,10 @@ register(
             "{subject} cannot be linearised: {state} either stays or moves with the plant; the play is assumed to be closed, as in a"
             " large motion in one direction"
         ),
+        ExportFinding.INPUT_BETWEEN_ROWS: (
+            "{subject} says what the input did between the rows of the record; a step from sample to sample holds its input, so its"
+            " outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there"
+        ),
         ExportFinding.ABOUT_A_RUN: (
             "the plant is run from outside: the linear model is its answer to small changes of the inputs along {subject}, of"
             " which it follows {share:.0%} at least"

@@ -203,6 +203,15 @@ def test_the_header_says_what_the_numbers_are(tmp_path):
     assert "#define MICRO_ACTUATOR_SAMPLING_TIME 0.00025 /* s */" in text
 
 
+@pytest.mark.parametrize("name", ["linear_input", "band_limited_input"])
+def test_the_header_says_that_the_input_of_a_record_did_not_wait_between_its_rows(tmp_path, name):
+    _, header = gb.export.to_c(micro_actuator + gb.effect(name), tmp_path / "plant.c", dt=1e-4)
+    text = " ".join(line.strip(" *") for line in header.read_text().splitlines())
+    assert f"{name} says what the input did between the rows" in text
+    _, header = gb.export.to_c(micro_actuator, tmp_path / "plain.c", dt=1e-4)
+    assert "between the rows" not in header.read_text()
+
+
 def test_c_without_a_sampling_time_is_refused(tmp_path):
     with pytest.raises(gb.errors.ModelError, match="no sampling time is known; give dt in seconds"):
         gb.export.to_c(micro_actuator, tmp_path / "plant.c")

@@ -56,6 +56,11 @@ SENTENCES = {
         "backlash cannot be linearised: z either stays or moves with the plant; the play is assumed to be closed, as in a large"
         " motion in one direction",
     ),
+    Code.INPUT_BETWEEN_ROWS: (
+        Finding(Code.INPUT_BETWEEN_ROWS, subject="linear_input"),
+        "linear_input says what the input did between the rows of the record; a step from sample to sample holds its input, so its"
+        " outputs differ from those of the fit. Step it at a shorter interval, with the input that acts there",
+    ),
     Code.ABOUT_A_RUN: (
         Finding(Code.ABOUT_A_RUN, subject="r1", values={"share": 0.994}),
         "the plant is run from outside: the linear model is its answer to small changes of the inputs along r1, of which it follows 99% at"
