@@ -138,7 +138,7 @@ def _evaluate(search: Minimisation, z: np.ndarray, low: np.ndarray, high: np.nda
 
 def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one."""
-    from scipy.optimize import nnls  # slow to import, and a smooth cost does not need it
+    from scipy.optimize import lsq_linear, nnls  # slow to import, and a smooth cost does not need it
 
     centre = search.best
     # Gradients along the axes, where the cost has the same curvature in every direction: the shortest combination
@@ -151,7 +151,11 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
     sampled = np.array(gradients).T / max(np.abs(gradients).max(), TINY)
     sum_to_one = np.full(sampled.shape[1], SUM_TO_ONE_WEIGHT)
     # min |G w| with w >= 0, sum w = 1: the sum as one heavily weighted row of the least squares.
-    weights, _ = nnls(np.vstack([sampled, sum_to_one]), np.append(np.zeros(len(axes)), SUM_TO_ONE_WEIGHT))
+    rows, target = np.vstack([sampled, sum_to_one]), np.append(np.zeros(len(axes)), SUM_TO_ONE_WEIGHT)
+    try:
+        weights, _ = nnls(rows, target)
+    except RuntimeError:  # SciPy 1.12 to 1.14: its active set goes round in circles where gradients are nearly alike
+        weights = lsq_linear(rows, target, bounds=(0, np.inf), method="bvls").x
     shortest = sampled @ weights
     return -shortest / max(float(np.linalg.norm(shortest)), TINY)
 

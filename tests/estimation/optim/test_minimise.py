@@ -96,6 +96,16 @@ def test_a_search_converges_at_a_kink_with_few_evaluations():
     assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
 
+def test_a_kink_is_left_downhill_where_the_active_set_of_scipy_does_not_end(monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("Maximum number of iterations reached.")
+
+    monkeypatch.setattr("scipy.optimize.nnls", fail)
+    result = minimise(kinked, np.array([2.0, -1.0]), *free(2))
+    # The cost is 1 at its lowest, and 36 at the start.
+    assert result.status is TerminationStatus.KINK and result.cost == pytest.approx(1.0, abs=0.03)
+
+
 @pytest.mark.parametrize(
     "finished", [None, lambda z, value: TerminationStatus.CONVERGED if value.cost < 1e-9 else None]
 )
