@@ -27,14 +27,13 @@ from greybox.discovery.policy import (
     SearchBudget,
     SelectionPolicy,
 )
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.refinement import Refinement, RefinementStep, refine
 from greybox.discovery.result import Discovery, RankedCandidate, load_discovery
 from greybox.discovery.selection import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
-    "CandidateFit",
     "CertaintyPolicy",
     "Claim",
     "CurveShape",
@@ -46,6 +45,7 @@ __all__ = [
     "EffectEvidence",
     "EffectSignal",
     "EffectTest",
+    "FittedCandidate",
     "Grade",
     "HoldoutError",
     "MisfitWindow",

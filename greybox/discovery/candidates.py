@@ -12,7 +12,7 @@ from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding
 from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.problem import CandidateFit, StartValues
+from greybox.discovery.problem import FittedCandidate, StartValues
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects, applicable_effects
 from greybox.model.effects.placement import AT
@@ -156,7 +156,7 @@ def _explain_absence(model: Model, entry: Effect) -> Finding:
 # of its grid; and a child effect from its fitted parent as well.
 
 
-def estimate_scales(candidate: CandidateFit) -> Scales:
+def estimate_scales(candidate: FittedCandidate) -> Scales:
     """Peaks and times of a fitted model on its first record."""
     _, states = candidate.problem.shooting(candidate.variables).simulate(candidate.variables.here)[0]
     record = candidate.problem.records[0]
@@ -164,7 +164,7 @@ def estimate_scales(candidate: CandidateFit) -> Scales:
 
 
 def generate_starting_points(
-    model: Model, effect: Effect, parent: CandidateFit, plain: Model, scales: Scales, amplitudes: Sequence[float]
+    model: Model, effect: Effect, parent: FittedCandidate, plain: Model, scales: Scales, amplitudes: Sequence[float]
 ) -> Iterator[StartValues]:
     """Start values for ``model``, which is ``parent.model + effect``.
 
@@ -187,7 +187,7 @@ def generate_starting_points(
 
 
 def generate_child_starting_points(
-    model: Model, child: Effect, parent: CandidateFit, parent_effect: Effect, scales: Scales
+    model: Model, child: Effect, parent: FittedCandidate, parent_effect: Effect, scales: Scales
 ) -> Iterator[StartValues]:
     """Start values for ``model``, in which ``child`` replaces its fitted parent effect."""
     if child.from_parent is None:

@@ -16,7 +16,7 @@ from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, worst_output
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 
 
 class Verdict(StrEnum):
@@ -83,12 +83,12 @@ def visible_rms_limit(samples: int, colour: AutoRegression) -> float:
     return VISIBLE_RMS + 4 / math.sqrt(2 * independent)
 
 
-def excess_cost(candidate: CandidateFit) -> float:
+def excess_cost(candidate: FittedCandidate) -> float:
     """Cost beyond that of the noise."""
     return max(candidate.cost - candidate.count, 0.0)
 
 
-def criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
+def criterion_gain(smaller: FittedCandidate, larger: FittedCandidate) -> float:
     """Decrease of Schwarz's criterion from the smaller model to the larger."""
     return smaller.criterion - larger.criterion
 
@@ -100,7 +100,7 @@ FURTHER_SHARE = 0.01
 
 
 def judge_effect(
-    baseline: CandidateFit, smaller: CandidateFit, larger: CandidateFit, policy: SelectionPolicy
+    baseline: FittedCandidate, smaller: FittedCandidate, larger: FittedCandidate, policy: SelectionPolicy
 ) -> Decision:
     """Whether the effect that leads from ``smaller`` to ``larger`` is in the data.
 
@@ -127,7 +127,7 @@ CLEAN_SHARE = 0.003
 CLEAN_COST = 1.6
 
 
-def judge_residual(baseline: CandidateFit, candidate: CandidateFit) -> Decision:
+def judge_residual(baseline: FittedCandidate, candidate: FittedCandidate) -> Decision:
     """Whether nothing visible is left, so that a name may be given."""
     subject = " + ".join(candidate.effects)
     clean = Check.at_most(
@@ -163,7 +163,7 @@ VALIDATION_ONLY_RATIO = 2.0
 
 
 def judge_validation_only(
-    baseline: CandidateFit,
+    baseline: FittedCandidate,
     holdout: Mapping[str, HoldoutError],
     noise_limits: Mapping[str, float],
 ) -> Decision:
@@ -185,9 +185,9 @@ EXCESS_AUTOCORRELATION = 0.03
 
 
 def decide_verdict(
-    baseline: CandidateFit,
-    selected: CandidateFit,
-    rivals: Sequence[CandidateFit],
+    baseline: FittedCandidate,
+    selected: FittedCandidate,
+    rivals: Sequence[FittedCandidate],
     holdout: Mapping[str, HoldoutError],
     noise_limits: Mapping[str, float],
     autocorrelation: float,

@@ -18,7 +18,7 @@ from scipy.linalg import eigh, expm
 from greybox.base.linear_algebra import range_basis
 from greybox.base.numerics import SAME_DIRECTION
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 from greybox.estimation.transcription.simulation_error import SingleShooting
 from greybox.model.model import Model
 from greybox.model.system import System
@@ -93,7 +93,7 @@ def list_disturbance_sites(model: Model, measured: Sequence[str]) -> list[Distur
     ]
 
 
-def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -> LinearisedRun:
+def linearise_run(candidate: FittedCandidate, record: int, first: int, rows: int) -> LinearisedRun:
     """The candidate's model along a stretch of one of its records."""
     problem, model, variables = candidate.problem, candidate.model, candidate.variables
     system, measured = model.system, problem.records[record]
@@ -122,7 +122,7 @@ def linearise_run(candidate: CandidateFit, record: int, first: int, rows: int) -
     return LinearisedRun(record, first, time, x, u, exponential[:, :nx, :nx], c, gamma)
 
 
-def unwhitened_shooting(candidate: CandidateFit) -> SingleShooting:
+def unwhitened_shooting(candidate: FittedCandidate) -> SingleShooting:
     """The candidate's residuals in units of the noise, not whitened."""
     return candidate.problem.with_plain_squares().shooting(candidate.variables)
 

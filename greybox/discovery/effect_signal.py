@@ -40,7 +40,7 @@ from greybox.discovery.localisation import (
     find_worst_stretch,
     signal_units,
 )
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 
@@ -221,7 +221,7 @@ class EffectSignal(ReadOnly):
         return values
 
 
-def estimate_effect_signals(problem: DiscoveryProblem, candidate: CandidateFit) -> tuple[EffectSignal, ...]:
+def estimate_effect_signals(problem: DiscoveryProblem, candidate: FittedCandidate) -> tuple[EffectSignal, ...]:
     """One for each effect of an extended model, where its signal can be estimated."""
     signals = [
         problem.failures.attempt(
@@ -235,7 +235,9 @@ def estimate_effect_signals(problem: DiscoveryProblem, candidate: CandidateFit) 
     return tuple(signal for signal in signals if signal is not None)
 
 
-def _estimate(problem: DiscoveryProblem, candidate: CandidateFit, effect: str, site_name: str) -> EffectSignal | None:
+def _estimate(
+    problem: DiscoveryProblem, candidate: FittedCandidate, effect: str, site_name: str
+) -> EffectSignal | None:
     without = _without_effect(problem, candidate, effect)
     shooting, zero = unwhitened_shooting(without), without.variables.here
     residuals = [r for r, _ in shooting.residuals(zero)]
@@ -288,7 +290,7 @@ EVIDENCE_CONSTANT_SPREAD = 0.1
 SAME_SIGNAL = 0.02
 
 
-def acts_as_constant(candidate: CandidateFit, name: str) -> bool:
+def acts_as_constant(candidate: FittedCandidate, name: str) -> bool:
     """Whether an effect adds the same to every equation at every sample of the estimation records although elsewhere it would not.
 
     There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
@@ -301,13 +303,13 @@ def acts_as_constant(candidate: CandidateFit, name: str) -> bool:
     return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > EVIDENCE_CONSTANT_SPREAD
 
 
-def adds_constant(candidate: CandidateFit, name: str) -> bool:
+def adds_constant(candidate: FittedCandidate, name: str) -> bool:
     """Whether an effect without memory adds the same at every sample of the estimation records."""
     added = _AddedSignal.along_run(candidate, name)
     return added is not None and _spread(added.values) <= SAME_SIGNAL
 
 
-def is_offset_on_one_side(candidate: CandidateFit, name: str) -> bool:
+def is_offset_on_one_side(candidate: FittedCandidate, name: str) -> bool:
     """Whether an effect adds a constant to an input that never changes its sign: a dead zone does the same there."""
     site = next(b.site for b in candidate.model.bound_effects if b.effect.name == name)
     names = candidate.model.system.input_names
@@ -322,7 +324,7 @@ def is_offset_on_one_side(candidate: CandidateFit, name: str) -> bool:
 FUNCTION_SCATTER = 0.15
 
 
-def find_own_variable(candidate: CandidateFit, name: str) -> str:
+def find_own_variable(candidate: FittedCandidate, name: str) -> str:
     """The state or input of which an effect adds a function, sample by sample; "" for one of several, and for one with a memory.
 
     Of dry friction it is the velocity, even if the body never slides.
@@ -353,7 +355,7 @@ class _AddedSignal:
     values: np.ndarray
 
     @classmethod
-    def along_run(cls, candidate: CandidateFit, name: str) -> _AddedSignal | None:
+    def along_run(cls, candidate: FittedCandidate, name: str) -> _AddedSignal | None:
         """None for an effect with a memory."""
         system, plain = candidate.model.system, candidate.model.without(name).system
         if system.state_names != plain.state_names or len(system.delays) != len(plain.delays):
@@ -365,7 +367,7 @@ class _AddedSignal:
         return cls.at(candidate, name, states, inputs)
 
     @classmethod
-    def at(cls, candidate: CandidateFit, name: str, states: np.ndarray, inputs: np.ndarray) -> _AddedSignal:
+    def at(cls, candidate: FittedCandidate, name: str, states: np.ndarray, inputs: np.ndarray) -> _AddedSignal:
         """At any samples."""
         models = (candidate.model, candidate.model.without(name))
         with_it, plain = (_evaluate_equations(model, states, inputs) for model in models)
@@ -394,7 +396,7 @@ def _evaluate_equations(model: Model, states: np.ndarray, inputs: np.ndarray) ->
     return np.hstack([function(states.T, inputs.T, p).full().T for function in functions])
 
 
-def _without_effect(problem: DiscoveryProblem, candidate: CandidateFit, name: str) -> CandidateFit:
+def _without_effect(problem: DiscoveryProblem, candidate: FittedCandidate, name: str) -> FittedCandidate:
     """The extended model at its own parameters, one effect taken out and nothing refitted."""
     model = candidate.model.without(name)
     estimation = problem.prepare(model)
@@ -403,13 +405,13 @@ def _without_effect(problem: DiscoveryProblem, candidate: CandidateFit, name: st
     values = {n: v for n, v in candidate.model.values.items() if n in model.values}
     variables = estimation.variables.start_at(values)
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
-    return CandidateFit(model, np.nan, candidate.count, variables.size, estimation, variables, candidate.evaluation)
+    return FittedCandidate(model, np.nan, candidate.count, variables.size, estimation, variables, candidate.evaluation)
 
 
 def _smooth_both(
     line: LinearisedRun,
     site: DisturbanceSite,
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     residual: np.ndarray,
     modelled: np.ndarray,
 ) -> tuple[SmoothedSignal, np.ndarray]:
@@ -423,7 +425,7 @@ def _smooth_both(
 
 
 def _states_and_inputs(
-    candidate: CandidateFit, without: CandidateFit, states: np.ndarray, line: LinearisedRun
+    candidate: FittedCandidate, without: FittedCandidate, states: np.ndarray, line: LinearisedRun
 ) -> np.ndarray:
     """States of the extended run that the model has without the effect too, and the inputs (R, nx + nu)."""
     names = candidate.model.system.state_names

@@ -13,7 +13,7 @@ from greybox.discovery.candidates import estimate_scales, generate_starting_poin
 from greybox.discovery.decision import criterion_gain, excess_cost, judge_effect
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, validate_candidate
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.result import Fit
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import effect
@@ -171,8 +171,8 @@ def drop_effect(
 def _compare(
     name: str,
     problem: DiscoveryProblem,
-    smaller: CandidateFit,
-    larger: CandidateFit,
+    smaller: FittedCandidate,
+    larger: FittedCandidate,
     validation: Experiment | Sequence[Experiment],
     policy: DiscoveryPolicy,
 ) -> EffectTest:

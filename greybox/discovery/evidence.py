@@ -50,7 +50,7 @@ from greybox.discovery.holdout import (
 )
 from greybox.discovery.localisation import localise_residual
 from greybox.discovery.policy import CertaintyPolicy, DiscoveryPolicy
-from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import (
     has_memory,
     is_shape_correction,
@@ -149,15 +149,15 @@ class EvidenceInputs:
     problem: DiscoveryProblem
     scales: Scales
     candidates: Sequence[Effect]
-    selected: CandidateFit
-    baseline: CandidateFit
+    selected: FittedCandidate
+    baseline: FittedCandidate
     fit: Fit
-    known: Mapping[frozenset[str], CandidateFit]
+    known: Mapping[frozenset[str], FittedCandidate]
     scores: HoldoutScores
     signals: Sequence[EffectSignal]
     policy: DiscoveryPolicy
 
-    def attempt(self, run: partial[CandidateFit | None]) -> CandidateFit | None:
+    def attempt(self, run: partial[FittedCandidate | None]) -> FittedCandidate | None:
         """A refit; None where it fails, with the reason kept."""
         return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
 
@@ -224,8 +224,8 @@ def _weigh_effect(
     inputs: EvidenceInputs,
     effect: Effect,
     errors: BlockErrors,
-    corrected: CandidateFit | None,
-    halves: Sequence[CandidateFit],
+    corrected: FittedCandidate | None,
+    halves: Sequence[FittedCandidate],
     survives_start: bool,
     structure: float,
 ) -> EffectEvidence:
@@ -321,7 +321,7 @@ def _choose_output(errors: BlockErrors, without: BlockErrors, plain: BlockErrors
     return max(reduced or errors, key=lambda o: mean_error(without.get(o)) / max(mean_error(errors[o]), TINY))
 
 
-def _is_richer_equal(inputs: EvidenceInputs, rival: CandidateFit, behind: tuple[float, float]) -> bool:
+def _is_richer_equal(inputs: EvidenceInputs, rival: FittedCandidate, behind: tuple[float, float]) -> bool:
     """Whether a rival does the same with more constants: nothing but chance lies between the two where they are judged, and where they
     were fitted its constants have not paid. It is no objection to the simpler one, which it contains or imitates, but its equal.
     """
@@ -336,7 +336,9 @@ def _grade(measures: Mapping[str, float], has_equal: bool, policy: CertaintyPoli
     return probability, grade_effect(probability, features, has_equal)
 
 
-def _compare_with_free_curves(inputs: EvidenceInputs, name: str, form: BlockErrors, rest: CandidateFit | None) -> float:
+def _compare_with_free_curves(
+    inputs: EvidenceInputs, name: str, form: BlockErrors, rest: FittedCandidate | None
+) -> float:
     """How much larger the cost of the best free curve is that stands in the place of an effect; NaN where none could be fitted.
 
     The cost is that on the estimation records: on the validation records a curve of so many constants drifts, or is adapted to the
@@ -385,7 +387,7 @@ def _represents(variable: str, signal: EffectSignal | None) -> bool:
 EVIDENCE_ITERATIONS = 30
 
 
-def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
+def _refit_without(inputs: EvidenceInputs, name: str) -> FittedCandidate | None:
     """The selected model without one effect, everything else refitted."""
     selected = inputs.selected
     if len(selected.effects) == 1:
@@ -404,7 +406,7 @@ def _refit_without(inputs: EvidenceInputs, name: str) -> CandidateFit | None:
 EVIDENCE_RIVALS = 4
 
 
-def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) -> list[CandidateFit]:
+def _refit_rivals(inputs: EvidenceInputs, name: str, rest: FittedCandidate | None) -> list[FittedCandidate]:
     """The best effects of other families in the place of one; one more where effects that do the same are among them."""
     selected = inputs.selected
     if rest is None:
@@ -434,7 +436,7 @@ def _refit_rivals(inputs: EvidenceInputs, name: str, rest: CandidateFit | None) 
     return _keep_hopeful(inputs, [*near, *(fit for fit in fits if fit is not None)])
 
 
-def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[CandidateFit]:
+def _keep_hopeful(inputs: EvidenceInputs, rivals: list[FittedCandidate]) -> list[FittedCandidate]:
     """The rivals that may still come near, refitted to the end, each once; the best where none may: one shows how far behind they are."""
     hopeful = [_converge(inputs, fit) for fit in rivals if _is_hopeful(inputs, fit)]
     # One that was fitted in the search and again here counts as the better of the two.
@@ -447,7 +449,7 @@ def _keep_hopeful(inputs: EvidenceInputs, rivals: list[CandidateFit]) -> list[Ca
 HOPELESS_COST = 25.0
 
 
-def _is_hopeful(inputs: EvidenceInputs, fit: CandidateFit) -> bool:
+def _is_hopeful(inputs: EvidenceInputs, fit: FittedCandidate) -> bool:
     """Whether a model that was fitted with the step it started with may still come near the selected one."""
     return fit.cost <= HOPELESS_COST * inputs.selected.cost
 
@@ -456,7 +458,7 @@ def _is_hopeful(inputs: EvidenceInputs, fit: CandidateFit) -> bool:
 MANY_CONSTANTS = 3
 
 
-def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | None) -> CandidateFit | None:
+def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: FittedCandidate | None) -> FittedCandidate | None:
     """Something simpler in the place of an effect: where that does as well, the records do not show what the effect has beyond it.
 
     For an effect with memory a smooth curve without one, for one of many constants a power of its variable. None for all others.
@@ -474,33 +476,33 @@ def _refit_simpler(inputs: EvidenceInputs, effect: Effect, rest: CandidateFit | 
     return None if job is None else inputs.problem.refit_all([job])[0]
 
 
-def _refit_free_curves(inputs: EvidenceInputs, rest: CandidateFit | None) -> list[FreeCurve]:
+def _refit_free_curves(inputs: EvidenceInputs, rest: FittedCandidate | None) -> list[FreeCurve]:
     """In the place of an effect a smooth curve wherever the records would have one: where that does better, the name or the place is
     wrong.
     """
     if rest is None:
         return []
 
-    def refit(rest: CandidateFit) -> list[FreeCurve]:
+    def refit(rest: FittedCandidate) -> list[FreeCurve]:
         location = localise_residual(rest, selection=inputs.policy.selection)
         return refit_free_curves(inputs.problem, rest, location, inputs.policy, inputs.selected.cost)
 
     return inputs.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, partial(refit, rest), [])
 
 
-def _converge(inputs: EvidenceInputs, fit: CandidateFit) -> CandidateFit:
+def _converge(inputs: EvidenceInputs, fit: FittedCandidate) -> FittedCandidate:
     again = inputs.attempt(
         partial(inputs.problem.refit_best, fit.model, [fit.model.values], 1, EVIDENCE_ITERATIONS, fit)
     )
     return again if again is not None and again.cost < fit.cost else fit
 
 
-def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, CandidateFit]:
+def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, FittedCandidate]:
     """By effect, the selected model with the best correction of its shape: a curve over its variable, or a second branch."""
     problem, selected = inputs.problem, inputs.selected
     listing = partial(list_shape_corrections, problem, selected, inputs.scales)
     jobs = problem.failures.attempt(SearchStage.SHAPE_CORRECTION, selected.effects, listing, [])
-    best: dict[str, CandidateFit] = {}
+    best: dict[str, FittedCandidate] = {}
     for (name, _), fit in zip(jobs, problem.refit_all([job for _, job in jobs]), strict=True):
         if fit is not None and (name not in best or fit.criterion < best[name].criterion):
             best[name] = fit
@@ -511,13 +513,13 @@ def _refit_with_corrections(inputs: EvidenceInputs) -> dict[str, CandidateFit]:
 EVIDENCE_LEAST_ROWS = 100
 
 
-def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
+def _refit_halves(inputs: EvidenceInputs) -> list[FittedCandidate]:
     """The selected model fitted to the first half of each record, and to the second; empty where one cannot be fitted."""
     problem, selected = inputs.problem, inputs.selected
     if min(e.rows for e in problem.experiments) < EVIDENCE_LEAST_ROWS:
         return []
 
-    def refit(second: bool) -> CandidateFit | None:
+    def refit(second: bool) -> FittedCandidate | None:
         cuts = [e.rows // 2 for e in problem.experiments]
         parts = [
             e.window(cut, e.rows) if second else e.window(0, cut)
@@ -534,7 +536,7 @@ def _refit_halves(inputs: EvidenceInputs) -> list[CandidateFit]:
     return [fit for fit in fits if fit is not None] if None not in fits else []
 
 
-def _states_at(candidate: CandidateFit, rows: Sequence[int]) -> dict[str, tuple[float, ...]]:
+def _states_at(candidate: FittedCandidate, rows: Sequence[int]) -> dict[str, tuple[float, ...]]:
     """The simulated states at one row of each record, by name."""
     runs = unwhitened_shooting(candidate).simulate(np.zeros(candidate.variables.size))
     states = [record.samples(x)[row] for (_, x), record, row in zip(runs, candidate.problem.records, rows, strict=True)]
@@ -592,7 +594,7 @@ def _share_of_error(errors: np.ndarray, without: np.ndarray | None) -> tuple[flo
     return 1 - float(np.sqrt(mean_error(errors) / max(mean_error(without), TINY))), (float(low), float(high))
 
 
-def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, output: str) -> bool:
+def _helps_on_every_record(inputs: EvidenceInputs, rest: FittedCandidate | None, output: str) -> bool:
     """Whether the effect takes a part of the error of each validation record."""
     runs = [inputs.scores.run(fit) for fit in (inputs.selected, rest) if fit is not None]
     if len(runs) < 2 or runs[0] is None or runs[1] is None:
@@ -609,7 +611,7 @@ def _helps_on_every_record(inputs: EvidenceInputs, rest: CandidateFit | None, ou
 CHANCE_DEVIATIONS = 3.0
 
 
-def measure_structure(scores: HoldoutScores, candidate: CandidateFit, only_visible: bool) -> float:
+def measure_structure(scores: HoldoutScores, candidate: FittedCandidate, only_visible: bool) -> float:
     """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
 
     What the uncertainty of constants and first states explains does not count (`HoldoutScores.adapt`). Where the noise is known, what
@@ -651,7 +653,7 @@ def _remainder_over_variable(inputs: EvidenceInputs, name: str) -> float:
     return float(np.clip(np.sqrt(share * float(np.var(rest)) / max(power, TINY)), 0, 1))
 
 
-def _measure_change(selected: CandidateFit, effect: Effect, halves: Sequence[CandidateFit], fit: Fit) -> float:
+def _measure_change(selected: FittedCandidate, effect: Effect, halves: Sequence[FittedCandidate], fit: Fit) -> float:
     """Relative difference of the effect's amplitudes between the halves of the records; the median of several.
 
     An amplitude that its bounds stopped is only known to be large enough: where all are, the constants of shape count. Each is compared
@@ -698,15 +700,15 @@ def _is_undetermined(fit: Fit, name: str) -> bool:
     return bool(is_absent) and all(is_absent.values())
 
 
-def _count_free(candidate: CandidateFit, effect: Effect) -> int:
+def _count_free(candidate: FittedCandidate, effect: Effect) -> int:
     """How many constants of an effect are not fixed."""
     names = candidate.model.names_of(effect.name)
     return sum(not candidate.model.parameter(names[q.name]).fixed for q in effect.parameters)
 
 
-def _count_parameters(candidate: CandidateFit) -> float:
+def _count_parameters(candidate: FittedCandidate) -> float:
     return float(sum(len(effect.parameters) for effect in candidate.model.effects))
 
 
-def _other(rival: CandidateFit, selected: CandidateFit) -> str:
+def _other(rival: FittedCandidate, selected: FittedCandidate) -> str:
     return next((name for name in rival.effects if name not in selected.effects), "")

@@ -19,7 +19,7 @@ from greybox.data.noise.noise_model import BoundDirection, NoiseModel
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.optim.quadratic_model import QuadraticModel
@@ -91,7 +91,7 @@ class AdaptedRun:
 
 
 def adapt_to_records(
-    problem: DiscoveryProblem, candidate: CandidateFit, experiments: Sequence[Experiment], run: Validation
+    problem: DiscoveryProblem, candidate: FittedCandidate, experiments: Sequence[Experiment], run: Validation
 ) -> AdaptedRun | None:
     """``candidate`` on ``experiments`` after the step.
 
@@ -135,7 +135,7 @@ def adapt_to_records(
     return AdaptedRun(residuals, float(step @ held @ step) / 2)
 
 
-def _hold_constants(candidate: CandidateFit, variables: DecisionVector) -> np.ndarray:
+def _hold_constants(candidate: FittedCandidate, variables: DecisionVector) -> np.ndarray:
     """Information (n, n) of the estimation records on the constants, as the unknowns ``variables`` count them; none on first states.
 
     Beside what they tell, the size of a constant is one standard deviation of it: beyond that a linear step is not to be trusted, and one
@@ -260,7 +260,7 @@ def worst_output(holdout: Mapping[str, HoldoutError]) -> str:
 
 
 def validate_candidate(
-    problem: DiscoveryProblem, candidate: CandidateFit, validation: ValidationSet | Sequence[Experiment]
+    problem: DiscoveryProblem, candidate: FittedCandidate, validation: ValidationSet | Sequence[Experiment]
 ) -> Fit:
     """The candidate as a fit with intervals, from its own parameters and initial states, validated on other records."""
     quick = replace(problem.options, progressive=False, thorough=False)
@@ -289,7 +289,7 @@ def finish_fit(problem: DiscoveryProblem, fit: Fit, validation: ValidationSet) -
     The model that a search writes holds the constants of ``fit``. Whoever fits it gets what the search reports, because the search has
     done just that.
     """
-    user = problem.user_fit
+    user = problem.user_settings
     if user is None or problem.executor.is_late:
         return fit
     finished = fit
@@ -303,7 +303,7 @@ def finish_fit(problem: DiscoveryProblem, fit: Fit, validation: ValidationSet) -
     return replace(finished, validation=validation.run(finished.model, finished.noise.std, user.options))
 
 
-def estimated_initial_states(candidate: CandidateFit) -> list[dict[str, float]]:
+def estimated_initial_states(candidate: FittedCandidate) -> list[dict[str, float]]:
     """The estimated initial states of each record where a refit ended."""
     initial, names = candidate.variables.initial, np.array(candidate.model.system.state_names)
     return [dict(zip(names[initial.free].tolist(), row[initial.free].tolist(), strict=True)) for row in initial.guess]
@@ -318,7 +318,7 @@ class HoldoutScores:
     _runs: dict[tuple[Any, ...], Validation | None] = field(init=False, default_factory=dict)
     _adapted: dict[tuple[Any, ...], AdaptedRun | None] = field(init=False, default_factory=dict)
 
-    def run(self, candidate: CandidateFit) -> Validation | None:
+    def run(self, candidate: FittedCandidate) -> Validation | None:
         """The candidate's free run over the records; None where it fails there."""
         key = _key_of(candidate)
         if key not in self._runs:
@@ -326,14 +326,14 @@ class HoldoutScores:
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
         return self._runs[key]
 
-    def score(self, candidate: CandidateFit) -> float:
+    def score(self, candidate: FittedCandidate) -> float:
         """Rms simulation error over noise, all outputs together; infinite where the model fails."""
         run = self.run(candidate)
         if run is None:
             return np.inf
         return run.noise_ratio if np.isfinite(run.noise_ratio) else np.inf
 
-    def adapt(self, candidate: CandidateFit) -> AdaptedRun | None:
+    def adapt(self, candidate: FittedCandidate) -> AdaptedRun | None:
         """Its run on the counted rows once constants and first states moved within their uncertainty; None where it fails.
 
         See `adapt_to_records`. Where the step lowers the error by less than it costs, this is the free run.
@@ -343,7 +343,7 @@ class HoldoutScores:
             self._adapted[key] = self._adapt(candidate)
         return self._adapted[key]
 
-    def _adapt(self, candidate: CandidateFit) -> AdaptedRun | None:
+    def _adapt(self, candidate: FittedCandidate) -> AdaptedRun | None:
         run, first, records = self.run(candidate), self.validation.uncounted, self.validation.records
         if run is None:
             return None
@@ -370,11 +370,11 @@ class HoldoutScores:
         samples = sum(int(np.isfinite(r).sum()) for each in run.residuals.values() for r in each)
         return {name: noise[name] ** 2 * run.rise / max(samples, 1) for name in run.residuals}
 
-    def _free_residuals(self, candidate: CandidateFit) -> Residuals:
+    def _free_residuals(self, candidate: FittedCandidate) -> Residuals:
         run = self.run(candidate)
         return {} if run is None else _counted_residuals(run, self.validation.uncounted)
 
-    def measure_drift(self, candidate: CandidateFit) -> dict[str, float]:
+    def measure_drift(self, candidate: FittedCandidate) -> dict[str, float]:
         """By output the mean square error that goes when constants and first states move within their uncertainty."""
         run, adapted = self.run(candidate), self.adapt(candidate)
         if run is None or adapted is None:
@@ -383,7 +383,7 @@ class HoldoutScores:
         left = {name: charge[name] + _mean_square(r) for name, r in adapted.residuals.items()}
         return {name: max(m.rmse**2 - left[name], 0.0) for name, m in run.misfit.items()}
 
-    def square_errors(self, candidate: CandidateFit, blocks: int, *, adapted: bool = False) -> dict[str, np.ndarray]:
+    def square_errors(self, candidate: FittedCandidate, blocks: int, *, adapted: bool = False) -> dict[str, np.ndarray]:
         """By output the mean square error (B,) in about ``blocks`` blocks of equal length; empty where the model fails.
 
         Of the free run, or ``adapted`` to the records (`adapt`): the one is what a user sees, the other compares forms.
@@ -406,7 +406,7 @@ def _counted_residuals(validation: Validation, uncounted: int) -> Residuals:
     }
 
 
-def _key_of(candidate: CandidateFit) -> tuple[Any, ...]:
+def _key_of(candidate: FittedCandidate) -> tuple[Any, ...]:
     return candidate.effects, *candidate.model.values.values()
 
 
@@ -422,11 +422,11 @@ PARTIAL_SHARE = 0.5
 
 def reject_on_validation(
     scores: HoldoutScores,
-    baseline: CandidateFit,
-    selected: CandidateFit,
-    candidates: Sequence[CandidateFit],
+    baseline: FittedCandidate,
+    selected: FittedCandidate,
+    candidates: Sequence[FittedCandidate],
     policy: SelectionPolicy,
-) -> tuple[CandidateFit, tuple[Check, ...]]:
+) -> tuple[FittedCandidate, tuple[Check, ...]]:
     """``selected``, or another candidate where ``selected`` explains less than half of the gap on the validation records.
 
     The likeliest of ``candidates`` that explains most of the gap replaces it. If none does, ``selected`` remains, and its effect will
@@ -439,13 +439,13 @@ def reject_on_validation(
     """
     before, problem = scores.score(baseline), scores.problem
 
-    def explained_share(candidate: CandidateFit) -> float:
+    def explained_share(candidate: FittedCandidate) -> float:
         after = scores.score(candidate)
         return (before - after) / (before - 1) if np.isfinite(after) else -np.inf
 
     checks: list[Check] = []
 
-    def explains(candidate: CandidateFit, rule: DiscoveryRule, limit: float) -> bool:
+    def explains(candidate: FittedCandidate, rule: DiscoveryRule, limit: float) -> bool:
         checks.append(Check.at_least(rule, explained_share(candidate), limit, " + ".join(candidate.effects)))
         return checks[-1].passed
 
@@ -463,8 +463,8 @@ def reject_on_validation(
 
 
 def drop_on_validation(
-    scores: HoldoutScores, selected: CandidateFit, candidates: Sequence[CandidateFit], least_share: float
-) -> tuple[CandidateFit, tuple[Check, ...]]:
+    scores: HoldoutScores, selected: FittedCandidate, candidates: Sequence[FittedCandidate], least_share: float
+) -> tuple[FittedCandidate, tuple[Check, ...]]:
     """``selected``, or a part of its effects that follows the validation records better.
 
     An effect that is in the records takes something away wherever it shows: one with which the error on records that were not fitted is

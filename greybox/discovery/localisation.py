@@ -28,7 +28,7 @@ from greybox.discovery.disturbance_sites import (
     whiten_columns,
 )
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 
@@ -262,7 +262,7 @@ class ResidualLocalisation(Printable, ReadOnly):
     Parameters
     ----------
     misfit, threshold
-        Misfit over noise on the records that it was fitted to (`CandidateFit.noise_ratio`), and from which on something is missing.
+        Misfit over noise on the records that it was fitted to (`FittedCandidate.noise_ratio`), and from which on something is missing.
     sites
         Sites, likeliest first.
     sets
@@ -287,7 +287,7 @@ class ResidualLocalisation(Printable, ReadOnly):
     is_noise_bounded: bool = False
 
     @classmethod
-    def without_sites(cls, candidate: CandidateFit) -> ResidualLocalisation:
+    def without_sites(cls, candidate: FittedCandidate) -> ResidualLocalisation:
         """The misfit alone, where its site cannot be estimated."""
         misfit, weighed = candidate.noise_ratio, candidate.per_sample**0.5
         # The limit is one of the cost that the search weighs: on the scale of the misfit.
@@ -318,7 +318,7 @@ LOCALISATION_WINDOWS = 20
 
 
 def localise_residual(
-    fit: Fit | CandidateFit,
+    fit: Fit | FittedCandidate,
     *,
     selection: SelectionPolicy | None = None,
 ) -> ResidualLocalisation:
@@ -372,19 +372,19 @@ def localise_residual(
     )
 
 
-def to_candidate_fit(fit: Fit) -> CandidateFit:
+def to_candidate_fit(fit: Fit) -> FittedCandidate:
     """A finished fit as a candidate: the same records, noise and options, at its parameters."""
     return DiscoveryProblem.from_fit(fit).to_candidate(fit)
 
 
-def estimate_site_signals(candidate: CandidateFit) -> dict[str, ResidualSignal]:
+def estimate_site_signals(candidate: FittedCandidate) -> dict[str, ResidualSignal]:
     """The unexplained signal as it would be at each site, in the stretch where the misfit varies most; likeliest first."""
     line = linearise_run(candidate, *find_worst_stretch(normalised_residuals(candidate), LOCALISATION_MOST_ROWS))
     ranked = _rank_sites(candidate, line)
     return {site.label: _to_signal(candidate, line, site, smoothed) for site, smoothed in ranked}
 
 
-def normalised_residuals(candidate: CandidateFit) -> list[np.ndarray]:
+def normalised_residuals(candidate: FittedCandidate) -> list[np.ndarray]:
     """Residual over noise (N, ny) of each record."""
     return [r for r, _ in unwhitened_shooting(candidate).residuals(candidate.variables.here)]
 
@@ -408,7 +408,7 @@ def find_worst_stretch(residuals: Sequence[np.ndarray], most_rows: int) -> tuple
     return stretch
 
 
-def _rank_sites(candidate: CandidateFit, line: LinearisedRun) -> list[tuple[DisturbanceSite, SmoothedSignal]]:
+def _rank_sites(candidate: FittedCandidate, line: LinearisedRun) -> list[tuple[DisturbanceSite, SmoothedSignal]]:
     """Every site with the signal that the residual asks for there, likeliest first."""
     r, jacobian = unwhitened_shooting(candidate).residuals(candidate.variables.here)[line.record]
     stretch = slice(line.first, line.first + line.rows)
@@ -460,7 +460,7 @@ MEASURED_RATIO = 2.0
 
 
 def _to_signal(
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     line: LinearisedRun,
     site: DisturbanceSite,
     smoothed: SmoothedSignal,
@@ -483,7 +483,7 @@ def _to_signal(
 
 
 def _replace_by_readings(
-    candidate: CandidateFit, line: LinearisedRun, rows: np.ndarray, values: np.ndarray, ratio: float
+    candidate: FittedCandidate, line: LinearisedRun, rows: np.ndarray, values: np.ndarray, ratio: float
 ) -> None:
     """Put the readings of measured states into ``values`` (K, nx + nu) where the model's run is farther off than ``ratio`` noises."""
     model, experiment = candidate.model, candidate.problem.experiments[line.record]

@@ -67,7 +67,7 @@ from greybox.discovery.holdout import (
 from greybox.discovery.laws.search import LawSearch, search_laws
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem, UserFit
+from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
 from greybox.discovery.proposals import (
     explain_doubt,
     list_detection_limits,
@@ -130,8 +130,8 @@ class JudgedSelection:
     """
 
     selection: StepwiseSelection
-    selected: CandidateFit
-    rivals: Sequence[CandidateFit]
+    selected: FittedCandidate
+    rivals: Sequence[FittedCandidate]
     base: Fit
     best: Fit
     holdout: Mapping[str, HoldoutError]
@@ -140,12 +140,12 @@ class JudgedSelection:
     checks: tuple[Check, ...]
 
     @property
-    def baseline(self) -> CandidateFit:
+    def baseline(self) -> FittedCandidate:
         """The fit of the plain model."""
         return self.selection.baseline
 
     @property
-    def corrected(self) -> CandidateFit:
+    def corrected(self) -> FittedCandidate:
         """The selected model with the shape of its effects corrected, where the records asked for that."""
         return self.selection.shape_corrections.get(frozenset(self.selected.effects), self.selected)
 
@@ -301,7 +301,7 @@ def discover(
             refits,
             policy.budget,
             given=tuple(effect.name for effect in model.effects),
-            user_fit=UserFit(dict(noise or {}), _as_tuple(quiet), options),
+            user_settings=FitSettings(dict(noise or {}), _as_tuple(quiet), options),
         )
         scales = _estimate_scales(problem, policy)
         given = (
@@ -392,7 +392,7 @@ def _select_and_judge(
 RESIDUAL_NOISE_ROUNDS = 2
 
 
-def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, CandidateFit]:
+def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, FittedCandidate]:
     """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
     policy, on_message = selection.policy, selection.on_message
     level_known = is_level_known(selection.baseline.problem.noise)
@@ -793,7 +793,7 @@ class FinalModel:
     """The model of the answer: as a candidate, as a validated fit, and the validation records under the noise it was fitted with."""
 
     scores: HoldoutScores
-    candidate: CandidateFit
+    candidate: FittedCandidate
     fit: Fit
 
 
@@ -836,7 +836,7 @@ def _estimate_signals(final: FinalModel) -> tuple[EffectSignal, ...]:
     return problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, estimate_signals, ())
 
 
-def _locate(candidate: CandidateFit, selection: StepwiseSelection) -> ResidualLocalisation:
+def _locate(candidate: FittedCandidate, selection: StepwiseSelection) -> ResidualLocalisation:
     """What a candidate leaves unexplained; the misfit alone where its site cannot be estimated."""
     policy = selection.policy
     locate = partial(localise_residual, candidate, selection=policy.selection)
@@ -848,7 +848,7 @@ def _locate(candidate: CandidateFit, selection: StepwiseSelection) -> ResidualLo
 LEAST_NOISE_SHARE = 0.01
 
 
-def _under_less_noise(final: FinalModel) -> CandidateFit:
+def _under_less_noise(final: FinalModel) -> FittedCandidate:
     """The final model with only that part of its residual for noise that nothing before it tells; as it is where the noise is known."""
     candidate = final.candidate
     problem = candidate.problem
@@ -1021,7 +1021,7 @@ def _physical_effects(judged: JudgedSelection) -> list[str]:
     return [name for name in _added_effects(judged) if not is_shape_correction(name)]
 
 
-def _name(candidate: CandidateFit) -> str:
+def _name(candidate: FittedCandidate) -> str:
     return " + ".join(candidate.effects)
 
 

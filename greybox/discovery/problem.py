@@ -31,7 +31,7 @@ _Start = tuple[float, DecisionVector]
 
 
 @dataclass(frozen=True)
-class CandidateFit:
+class FittedCandidate:
     """A model fitted to the records.
 
     Parameters
@@ -117,7 +117,7 @@ SEARCH_REFIT_STARTS = 2
 
 
 @dataclass(frozen=True)
-class UserFit:
+class FitSettings:
     """How a fit of one's own to the same records goes: with the noise and the options as they were given.
 
     A search estimates the noise once and fits briefly. Its answer is fitted like this in the end, so that whoever fits the model that is
@@ -158,7 +158,7 @@ class DiscoveryProblem:
         What failed so far, and why.
     given
         Names of the effects that are the user's own: they count as a part of the plain model.
-    user_fit
+    user_settings
         How the answer is fitted in the end; None leaves it as the search fitted it.
     fitted
         Every candidate that was fitted so far, whatever came of it.
@@ -173,8 +173,8 @@ class DiscoveryProblem:
     budget: SearchBudget = field(default_factory=SearchBudget)
     failures: FailureLog = field(default_factory=FailureLog)
     given: tuple[str, ...] = ()
-    user_fit: UserFit | None = None
-    fitted: list[CandidateFit] = field(default_factory=list)
+    user_settings: FitSettings | None = None
+    fitted: list[FittedCandidate] = field(default_factory=list)
 
     @classmethod
     def from_fit(cls, fit: Fit, budget: SearchBudget | None = None) -> DiscoveryProblem:
@@ -191,19 +191,19 @@ class DiscoveryProblem:
         )
         return cls(fit.model, experiments, noise, (), options, budget=budget or SearchBudget())
 
-    def to_candidate(self, fit: Fit) -> CandidateFit:
+    def to_candidate(self, fit: Fit) -> FittedCandidate:
         """A finished fit as it stands, without another search."""
         problem = self.prepare(fit.model)
         names = problem.model.system.state_names
         guess = np.array([[t.initial_state[name] for name in names] for t in fit.traces])
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
         evaluation = problem.shooting(variables).evaluate(variables.here)
-        return CandidateFit(
+        return FittedCandidate(
             fit.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation, self.given
         )
 
     @cached_property
-    def baseline(self) -> CandidateFit:
+    def baseline(self) -> FittedCandidate:
         """The plain model, fitted to a growing part of the record from its start values."""
         solution = solve(self.prepare(self.model), self.options)
         if solution.status is TerminationStatus.INTERRUPTED:
@@ -293,9 +293,9 @@ class DiscoveryProblem:
         starts: Iterable[StartValues],
         keep: int | None = None,
         iterations: int | None = None,
-        like: CandidateFit | None = None,
+        like: FittedCandidate | None = None,
         refines: bool = True,
-    ) -> CandidateFit | None:
+    ) -> FittedCandidate | None:
         """``model`` refitted from the ``keep`` most promising of ``starts``; None if it cannot be simulated from any of them.
 
         The records start from the initial states of the fit ``like``, as far as it has the same states. Whether it ``refines`` its
@@ -305,13 +305,13 @@ class DiscoveryProblem:
         job = RefitJob(model, tuple(starts), keep, iterations, _initial_states(like), refines)
         return self.refit_all([job])[0]
 
-    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:
         """Independent refits, in order, wherever they run."""
-        fits: list[CandidateFit | None] = self.executor.run(self, jobs)
+        fits: list[FittedCandidate | None] = self.executor.run(self, jobs)
         self.fitted.extend(fit for fit in fits if fit is not None)
         return fits
 
-    def refit(self, job: RefitJob) -> CandidateFit | None:
+    def refit(self, job: RefitJob) -> FittedCandidate | None:
         """One refit in this process.
 
         Raises
@@ -329,12 +329,12 @@ class DiscoveryProblem:
             self.failures.add(SearchStage.REFIT, tuple(e.name for e in job.model.effects), NOT_SIMULATED)
         return min(finite, key=lambda fit: fit.cost, default=None)
 
-    def to_outcome(self, candidate: CandidateFit) -> RefitOutcome:
+    def to_outcome(self, candidate: FittedCandidate) -> RefitOutcome:
         """What must be kept of a refit to restore it."""
         initial = tuple(map(tuple, candidate.variables.initial.guess.tolist()))
         return RefitOutcome(candidate.model.values, initial, candidate.problem.step.substeps)
 
-    def restore(self, model: Model, outcome: RefitOutcome) -> CandidateFit:
+    def restore(self, model: Model, outcome: RefitOutcome) -> FittedCandidate:
         """``model`` where an earlier refit ended."""
         problem = self.prepare(model.start(**outcome.values))
         variables = problem.variables.start_at(outcome.values)
@@ -342,7 +342,7 @@ class DiscoveryProblem:
             problem = problem.with_substeps(outcome.substeps)
         variables = replace(variables, initial=replace(variables.initial, guess=np.array(outcome.initial)))
         e = problem.shooting(variables).evaluate(variables.here)
-        return CandidateFit(problem.model, e.cost, e.count, variables.size, problem, variables, e, self.given)
+        return FittedCandidate(problem.model, e.cost, e.count, variables.size, problem, variables, e, self.given)
 
     def to_portable(self) -> DiscoveryProblem:
         """The same for another process: the noise is known, and there is no executor or journal."""
@@ -350,7 +350,7 @@ class DiscoveryProblem:
             self.model, self.experiments, self.noise_model, (), self.refit_options, budget=self.budget, given=self.given
         )
 
-    def predict_cost(self, model: Model, starts: Iterable[StartValues], like: CandidateFit | None = None) -> float:
+    def predict_cost(self, model: Model, starts: Iterable[StartValues], like: FittedCandidate | None = None) -> float:
         """The lowest cost that one Gauss-Newton step predicts from any of ``starts``; ``like`` as in `refit_best`.
 
         Infinite for a model that cannot be simulated, and once the time of the search is over.
@@ -387,7 +387,7 @@ class DiscoveryProblem:
         return hashlib.sha256(repr(identity).encode()).hexdigest()[:32]
 
 
-def _initial_states(candidate: CandidateFit | None) -> dict[str, tuple[float, ...]]:
+def _initial_states(candidate: FittedCandidate | None) -> dict[str, tuple[float, ...]]:
     """The value of each state at the first row of each record, as a refit ended."""
     if candidate is None:
         return {}
@@ -405,10 +405,10 @@ def _with_initial_states(problem: EstimationProblem, values: Mapping[str, Sequen
     return replace(problem, variables=replace(problem.variables, initial=initial))
 
 
-def _from_solution(model: Model, solution: Solution, given: tuple[str, ...]) -> CandidateFit:
+def _from_solution(model: Model, solution: Solution, given: tuple[str, ...]) -> FittedCandidate:
     variables, evaluation = solution.variables, solution.evaluation
     values = dict(zip(model.values, map(float, variables.fixed), strict=True))
-    return CandidateFit(
+    return FittedCandidate(
         model.start(**values),
         evaluation.cost,
         evaluation.count,

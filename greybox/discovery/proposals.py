@@ -21,7 +21,7 @@ from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate import Surrogate
@@ -62,7 +62,7 @@ class DiscriminatingExperiment:
 
 
 def rank_discriminating_experiments(
-    problem: DiscoveryProblem, selected: CandidateFit, rival: CandidateFit
+    problem: DiscoveryProblem, selected: FittedCandidate, rival: FittedCandidate
 ) -> list[DiscriminatingExperiment]:
     """Every candidate input with the present sensors, and with one more, best first."""
     installed = tuple(problem.noise_std)
@@ -155,7 +155,7 @@ def _courses(time: np.ndarray, period: float, number: int) -> dict[InputKind, np
 
 def _cost_of_rival(
     problem: DiscoveryProblem,
-    rival: CandidateFit,
+    rival: FittedCandidate,
     record: Experiment,
     measured: tuple[str, ...],
 ) -> float:
@@ -222,7 +222,7 @@ def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
 
 
 def propose_experiments(
-    problem: DiscoveryProblem, selected: CandidateFit, rivals: Sequence[CandidateFit]
+    problem: DiscoveryProblem, selected: FittedCandidate, rivals: Sequence[FittedCandidate]
 ) -> tuple[Finding, ...]:
     """For each rival the experiment that would tell it from the selected model, or that there is none."""
     findings = []
@@ -250,13 +250,13 @@ def explain_doubt(evidence: EffectEvidence) -> Finding | None:
     return None
 
 
-def list_detection_limits(candidates: Sequence[CandidateFit]) -> tuple[Finding, ...]:
+def list_detection_limits(candidates: Sequence[FittedCandidate]) -> tuple[Finding, ...]:
     """For each effect that was tried on a complete model, the smallest amplitude that these records would have shown."""
     limits = (_detection_limit(candidate) for candidate in candidates)
     return tuple(limit for limit in limits if limit is not None)
 
 
-def _detection_limit(candidate: CandidateFit) -> Finding | None:
+def _detection_limit(candidate: FittedCandidate) -> Finding | None:
     bound, variables = candidate.model.bound_effects[-1], candidate.variables
     amplitudes = [
         bound.model_names[name] for name in bound.effect.amplitudes if bound.model_names[name] in variables.names

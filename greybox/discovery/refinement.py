@@ -29,7 +29,7 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, compare_errors, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, CandidateFit, DiscoveryProblem, StartValues
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate, StartValues
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SCREENING_ITERATIONS, MessageCallback, list_extension_starts, rank_extensions
 from greybox.estimation.result import Fit
@@ -98,7 +98,7 @@ class Refinement(Printable, ReadOnly):
 class _Extension:
     """A model with one effect more, its misfit on the validation records, and the share of the estimation misfit that it removes."""
 
-    candidate: CandidateFit
+    candidate: FittedCandidate
     name: str
     validation_misfit: float
     estimation_share: float
@@ -162,7 +162,7 @@ def refine(
 class RefinedCandidate:
     """A candidate with further effects, the steps that led there, and the checks of every candidate that was refitted."""
 
-    candidate: CandidateFit
+    candidate: FittedCandidate
     steps: tuple[RefinementStep, ...]
     checks: tuple[Check, ...]
 
@@ -178,7 +178,7 @@ MOST_EFFECTS = 4
 
 def refine_candidate(
     scores: HoldoutScores,
-    start: CandidateFit,
+    start: FittedCandidate,
     candidates: Sequence[Effect],
     policy: DiscoveryPolicy,
     on_message: MessageCallback | None = None,
@@ -280,8 +280,8 @@ REFINEMENT_LEAST_DEVIATIONS = 2.0
 
 def _judge_extension(
     scores: HoldoutScores,
-    smaller: CandidateFit,
-    larger: CandidateFit,
+    smaller: FittedCandidate,
+    larger: FittedCandidate,
     misfit: float,
     policy: DiscoveryPolicy,
     checks: list[Check],
@@ -309,7 +309,7 @@ def _judge_extension(
     return _Extension(larger, name, after, share) if lasts else None
 
 
-def _criterion_gain(smaller: CandidateFit, larger: CandidateFit) -> float:
+def _criterion_gain(smaller: FittedCandidate, larger: FittedCandidate) -> float:
     """Decrease of Schwarz's criterion with a noise level that is not known, and falls with each effect: ``N ln(cost)``."""
     paid = (larger.free - smaller.free) * float(np.log(larger.count))
     return larger.count * float(np.log(max(smaller.cost, TINY) / max(larger.cost, TINY))) - paid
@@ -323,11 +323,11 @@ REFINEMENT_FINISHED_CANDIDATES = 3
 
 def _extend_each(
     problem: DiscoveryProblem,
-    selected: CandidateFit,
+    selected: FittedCandidate,
     candidates: Sequence[Effect],
     scales: Scales,
     policy: DiscoveryPolicy,
-) -> list[CandidateFit]:
+) -> list[FittedCandidate]:
     """``selected`` with each of the further effects whose predicted cost is lowest; those that promise most after a short refit are
     refitted to convergence.
     """
@@ -337,8 +337,8 @@ def _extend_each(
     promising = rank_extensions(problem, selected, further, scales, policy.refinement.promising_candidates)
 
     def refit(
-        model: Model, starts: Sequence[StartValues], keep: int, iterations: int, like: CandidateFit
-    ) -> CandidateFit | None:
+        model: Model, starts: Sequence[StartValues], keep: int, iterations: int, like: FittedCandidate
+    ) -> FittedCandidate | None:
         job = partial(problem.refit_best, model, starts, keep, iterations, like)
         return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), job, None)
 
@@ -361,12 +361,12 @@ REFINEMENT_REPLACEMENTS = 3
 
 def _replace_each(
     problem: DiscoveryProblem,
-    selected: CandidateFit,
+    selected: FittedCandidate,
     name: str,
     candidates: Sequence[Effect],
     scales: Scales,
     policy: DiscoveryPolicy,
-) -> list[CandidateFit]:
+) -> list[FittedCandidate]:
     """``selected`` with one of its effects replaced by each of those whose predicted cost is lowest."""
     rest = _refit_without(problem, selected, name)
     if rest is None:
@@ -380,7 +380,7 @@ def _replace_each(
     ]
 
 
-def _refit_without(problem: DiscoveryProblem, selected: CandidateFit, name: str) -> CandidateFit | None:
+def _refit_without(problem: DiscoveryProblem, selected: FittedCandidate, name: str) -> FittedCandidate | None:
     """``selected`` without one of its effects; None where that cannot be fitted."""
     model = selected.model.without(name)
     values = {n: value for n, value in selected.model.values.items() if n in model.values}
@@ -394,7 +394,7 @@ def _without_shape_corrections(model: Model) -> Model:
     return model
 
 
-def with_residual_noise(problem: DiscoveryProblem, candidate: CandidateFit) -> DiscoveryProblem:
+def with_residual_noise(problem: DiscoveryProblem, candidate: FittedCandidate) -> DiscoveryProblem:
     """The same problem with white noise of the level of the candidate's residual: what is left is structure, to be followed."""
     noise, ratios = candidate.problem.noise, _residual_over_noise(candidate)
     colour = tuple(AutoRegression() for _ in noise.std)
@@ -406,7 +406,7 @@ def with_residual_noise(problem: DiscoveryProblem, candidate: CandidateFit) -> D
     )
 
 
-def _residual_over_noise(candidate: CandidateFit) -> np.ndarray:
+def _residual_over_noise(candidate: FittedCandidate) -> np.ndarray:
     """Rms residual over noise of each output (ny,); one for an output that was not measured."""
     residuals = np.concatenate(normalised_residuals(candidate))
     counts = np.isfinite(residuals).sum(axis=0)

@@ -24,7 +24,7 @@ from greybox.discovery.candidates import generate_starting_points
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
 from greybox.discovery.execution import RefitJob
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.surrogate_effects import CURVE, make_curve_effect, make_power_effect
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
@@ -44,7 +44,7 @@ def is_level_known(noise: NoiseModel) -> bool:
     return noise.is_level_known
 
 
-def estimate_residual_noise(candidate: CandidateFit) -> NoiseModel:
+def estimate_residual_noise(candidate: FittedCandidate) -> NoiseModel:
     """The weights of a selection: no larger than the noise can be, and no longer remembered than a sensor remembers.
 
     A level that is known stays. One that is only bounded becomes what the model leaves where that is less; what it leaves beyond the
@@ -93,7 +93,7 @@ def is_same_noise(noise: NoiseModel, before: NoiseModel) -> bool:
     return same_level and all(a.reflection == b.reflection for a, b in zip(noise.colour, before.colour, strict=True))
 
 
-def excess_autocorrelation(candidate: CandidateFit, lags: int) -> float:
+def excess_autocorrelation(candidate: FittedCandidate, lags: int) -> float:
     """Sum of squared autocorrelations of the whitened residual over ``lags``, beyond chance, of the worst output: zero for noise."""
     worst = 0.0
     for j, series in _normalised_residuals(candidate):
@@ -106,7 +106,7 @@ def excess_autocorrelation(candidate: CandidateFit, lags: int) -> float:
     return worst
 
 
-def _normalised_residuals(candidate: CandidateFit) -> list[tuple[int, np.ndarray]]:
+def _normalised_residuals(candidate: FittedCandidate) -> list[tuple[int, np.ndarray]]:
     """Residual over noise of each measured output, the records one after the other with a gap between."""
     problem = candidate.problem
     shooting = problem.with_plain_squares().shooting(candidate.variables)
@@ -138,7 +138,9 @@ def is_shape_correction(name: str) -> bool:
     return name == CURVE or name.endswith(SECOND_BRANCH)
 
 
-def fit_shape_correction(problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales) -> CandidateFit | None:
+def fit_shape_correction(
+    problem: DiscoveryProblem, candidate: FittedCandidate, scales: Scales
+) -> FittedCandidate | None:
     """The best correction of one effect by Schwarz's criterion; None where there is none to try."""
     jobs = list_shape_corrections(problem, candidate, scales)
     corrected = [fit for fit in problem.refit_all([job for _, job in jobs]) if fit is not None]
@@ -146,7 +148,7 @@ def fit_shape_correction(problem: DiscoveryProblem, candidate: CandidateFit, sca
 
 
 def list_shape_corrections(
-    problem: DiscoveryProblem, candidate: CandidateFit, scales: Scales
+    problem: DiscoveryProblem, candidate: FittedCandidate, scales: Scales
 ) -> list[tuple[str, RefitJob]]:
     """Every correction of the shape of one effect: the effect's name, and the refit."""
     return [*_second_branches(candidate, scales), *_curves(problem, candidate)]
@@ -156,7 +158,7 @@ def list_shape_corrections(
 CORRECTION_ITERATIONS = 20
 
 
-def _second_branches(candidate: CandidateFit, scales: Scales) -> Iterator[tuple[str, RefitJob]]:
+def _second_branches(candidate: FittedCandidate, scales: Scales) -> Iterator[tuple[str, RefitJob]]:
     """A second branch of every effect that has memory and a shape: a spectrum of times in the place of one."""
     for effect in candidate.model.effects:
         if effect.states and effect.balances and effect.terms and effect.grid:
@@ -172,7 +174,7 @@ def has_memory(effect: Effect) -> bool:
     return bool(effect.states or effect.delay or effect.hold)
 
 
-def prepare_curve(rest: CandidateFit, signal: EffectSignal) -> RefitJob:
+def prepare_curve(rest: FittedCandidate, signal: EffectSignal) -> RefitJob:
     """The refit of ``rest`` with a curve that stands for the whole ``signal`` of an effect that it does not have."""
     return _prepare_curve(rest, signal, signal.value)
 
@@ -181,7 +183,7 @@ def prepare_curve(rest: CandidateFit, signal: EffectSignal) -> RefitJob:
 SURROGATE_REFIT_ITERATIONS = 30
 
 
-def prepare_power(selected: CandidateFit, rest: CandidateFit, signal: EffectSignal) -> RefitJob:
+def prepare_power(selected: FittedCandidate, rest: FittedCandidate, signal: EffectSignal) -> RefitJob:
     """The refit of ``rest`` with a power of the variable of ``signal`` that stands for the whole signal of an effect of ``selected``."""
     power, values = make_power_effect(_site_of(rest, signal), signal.dependence, signal.variable, signal.value)
     model = rest.model + power
@@ -192,7 +194,7 @@ def prepare_power(selected: CandidateFit, rest: CandidateFit, signal: EffectSign
     return RefitJob(model, starts, 2, SURROGATE_REFIT_ITERATIONS)
 
 
-def _curves(problem: DiscoveryProblem, candidate: CandidateFit) -> Iterator[tuple[str, RefitJob]]:
+def _curves(problem: DiscoveryProblem, candidate: FittedCandidate) -> Iterator[tuple[str, RefitJob]]:
     """A curve at the site of every effect, over the variable that its signal depends on most."""
     for signal in estimate_effect_signals(problem, candidate):
         corrected: Effect | None = next((e for e in candidate.model.effects if e.name == signal.effect), None)
@@ -204,7 +206,7 @@ def _curves(problem: DiscoveryProblem, candidate: CandidateFit) -> Iterator[tupl
 CORRECTION_HEIGHTS = 10
 
 
-def _prepare_curve(candidate: CandidateFit, signal: EffectSignal, values: np.ndarray) -> RefitJob:
+def _prepare_curve(candidate: FittedCandidate, signal: EffectSignal, values: np.ndarray) -> RefitJob:
     """``candidate`` with a curve at the site of ``signal`` over its variable, which begins as the regression of ``values`` (K,)."""
     curve, heights = make_curve_effect(
         _site_of(candidate, signal),
@@ -220,6 +222,6 @@ def _prepare_curve(candidate: CandidateFit, signal: EffectSignal, values: np.nda
     return RefitJob(model, starts, 1, CORRECTION_ITERATIONS)
 
 
-def _site_of(candidate: CandidateFit, signal: EffectSignal) -> DisturbanceSite:
+def _site_of(candidate: FittedCandidate, signal: EffectSignal) -> DisturbanceSite:
     sites = list_disturbance_sites(candidate.model, [o.name for o in candidate.model.outputs])
     return next(s for s in sites if s.label == signal.site)

@@ -40,7 +40,7 @@ class RankedCandidate:
     effects
         Those of its model.
     misfit
-        Misfit over noise (`CandidateFit.noise_ratio`).
+        Misfit over noise (`FittedCandidate.noise_ratio`).
     behind
         How far its criterion lies behind that of the best one.
     """

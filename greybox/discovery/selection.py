@@ -29,8 +29,8 @@ from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
 from greybox.discovery.problem import (
     SEARCH_REFIT_ITERATIONS,
     SEARCH_REFIT_STARTS,
-    CandidateFit,
     DiscoveryProblem,
+    FittedCandidate,
     StartValues,
 )
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
@@ -48,7 +48,7 @@ NEAR_ZERO_AMPLITUDE = 0.01
 
 def rank_extensions(
     problem: DiscoveryProblem,
-    selected: CandidateFit,
+    selected: FittedCandidate,
     effects: Sequence[Effect],
     scales: Scales,
     most: int,
@@ -66,7 +66,7 @@ def rank_extensions(
 
 
 def predict_extension(
-    problem: DiscoveryProblem, selected: CandidateFit, effect: Effect, scales: Scales, amplitudes: Sequence[float]
+    problem: DiscoveryProblem, selected: FittedCandidate, effect: Effect, scales: Scales, amplitudes: Sequence[float]
 ) -> float:
     """The lowest cost that one step predicts for ``selected`` with one effect more, from these amplitudes of it."""
 
@@ -78,7 +78,7 @@ def predict_extension(
     return problem.failures.attempt(SearchStage.SCREENING, (*selected.effects, effect.name), predict, np.inf)
 
 
-def list_extension_starts(selected: CandidateFit, effect: Effect, scales: Scales) -> list[StartValues]:
+def list_extension_starts(selected: FittedCandidate, effect: Effect, scales: Scales) -> list[StartValues]:
     """Where the refit with a further effect starts: with nothing of it, and at the usual amplitudes and shapes."""
     model = selected.model + effect
     amplitudes = AMPLITUDE_GRID
@@ -183,14 +183,14 @@ class StepwiseSelection:
     scales: Scales
     policy: DiscoveryPolicy
     on_message: MessageCallback
-    seeds: Mapping[Key, CandidateFit] = field(default_factory=dict)
+    seeds: Mapping[Key, FittedCandidate] = field(default_factory=dict)
     firsts: Collection[str] | None = None
-    measure_autocorrelation: Callable[[CandidateFit, int], float] = excess_autocorrelation
-    correct_shape: Callable[[Any, CandidateFit, Scales], CandidateFit | None] = fit_shape_correction
-    baseline: CandidateFit = field(init=False)
-    single_effects: list[CandidateFit] = field(init=False, default_factory=list)
-    fits: dict[Key, CandidateFit] = field(init=False, default_factory=dict)
-    shape_corrections: dict[Key, CandidateFit] = field(init=False, default_factory=dict)
+    measure_autocorrelation: Callable[[FittedCandidate, int], float] = excess_autocorrelation
+    correct_shape: Callable[[Any, FittedCandidate, Scales], FittedCandidate | None] = fit_shape_correction
+    baseline: FittedCandidate = field(init=False)
+    single_effects: list[FittedCandidate] = field(init=False, default_factory=list)
+    fits: dict[Key, FittedCandidate] = field(init=False, default_factory=dict)
+    shape_corrections: dict[Key, FittedCandidate] = field(init=False, default_factory=dict)
     steps: list[SelectionStep] = field(init=False, default_factory=list)
     _predicted: dict[Key, dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
@@ -202,7 +202,7 @@ class StepwiseSelection:
         """How much is tried."""
         return self.policy.budget
 
-    def select(self) -> CandidateFit:
+    def select(self) -> FittedCandidate:
         """The model that explains the records best without an effect that is not needed; the plain one if nothing is missing."""
         selected = self.select_first()
         if selected is self.baseline:
@@ -222,7 +222,7 @@ class StepwiseSelection:
             self._tell(DiscoveryCode.FURTHER_EFFECT, selected)
         return self._choose_simplest_equal(self._swap(self._drop_needless(selected)))
 
-    def select_first(self) -> CandidateFit:
+    def select_first(self) -> FittedCandidate:
         """The best model with a single effect, whether or not the data demand it."""
         if not self.single_effects:
             alone = [e for e in self.candidates if self.firsts is None or e.name in self.firsts]
@@ -238,7 +238,7 @@ class StepwiseSelection:
         best = min(self.single_effects, key=lambda fit: fit.criterion)
         return self._simplify(best, self.single_effects)
 
-    def find_rivals(self, selected: CandidateFit) -> list[CandidateFit]:
+    def find_rivals(self, selected: FittedCandidate) -> list[FittedCandidate]:
         """Other models of the same size that explain the records equally well.
 
         A model with a parent or a child of a selected effect is no rival.
@@ -252,7 +252,7 @@ class StepwiseSelection:
                 rivals.append(fit)
         return rivals
 
-    def tie_checks(self, selected: CandidateFit, rivals: Sequence[CandidateFit]) -> tuple[Check, ...]:
+    def tie_checks(self, selected: FittedCandidate, rivals: Sequence[FittedCandidate]) -> tuple[Check, ...]:
         """For each rival, how far its criterion is behind that of the selected model."""
         limit = TIE_COST
         return tuple(
@@ -290,7 +290,7 @@ class StepwiseSelection:
             self.fits[frozenset(fit.effects)] = better
             self.single_effects[self.single_effects.index(fit)] = better
 
-    def _thorough_job(self, fit: CandidateFit, is_best: bool, is_parent_of_best: bool) -> RefitJob:
+    def _thorough_job(self, fit: FittedCandidate, is_best: bool, is_parent_of_best: bool) -> RefitJob:
         effect = self._effect(fit.effects[0])
         model = self.baseline.model + effect
         # The cost of an effect of many shapes has many minima, and the name may be right in a wrong one.
@@ -299,7 +299,7 @@ class StepwiseSelection:
         starts = tuple(self._starting_points(self.baseline, effect, model, [fit.model.values]))
         return RefitJob(model, starts, keep, SEARCH_REFIT_ITERATIONS)
 
-    def _is_worth_refitting(self, fit: CandidateFit, best: CandidateFit) -> bool:
+    def _is_worth_refitting(self, fit: FittedCandidate, best: FittedCandidate) -> bool:
         """Whether a thorough refit may change anything.
 
         It does not where a parent leaves only noise already, nor where another effect does and this one is far from it.
@@ -310,7 +310,7 @@ class StepwiseSelection:
             return False
         return best.per_sample > noise or fit.per_sample <= PRUNE_RATIO * best.per_sample
 
-    def _retest_baseline(self, extended: CandidateFit) -> None:
+    def _retest_baseline(self, extended: FittedCandidate) -> None:
         """The plain model once more, from the constants of the extended one: a baseline stuck in a wrong place is a false alarm."""
         values = {name: value for name, value in extended.model.values.items() if name in self.baseline.model.values}
         again = self.problem.refit_best(self.baseline.model, [values], keep=1)
@@ -319,13 +319,13 @@ class StepwiseSelection:
 
     # Further effects
 
-    def _has_structure_left(self, fit: CandidateFit) -> bool:
+    def _has_structure_left(self, fit: FittedCandidate) -> bool:
         """Whether a further effect is worth looking for: the misfit, or the residual's autocorrelation, is more than chance."""
         if fit.per_sample > noise_cost_limit(fit.count):
             return True
         return self.measure_autocorrelation(fit, AUTOCORRELATION_LAGS) > EXCESS_AUTOCORRELATION
 
-    def _extend(self, selected: CandidateFit) -> CandidateFit | None:
+    def _extend(self, selected: FittedCandidate) -> FittedCandidate | None:
         """The best model with one effect more, beside the selected effects and (for a second one) beside other good first effects."""
         firsts = [selected]
         if len(selected.effects) == 1:
@@ -334,7 +334,7 @@ class StepwiseSelection:
             ranked = (selected, *sorted(self.single_effects, key=lambda fit: fit.criterion))
             simplest = [self._simplest_member(fit) for fit in ranked]
             firsts = list({fit.effects: fit for fit in (selected, *simplest)}.values())[: self.budget.beam_width]
-        best: CandidateFit | None = None
+        best: FittedCandidate | None = None
         size = BATCH_SIZE
         for k in range(0, len(firsts), size):
             batch = self._extend_batch(firsts[k : k + size], leading=k == 0)
@@ -343,7 +343,7 @@ class StepwiseSelection:
                 break
         return best and self._simplify(best, list(self.fits.values()))
 
-    def _extend_batch(self, firsts: Sequence[CandidateFit], leading: bool) -> CandidateFit | None:
+    def _extend_batch(self, firsts: Sequence[FittedCandidate], leading: bool) -> FittedCandidate | None:
         """The best model with one effect more than one of ``firsts``; less is tried where these are not the ``leading`` ones."""
         if leading:
             amplitudes, most = AMPLITUDE_GRID, SECOND_CANDIDATES * len(firsts)
@@ -359,8 +359,8 @@ class StepwiseSelection:
         return self._replace_by_child(min(converged, key=lambda fit: fit.criterion))
 
     def _rank_further_effects(
-        self, firsts: Sequence[CandidateFit], most: int, amplitudes: Sequence[float]
-    ) -> list[tuple[CandidateFit, Effect]]:
+        self, firsts: Sequence[FittedCandidate], most: int, amplitudes: Sequence[float]
+    ) -> list[tuple[FittedCandidate, Effect]]:
         """The ``most`` further effects, each beside one of ``firsts``, whose predicted cost is lowest.
 
         All are predicted nearly absent, the better ones at ``amplitudes`` too.
@@ -375,13 +375,13 @@ class StepwiseSelection:
             for fit, effect in ranked[:count]:
                 key = (*fit.effects, effect.name)
                 lowest[key] = min(lowest.get(key, np.inf), self._predict_cost(fit, effect, amplitude))
-        once: dict[Key, tuple[CandidateFit, Effect]] = {}
+        once: dict[Key, tuple[FittedCandidate, Effect]] = {}
         possible = [(fit, e) for fit, e in pairs if np.isfinite(lowest[*fit.effects, e.name])]
         for fit, effect in sorted(possible, key=lambda pair: lowest[*pair[0].effects, pair[1].name]):
             once.setdefault(frozenset((*fit.effects, effect.name)), (fit, effect))
         return list(once.values())[:most]
 
-    def _predict_cost(self, first: CandidateFit, effect: Effect, amplitude: float) -> float:
+    def _predict_cost(self, first: FittedCandidate, effect: Effect, amplitude: float) -> float:
         """The cost that a step from ``first`` with ``effect`` at an amplitude predicts."""
         known = self._predicted.setdefault(frozenset(first.effects), {})
         if (effect.name, amplitude) not in known:
@@ -395,7 +395,7 @@ class StepwiseSelection:
             known[effect.name, amplitude] = self._attempt(SearchStage.SCREENING, effects, predict, np.inf)
         return known[effect.name, amplitude]
 
-    def _explained_by_shape_correction(self, selected: CandidateFit, larger: CandidateFit) -> bool:
+    def _explained_by_shape_correction(self, selected: FittedCandidate, larger: FittedCandidate) -> bool:
         """Whether a correction of the shape of the effects explains the remaining misfit as well as a further effect."""
         correct = partial(self.correct_shape, self.problem, selected, self.scales)
         corrected = self._attempt(SearchStage.SHAPE_CORRECTION, selected.effects, correct, None)
@@ -416,7 +416,7 @@ class StepwiseSelection:
 
     # Backward, exchange, and simpler members of a family
 
-    def _drop_needless(self, selected: CandidateFit) -> CandidateFit:
+    def _drop_needless(self, selected: FittedCandidate) -> FittedCandidate:
         """Without every effect that the data do not need once the others are there."""
         for name in selected.effects:
             if len(selected.effects) == 1:
@@ -430,7 +430,7 @@ class StepwiseSelection:
                 selected = smaller
         return selected
 
-    def _swap(self, selected: CandidateFit) -> CandidateFit:
+    def _swap(self, selected: FittedCandidate) -> FittedCandidate:
         """With each effect replaced by a better one, if there is one."""
         if len(selected.effects) == 1:
             return selected  # every single effect has been refitted already
@@ -450,7 +450,7 @@ class StepwiseSelection:
                 selected = self._converge(best)
         return self._simplify(selected, list(self.fits.values()))
 
-    def _simplify(self, best: CandidateFit, among: Sequence[CandidateFit]) -> CandidateFit:
+    def _simplify(self, best: FittedCandidate, among: Sequence[FittedCandidate]) -> FittedCandidate:
         """The simplest member of a family that does nearly as well as its best."""
         for name in best.effects:
             for parent in self._simpler(name):
@@ -468,7 +468,9 @@ class StepwiseSelection:
                     return self._simplify(simpler, among)
         return best
 
-    def _refit_from_child(self, simpler: CandidateFit, richer: CandidateFit, parent: str, child: str) -> CandidateFit:
+    def _refit_from_child(
+        self, simpler: FittedCandidate, richer: FittedCandidate, parent: str, child: str
+    ) -> FittedCandidate:
         """The simpler model from the constants of the richer one: caught in a minimum of its own it would leave its name to its child."""
         values = dict(richer.model.values)
         child_names = richer.model.names_of(child)
@@ -482,13 +484,13 @@ class StepwiseSelection:
         self.single_effects = [again if fit.effects == again.effects else fit for fit in self.single_effects]
         return again
 
-    def _allowed_loss(self, simpler: CandidateFit, best: CandidateFit) -> float:
+    def _allowed_loss(self, simpler: FittedCandidate, best: FittedCandidate) -> float:
         """By how much the simpler member of a family may do worse: less where only the richer one leaves nothing but noise."""
         if best.per_sample <= clean_cost_limit(best.count) < simpler.per_sample:
             return CHILD_COST
         return max(CHILD_COST, CHILD_SHARE * (self.baseline.cost - best.cost))
 
-    def _choose_simplest_equal(self, best: CandidateFit) -> CandidateFit:
+    def _choose_simplest_equal(self, best: FittedCandidate) -> FittedCandidate:
         """Of the models that explain the records equally well, whatever their families, the one with the fewest constants."""
         simpler = [fit for fit in self.find_rivals(best) if fit.free < best.free]
         if not simpler:
@@ -498,7 +500,7 @@ class StepwiseSelection:
         self.steps.append(SelectionStep(StepKind.SIMPLIFY, simplest.effects, True, checks))
         return simplest
 
-    def _replace_by_child(self, fit: CandidateFit) -> CandidateFit:
+    def _replace_by_child(self, fit: FittedCandidate) -> FittedCandidate:
         """With an effect replaced by its child, where the effect leaves structure and the child is better."""
         for name in fit.effects:
             for child in (e for e in self.candidates if name in e.parents and self._has_structure_left(fit)):
@@ -511,7 +513,7 @@ class StepwiseSelection:
 
     # Refits
 
-    def _add_each(self, fit: CandidateFit, effects: Sequence[Effect]) -> list[CandidateFit]:
+    def _add_each(self, fit: FittedCandidate, effects: Sequence[Effect]) -> list[FittedCandidate]:
         """``fit`` with each effect in turn, one short refit from its most promising starting point; independent of one another."""
         keys = [frozenset((*fit.effects, e.name)) for e in effects]
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.fits]
@@ -538,16 +540,16 @@ class StepwiseSelection:
             if further is not None and further.cost < self.fits[key].cost:
                 self.fits[key] = further
 
-    def _refit_from_absent(self, fit: CandidateFit, job: RefitJob) -> CandidateFit | None:
+    def _refit_from_absent(self, fit: FittedCandidate, job: RefitJob) -> FittedCandidate | None:
         """The larger model from where the smaller one ended, the effect absent."""
         absent = {name: value for name, value in fit.model.values.items() if name in job.model.values}
         return self.problem.refit_best(job.model, [absent], keep=1, iterations=job.iterations, like=fit)
 
-    def _prepare(self, fit: CandidateFit, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
+    def _prepare(self, fit: FittedCandidate, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
         """A refit of ``fit`` with ``effect``; None where it cannot even begin."""
         return self._attempt(SearchStage.PREPARATION, (*fit.effects, effect.name), prepare, None)
 
-    def _screening_job(self, fit: CandidateFit, effect: Effect) -> RefitJob:
+    def _screening_job(self, fit: FittedCandidate, effect: Effect) -> RefitJob:
         model = fit.model + effect
         starts, shapes = self._starting_points(fit, effect, model), count_shapes(effect, self.scales)
         # With so many shapes (frequencies of a sharp resonance) a step from afar predicts nothing: refit from each.
@@ -555,7 +557,7 @@ class StepwiseSelection:
         return RefitJob(model, tuple(starts), shapes if narrow else 1, SCREENING_ITERATIONS)
 
     def _starting_points(
-        self, fit: CandidateFit, effect: Effect, model: Model, more: Sequence[StartValues] = ()
+        self, fit: FittedCandidate, effect: Effect, model: Model, more: Sequence[StartValues] = ()
     ) -> list[StartValues]:
         """Where the refit of ``model``, which is that of ``fit`` with ``effect``, starts."""
         seed = self.seeds.get(frozenset((*fit.effects, effect.name)))
@@ -573,14 +575,14 @@ class StepwiseSelection:
                 starts += generate_child_starting_points(model, effect, parent, self._effect(name), self.scales)
         return starts
 
-    def _converge(self, fit: CandidateFit) -> CandidateFit:
+    def _converge(self, fit: FittedCandidate) -> FittedCandidate:
         """A short refit carried on to convergence."""
         again = self.problem.refit_best(fit.model, [fit.model.values], keep=1)
         better = again if again is not None and again.cost < fit.cost else fit
         self.fits[frozenset(better.effects)] = better
         return better
 
-    def _refit_without(self, fit: CandidateFit, name: str) -> CandidateFit | None:
+    def _refit_without(self, fit: FittedCandidate, name: str) -> FittedCandidate | None:
         model = fit.model.without(name)
         values = {n: value for n, value in fit.model.values.items() if n in model.values}
         starts = [values, {**values, **self.problem.model.values}]
@@ -599,17 +601,17 @@ class StepwiseSelection:
         """The parents of ``effect`` that are candidates."""
         return set(effect.parents) & {e.name for e in self.candidates}
 
-    def _simplest_member(self, fit: CandidateFit) -> CandidateFit:
+    def _simplest_member(self, fit: FittedCandidate) -> FittedCandidate:
         """The tried parent of a single effect, or its parent's parent."""
         names = self._effect(fit.effects[0]).parents
         parents = [f for name in names for f in self.single_effects if f.effects == (name,)]
         return self._simplest_member(parents[0]) if parents else fit
 
-    def _is_in_family(self, effect: Effect, fit: CandidateFit) -> bool:
+    def _is_in_family(self, effect: Effect, fit: FittedCandidate) -> bool:
         """Whether ``effect`` is a parent or child of one in ``fit``: a family is represented once."""
         return any(effect.name in self._effect(n).parents or n in effect.parents for n in fit.effects)
 
-    def _are_related(self, a: CandidateFit, b: CandidateFit) -> bool:
+    def _are_related(self, a: FittedCandidate, b: FittedCandidate) -> bool:
         """Whether one model is the other with a parent effect in the place of its child."""
         only_a, only_b = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
         pairs = [(x, y) for x in only_a for y in only_b]
@@ -625,12 +627,12 @@ class StepwiseSelection:
 
     # Steps and messages
 
-    def _accept(self, kind: StepKind, smaller: CandidateFit, larger: CandidateFit) -> bool:
+    def _accept(self, kind: StepKind, smaller: FittedCandidate, larger: FittedCandidate) -> bool:
         decision = judge_effect(self.baseline, smaller, larger, self.policy.selection)
         self.steps.append(SelectionStep(kind, larger.effects, decision.passed, decision.checks))
         return decision.passed
 
-    def _tell(self, code: DiscoveryCode, fit: CandidateFit) -> None:
+    def _tell(self, code: DiscoveryCode, fit: FittedCandidate) -> None:
         values = {"before": self.baseline.noise_ratio, "after": fit.noise_ratio, "bounded": fit.is_noise_bounded}
         self.on_message(str(Finding(code, subject=" + ".join(fit.effects), values=values)))
 

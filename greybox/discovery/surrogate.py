@@ -38,7 +38,7 @@ from greybox.discovery.localisation import (
     localise_residual,
 )
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import MAX_SUBSTEPS, CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import MAX_SUBSTEPS, DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import SURROGATE_REFIT_ITERATIONS
 from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate_effects import (
@@ -177,8 +177,8 @@ BESIDE_GAIN = 0.02
 
 def fit_surrogate(
     problem: DiscoveryProblem,
-    baseline: CandidateFit,
-    look_alike: CandidateFit,
+    baseline: FittedCandidate,
+    look_alike: FittedCandidate,
     holdout: Mapping[str, HoldoutError],
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
@@ -227,7 +227,7 @@ USEFUL_SHARE = 0.1
 
 def fit_curve_surrogate(
     problem: DiscoveryProblem,
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     location: ResidualLocalisation,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
@@ -273,7 +273,7 @@ class CurvePlace:
 SURROGATE_VARIABLES = 2
 
 
-def _localised_places(candidate: CandidateFit, location: ResidualLocalisation) -> list[CurvePlace]:
+def _localised_places(candidate: FittedCandidate, location: ResidualLocalisation) -> list[CurvePlace]:
     """The likeliest site, over the variables that its signal is a function of."""
     relevant = [d for d in location.dependences if d.variable != TIME and d.is_relevant]
     if location.signal is None:
@@ -285,7 +285,7 @@ def _localised_places(candidate: CandidateFit, location: ResidualLocalisation) -
 
 
 def _usual_places(
-    problem: DiscoveryProblem, candidate: CandidateFit, location: ResidualLocalisation, policy: DiscoveryPolicy
+    problem: DiscoveryProblem, candidate: FittedCandidate, location: ResidualLocalisation, policy: DiscoveryPolicy
 ) -> list[CurvePlace]:
     """The places that promise most of those where static curves are usual: an input over itself, a sensor over what it shows, a body.
 
@@ -330,7 +330,7 @@ class FreeCurve:
     """A candidate with a smooth curve over ``variable`` at one site, in the place of whatever it lacks."""
 
     variable: str
-    candidate: CandidateFit
+    candidate: FittedCandidate
 
 
 # Sites that the sensors cannot separate at which a free curve is tried in the place of an effect.
@@ -339,7 +339,7 @@ FREE_SITES = 3
 
 def refit_free_curves(
     problem: DiscoveryProblem,
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     location: ResidualLocalisation,
     policy: DiscoveryPolicy,
     enough: float = math.inf,
@@ -386,8 +386,8 @@ HOPELESS_CURVE = 4.0
 
 
 def _refit_free_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace, enough: float
-) -> CandidateFit | None:
+    problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace, enough: float
+) -> FittedCandidate | None:
     """``candidate`` with a curve there, refitted; to the end only where it may come near the cost ``enough``."""
     model, starts = _prepare_curve(problem, candidate, place)
     quick = problem.refit_best(model, starts, SURROGATE_REFIT_STARTS, QUICK_ITERATIONS, like=candidate, refines=False)
@@ -396,7 +396,7 @@ def _refit_free_curve(
     return problem.refit_best(model, [quick.model.values], 1, SURROGATE_REFIT_ITERATIONS, like=quick) or quick
 
 
-def _needs_segments(problem: DiscoveryProblem, candidate: CandidateFit) -> bool:
+def _needs_segments(problem: DiscoveryProblem, candidate: FittedCandidate) -> bool:
     """Whether the model is too unstable for a free run; a curve that makes a stable model unstable is rejected."""
     fitted = replace(candidate.problem, variables=candidate.variables)
     return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
@@ -409,7 +409,7 @@ PERIOD_STARTS: tuple[float, ...] = (1.0, 0.985, 1.015)
 
 
 def _prepare_curve(
-    problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace
+    problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace
 ) -> tuple[Model, list[dict[str, float]]]:
     """``candidate`` with a curve, and where to start: from its own parameters and from those that the user gave."""
     dependence, signal = place.dependence, place.signal
@@ -432,13 +432,13 @@ def _prepare_curve(
     ]
 
 
-def _refit_curve(problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace) -> CandidateFit | None:
+def _refit_curve(problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace) -> FittedCandidate | None:
     """``candidate`` with a curve there, refitted."""
     model, starts = _prepare_curve(problem, candidate, place)
     return problem.refit_best(model, starts, SURROGATE_REFIT_STARTS, SURROGATE_REFIT_ITERATIONS, like=candidate)
 
 
-def _predict_curve(problem: DiscoveryProblem, candidate: CandidateFit, place: CurvePlace) -> float:
+def _predict_curve(problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace) -> float:
     """The cost that one step predicts for a curve there."""
     model, starts = _prepare_curve(problem, candidate, place)
     return problem.predict_cost(model, starts, like=candidate)
@@ -452,7 +452,7 @@ SURROGATE_POINTS_PER_PERIOD = 24
 
 def _to_curve_surrogate(
     problem: DiscoveryProblem,
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     place: CurvePlace,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
@@ -508,7 +508,7 @@ TONE_PERIODS = 5
 
 def fit_tone_surrogate(
     problem: DiscoveryProblem,
-    candidate: CandidateFit,
+    candidate: FittedCandidate,
     location: ResidualLocalisation,
     validation: ValidationSet | Sequence[Experiment],
     base: Fit,
@@ -544,7 +544,11 @@ def fit_tone_surrogate(
 
 
 def _fit_tone(
-    problem: DiscoveryProblem, candidate: CandidateFit, site: DisturbanceSite, signal: ResidualSignal, frequency: float
+    problem: DiscoveryProblem,
+    candidate: FittedCandidate,
+    site: DisturbanceSite,
+    signal: ResidualSignal,
+    frequency: float,
 ) -> Fit:
     """The model of ``candidate`` with a tone at ``site``, fitted to the records."""
     record = next(e for e in candidate.problem.experiments if e.name == signal.record)

@@ -18,7 +18,7 @@ import numpy as np
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutScores
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 
 # Blocks into which the records that were fitted, and those that judge, are divided: so many are long beside the memory of a residual and
 # still enough to draw from.
@@ -88,7 +88,7 @@ class BlockSums:
 class FittedSet:
     """One set of effects on the table: the candidate and its sums by block."""
 
-    candidate: CandidateFit
+    candidate: FittedCandidate
     sums: BlockSums
 
     @property
@@ -127,7 +127,7 @@ class Draws:
 SetKey = frozenset[tuple[str, str, str]]
 
 
-def _key_of(candidate: CandidateFit) -> SetKey:
+def _key_of(candidate: FittedCandidate) -> SetKey:
     """What makes a set: names, places and equations of its effects; two curves have the same name."""
     added = [b for b in candidate.model.bound_effects if b.effect.name not in candidate.given]
     return frozenset((b.effect.name, b.site, b.effect.equation) for b in added)
@@ -148,10 +148,10 @@ class FitTable:
     """
 
     scores: HoldoutScores
-    _sets: dict[SetKey, CandidateFit] = field(init=False, default_factory=dict)
-    _sums: dict[int, tuple[CandidateFit, BlockSums | None]] = field(init=False, default_factory=dict)
+    _sets: dict[SetKey, FittedCandidate] = field(init=False, default_factory=dict)
+    _sums: dict[int, tuple[FittedCandidate, BlockSums | None]] = field(init=False, default_factory=dict)
 
-    def add(self, *candidates: CandidateFit | None) -> None:
+    def add(self, *candidates: FittedCandidate | None) -> None:
         """Put sets on the table; of two fits of the same set the one that leaves less stays, whatever noise they were weighed with."""
         records = [e.fingerprint for e in self.scores.problem.experiments]
         for candidate in candidates:
@@ -163,22 +163,22 @@ class FitTable:
             if known is None or candidate.noise_ratio < known.noise_ratio:
                 self._sets[_key_of(candidate)] = candidate
 
-    def get(self, effects: Iterable[str]) -> CandidateFit | None:
+    def get(self, effects: Iterable[str]) -> FittedCandidate | None:
         """The fit of one set of effects of the catalogue, if it is there."""
         wanted = frozenset(effects)
         return next((fit for fit in self._sets.values() if frozenset(fit.effects) == wanted), None)
 
     @property
-    def candidates(self) -> tuple[CandidateFit, ...]:
+    def candidates(self) -> tuple[FittedCandidate, ...]:
         """The fits, those that leave least first."""
         return tuple(sorted(self._sets.values(), key=lambda fit: fit.noise_ratio))
 
-    def leading(self, always: Iterable[CandidateFit]) -> list[CandidateFit]:
+    def leading(self, always: Iterable[FittedCandidate]) -> list[FittedCandidate]:
         """Those that take part in the draws; some ``always`` do."""
         kept = {_key_of(fit) for fit in (*self.candidates[:MOST_SETS], *always)}
         return [fit for key, fit in self._sets.items() if key in kept]
 
-    def sums(self, candidate: CandidateFit) -> BlockSums | None:
+    def sums(self, candidate: FittedCandidate) -> BlockSums | None:
         """The sums of a candidate by block; None where it cannot be run."""
         if id(candidate) not in self._sums:
             compute = partial(_sum_blocks, self.scores, candidate)
@@ -186,7 +186,7 @@ class FitTable:
             self._sums[id(candidate)] = candidate, sums
         return self._sums[id(candidate)][1]
 
-    def draw(self, candidates: Sequence[CandidateFit], resamples: int = RESAMPLES) -> Draws:
+    def draw(self, candidates: Sequence[FittedCandidate], resamples: int = RESAMPLES) -> Draws:
         """Resample the records and see which of ``candidates`` wins."""
         sets = _keep_whole([FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None])
         if not sets:
@@ -253,7 +253,7 @@ def _standard_errors(behind: np.ndarray, left: np.ndarray) -> np.ndarray:
     return np.asarray(average / np.maximum(spread / np.sqrt(blocks), SAME_ERROR))
 
 
-def _sum_blocks(scores: HoldoutScores, candidate: CandidateFit) -> BlockSums | None:
+def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate) -> BlockSums | None:
     """Residuals and their slopes on all records, summed by block."""
     run = scores.run(candidate)
     if run is None:

@@ -7,7 +7,7 @@ import pytest
 from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.selection import StepKind, StepwiseSelection
 from tests.support.fake_candidates import COUNT, FakeProblem, costs, leaves_noise, toy_effect
 
@@ -220,8 +220,8 @@ def test_every_step_has_its_checks():
 class _StuckProblem(FakeProblem):
     """Its refits from starting points end in a bad minimum; only from where the smaller model ended do they find the way."""
 
-    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
-        return [CandidateFit(job.model, 1e6, COUNT, 6, None, None, None) for job in jobs]
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:
+        return [FittedCandidate(job.model, 1e6, COUNT, 6, None, None, None) for job in jobs]
 
 
 def test_a_model_with_an_effect_more_never_ends_above_the_model_without():

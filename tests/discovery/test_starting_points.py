@@ -3,7 +3,7 @@
 import pytest
 
 from greybox.discovery.candidates import generate_child_starting_points, generate_starting_points
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 from greybox.model.effect import Effect
 from greybox.model.effects.starts import count_shapes
 from greybox.model.signals import Parameter
@@ -14,7 +14,7 @@ PLAIN = micro_actuator.fix("M", "Ra")
 
 
 def fitted(model, **values):
-    return CandidateFit(model.start(**values), 1.0, 1, 1, None, None, None)
+    return FittedCandidate(model.start(**values), 1.0, 1, 1, None, None, None)
 
 
 def shaped_effect(grid):

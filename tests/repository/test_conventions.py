@@ -117,10 +117,12 @@ def test_a_constant_says_what_it_is() -> None:
 
 
 def test_no_two_classes_share_a_name() -> None:
+    """Nor is there a second kind of `Fit`: whatever a plant is, fitting it ends with that one."""
     classes = Counter(
         node.name for path in LIBRARY for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)
     )
     assert not [name for name, count in classes.items() if count > 1]
+    assert [name for name in classes if name.endswith("Fit")] == ["Fit"]
 
 
 def test_variables_say_what_they_hold() -> None:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import FailureLog, RefitJob
-from greybox.discovery.problem import CandidateFit
+from greybox.discovery.problem import FittedCandidate
 from greybox.model.effect import Effect
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
@@ -19,13 +19,13 @@ COUNT = 1000
 CONVERGED = SimpleNamespace(predicted_decrease=lambda *_: 0.0, bounds=tuple)
 
 
-def candidate(cost: float, *effects: str, count: int = COUNT, free: int = 0) -> CandidateFit:
+def candidate(cost: float, *effects: str, count: int = COUNT, free: int = 0) -> FittedCandidate:
     """A fit of the plain model with these effects, of this cost."""
     model = SimpleNamespace(effects=[SimpleNamespace(name=name) for name in effects], values={})
     return FakeFit(model, cost, count, free or 5 + len(effects), None, CONVERGED, CONVERGED)
 
 
-class FakeFit(CandidateFit):
+class FakeFit(FittedCandidate):
     """A fit without residuals: its misfit is its cost."""
 
     @property
@@ -51,19 +51,19 @@ class FakeProblem:
     failures: FailureLog = field(default_factory=FailureLog)
 
     @property
-    def baseline(self) -> CandidateFit:
+    def baseline(self) -> FittedCandidate:
         return self._fit(self.model)
 
-    def refit_all(self, jobs: Sequence[RefitJob]) -> list[CandidateFit | None]:
+    def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:
         return [self._fit(job.model) for job in jobs]
 
-    def refit_best(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> CandidateFit | None:
+    def refit_best(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> FittedCandidate | None:
         return self._fit(model)
 
     def predict_cost(self, model: Model, starts: Iterable[object], like: object = None) -> float:
         return self._cost(model)
 
-    def _fit(self, model: Model) -> CandidateFit:
+    def _fit(self, model: Model) -> FittedCandidate:
         names = frozenset(e.name for e in model.effects)
         self.refits.append(names)
         free = 5 + sum(len(e.parameters) for e in model.effects)
@@ -96,6 +96,6 @@ def toy_effect(name: str, *parents: str, constants: int = 1) -> Effect:
     )
 
 
-def leaves_noise(fit: CandidateFit, lags: int = 0) -> float:
+def leaves_noise(fit: FittedCandidate, lags: int = 0) -> float:
     """The autocorrelation of a residual: structure as long as more than noise is left."""
     return 0.0 if fit.per_sample <= noise_cost_limit(fit.count) else 1.0

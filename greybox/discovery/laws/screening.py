@@ -19,7 +19,7 @@ from greybox.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)
-class ObservedFit:
+class ObservedModel:
     """A model fitted in the observer: ``values`` of its constants, first states by name (one a record), minus twice the log-likelihood."""
 
     model: Model
@@ -97,7 +97,7 @@ def fit_in_observer(
     initial: Mapping[str, Sequence[float]],
     intensities: Sequence[float],
     steps: int,
-) -> ObservedFit | None:
+) -> ObservedModel | None:
     """The free constants of a model as the observer's innovations ask for; None where it cannot be run.
 
     ``nominal``: constants that are known to about `LawPolicy.constant_spread`; the others may be anything.
@@ -164,7 +164,7 @@ def fit_in_observer(
     states = dict(zip(model.system.state_names, map(tuple, firsts.T.tolist()), strict=True))
     values = {**model.values, **dict(zip(names, map(float, z), strict=True))}
     prior = np.column_stack([mean, spread])
-    return ObservedFit(
+    return ObservedModel(
         model, values, states, objective, intensities[at], records, runs, [tape for tape, _ in taped], prior
     )
 
@@ -202,7 +202,7 @@ TERMS_AT_ONCE = 1000
 COMPLEXITY_COST = 4.0
 
 
-def rank_terms(observed: ObservedFit) -> list[TermStart]:
+def rank_terms(observed: ObservedModel) -> list[TermStart]:
     """Every term that the model may have, with what it promises beside its complexity; best first."""
     model, runs, records = observed.model, observed.runs, observed.records
     names = [*model.system.state_names, *(i.name for i in model.inputs)]
@@ -238,9 +238,9 @@ def rank_terms(observed: ObservedFit) -> list[TermStart]:
     return sorted(starts.values(), key=lambda s: COMPLEXITY_COST * s.term.complexity - s.decrease)
 
 
-def rank_everywhere(variants: Sequence[ObservedFit]) -> list[tuple[TermStart, ObservedFit]]:
+def rank_everywhere(variants: Sequence[ObservedModel]) -> list[tuple[TermStart, ObservedModel]]:
     """Every term beside the variant of the observed model where it promises most; best first."""
-    best: dict[LawTerm, tuple[float, TermStart, ObservedFit]] = {}
+    best: dict[LawTerm, tuple[float, TermStart, ObservedModel]] = {}
     for observed in variants:
         for start in rank_terms(observed):
             promise = observed.objective - start.decrease + COMPLEXITY_COST * start.term.complexity
@@ -258,8 +258,8 @@ UNSEEN_SPREAD = 0.5
 
 
 def observe_variants(
-    problem: DiscoveryProblem, observed: ObservedFit, nominal: Mapping[str, float]
-) -> list[ObservedFit]:
+    problem: DiscoveryProblem, observed: ObservedModel, nominal: Mapping[str, float]
+) -> list[ObservedModel]:
     """The observed model, and where a state is unseen the same from other constants and first states that are as likely beforehand.
 
     A term in a state that nothing shows is computed along a guess of it: one guess would hide the right term.
@@ -305,7 +305,9 @@ def observe_variants(
 SIMPLE_COMPLEXITY = 4
 
 
-def choose_terms(ranked: Sequence[tuple[TermStart, ObservedFit]], count: int) -> list[tuple[TermStart, ObservedFit]]:
+def choose_terms(
+    ranked: Sequence[tuple[TermStart, ObservedModel]], count: int
+) -> list[tuple[TermStart, ObservedModel]]:
     """The leading terms; a third of the places is for simple ones, that a complicated one of the same shape would hide."""
     places = range(len(ranked))
     simple = [k for k in places if ranked[k][0].term.complexity <= SIMPLE_COMPLEXITY][: count // 3]
@@ -324,14 +326,14 @@ UNSEEN_STEPS = 10
 def observe_terms(
     problem: DiscoveryProblem,
     nominal: Mapping[str, float],
-    starts: Sequence[tuple[TermStart, ObservedFit]],
+    starts: Sequence[tuple[TermStart, ObservedModel]],
     name: str,
-) -> list[tuple[TermStart, ObservedFit]]:
+) -> list[tuple[TermStart, ObservedModel]]:
     """Each term in the model beside which it was ranked and run through the observer; those that can be, best first."""
-    fits: list[tuple[TermStart, ObservedFit]] = []
+    fits: list[tuple[TermStart, ObservedModel]] = []
     for start, observed in starts:
 
-        def fit(start: TermStart = start, observed: ObservedFit = observed) -> ObservedFit | None:
+        def fit(start: TermStart = start, observed: ObservedModel = observed) -> ObservedModel | None:
             effect = start.term.to_effect(
                 name, start.amplitude, start.shape, start.lag, start.bounds, observed.records[0].duration
             )
@@ -383,7 +385,7 @@ class _FreeDirections:
     rest: np.ndarray
 
     @classmethod
-    def of(cls, observed: ObservedFit) -> _FreeDirections:
+    def of(cls, observed: ObservedModel) -> _FreeDirections:
         names, records, runs = [q.name for q in observed.model.free_parameters], observed.records, observed.runs
         mean, spread = observed.prior.T
         z = np.array([observed.values[n] for n in names])

@@ -24,7 +24,7 @@ from greybox.discovery.laws.screening import (
     COMPLEXITY_COST,
     LAW_INTENSITIES,
     SETTLED_DECREASE,
-    ObservedFit,
+    ObservedModel,
     TermStart,
     choose_terms,
     fit_in_observer,
@@ -42,7 +42,7 @@ from greybox.discovery.laws.terms import (
     write_equation,
 )
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import is_level_known
 from greybox.discovery.selection import TIE_COST
 from greybox.estimation.result import Fit
@@ -50,11 +50,11 @@ from greybox.model.model import Model
 
 
 @dataclass(frozen=True)
-class LawFit:
+class FittedLaw:
     """A law of one or two terms, fitted, and its rms error over noise on the validation records (infinite: not run there)."""
 
     terms: tuple[LawTerm, ...]
-    candidate: CandidateFit
+    candidate: FittedCandidate
     score: float = math.inf
 
     @property
@@ -131,8 +131,8 @@ class LawSearch(ReadOnly):
 
     laws: tuple[Law, ...]
     alternatives: tuple[tuple[str, ...], ...]
-    baseline: CandidateFit
-    candidate: CandidateFit | None
+    baseline: FittedCandidate
+    candidate: FittedCandidate | None
     fit: Fit | None
     is_clean: bool
     checks: tuple[Check, ...] = ()
@@ -171,17 +171,17 @@ class _LawSelection:
     policy: DiscoveryPolicy
     nominal: Mapping[str, float]
     on_message: Callable[[str], None]
-    fits: list[LawFit] = field(default_factory=list)
+    fits: list[FittedLaw] = field(default_factory=list)
     tried: int = 0
 
-    def is_clean(self, candidate: CandidateFit) -> bool:
+    def is_clean(self, candidate: FittedCandidate) -> bool:
         return candidate.per_sample <= clean_cost_limit(candidate.count)
 
-    def is_clean_everywhere(self, candidate: CandidateFit) -> bool:
+    def is_clean_everywhere(self, candidate: FittedCandidate) -> bool:
         """Whether only noise is left on the validation records too, within what the constants' uncertainty does there."""
         return self.is_clean(candidate) and self.judge(candidate) <= CLEAN_SCORE
 
-    def judge(self, candidate: CandidateFit) -> float:
+    def judge(self, candidate: FittedCandidate) -> float:
         """Rms error over noise on the validation records once constants and first states have moved within their uncertainty.
 
         Infinite where the model fails. A law that was learnt in another range is not to blame for what its constants leave open.
@@ -199,7 +199,7 @@ class _LawSelection:
 
     # Terms beside a model
 
-    def find_terms(self, observed: ObservedFit, terms: tuple[LawTerm, ...], most: int) -> None:
+    def find_terms(self, observed: ObservedModel, terms: tuple[LawTerm, ...], most: int) -> None:
         """The laws that have one term more than the observed model: the leading ones refitted, more of them while none is clean."""
         name = LAW if not terms else f"{LAW}_{len(terms) + 1}"
         # Beside a law whose constants the records have settled there is one variant.
@@ -215,7 +215,7 @@ class _LawSelection:
                 return
 
     def _refit_leading(
-        self, terms: tuple[LawTerm, ...], batch: Sequence[tuple[TermStart, ObservedFit]], most: int
+        self, terms: tuple[LawTerm, ...], batch: Sequence[tuple[TermStart, ObservedModel]], most: int
     ) -> bool:
         """Refits by simulation, best first; whether one of them leaves only noise."""
         is_any_clean = False
@@ -225,7 +225,7 @@ class _LawSelection:
                 break
             fit = self.refit(one, LAW_REFIT_ITERATIONS)
             if fit is not None:
-                self.fits.append(LawFit((*terms, start.term), fit))
+                self.fits.append(FittedLaw((*terms, start.term), fit))
                 is_any_clean = is_any_clean or self.is_clean_everywhere(fit)
         return is_any_clean
 
@@ -256,22 +256,22 @@ class _LawSelection:
             job = RefitJob(alone, (alone.values,), 1, LAW_REFIT_ITERATIONS, _first_states(law.candidate))
             fit = self.problem.refit_all([job])[0]
             if fit is not None:
-                self.fits.append(LawFit((term,), fit))
+                self.fits.append(FittedLaw((term,), fit))
         if any(len(law.terms) == 1 and self.is_clean_everywhere(law.candidate) for law in self.fits):
             self.fits = [law for law in self.fits if len(law.terms) == 1]
 
-    def refit(self, observed: ObservedFit, iterations: int) -> CandidateFit | None:
+    def refit(self, observed: ObservedModel, iterations: int) -> FittedCandidate | None:
         job = RefitJob(observed.model, (observed.values,), 1, iterations, observed.initial)
         return self.problem.refit_all([job])[0]
 
     # Judging
 
-    def ranked(self) -> list[LawFit]:
+    def ranked(self) -> list[FittedLaw]:
         return sorted(self.fits, key=lambda law: law.criterion())
 
     def finish_leading(self) -> None:
         """The leading laws refitted to the end and run over the validation records."""
-        best: dict[tuple[LawTerm, ...], LawFit] = {}
+        best: dict[tuple[LawTerm, ...], FittedLaw] = {}
         for law in self.ranked():
             best.setdefault(tuple(sorted(law.terms, key=str)), law)
         leading = list(best.values())[:FINISHED_LAWS]
@@ -294,7 +294,7 @@ STARTING_LAWS = 1
 def search_laws(
     problem: DiscoveryProblem,
     scores: HoldoutScores,
-    baseline: CandidateFit,
+    baseline: FittedCandidate,
     policy: DiscoveryPolicy,
     on_message: Callable[[str], None],
 ) -> LawSearch:
@@ -343,7 +343,7 @@ def _free_values(model: Model) -> dict[str, float]:
 OBSERVER_STEPS = 4
 
 
-def _observe_plain(search: _LawSelection, baseline: CandidateFit) -> ObservedFit | None:
+def _observe_plain(search: _LawSelection, baseline: FittedCandidate) -> ObservedModel | None:
     """The plain model in the observer, from the constants that it came with: those of its fit have swallowed the missing term."""
     # An effect that the model has already keeps its fitted constants.
     values = {**baseline.model.values, **search.nominal}
@@ -359,7 +359,7 @@ def _observe_plain(search: _LawSelection, baseline: CandidateFit) -> ObservedFit
     return search.problem.failures.attempt(SearchStage.SCREENING, baseline.effects, fit, None)
 
 
-def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
+def _observe_law(search: _LawSelection, law: FittedLaw) -> ObservedModel | None:
     fit = law.candidate
     columns = fit.variables.initial.guess.T.tolist()
     initial = dict(zip(fit.model.system.state_names, map(tuple, columns), strict=True))
@@ -379,11 +379,11 @@ def _observe_law(search: _LawSelection, law: LawFit) -> ObservedFit | None:
     )
 
 
-def _lacks_something(search: _LawSelection, baseline: CandidateFit) -> bool:
+def _lacks_something(search: _LawSelection, baseline: FittedCandidate) -> bool:
     return not search.is_clean_everywhere(baseline)
 
 
-def _retest_baseline(search: _LawSelection, baseline: CandidateFit) -> CandidateFit:
+def _retest_baseline(search: _LawSelection, baseline: FittedCandidate) -> FittedCandidate:
     """The plain model once more, from the constants of the best law: one that is stuck elsewhere would make a law of nothing."""
     ranked = search.ranked()
     if not ranked:
@@ -404,7 +404,7 @@ ESTABLISHED_SHARE = 0.9
 CURVE_GAIN = 0.25
 
 
-def _judge(search: _LawSelection, baseline: CandidateFit) -> LawSearch:
+def _judge(search: _LawSelection, baseline: FittedCandidate) -> LawSearch:
     """The law, or the laws that do equally well."""
     selection = search.policy.selection
     nothing = LawSearch((), (), baseline, None, None, search.is_clean(baseline), tried=search.tried)
@@ -496,7 +496,7 @@ def _share_of_gap(before: float, after: float) -> float:
 CURVE_ITERATIONS = 25
 
 
-def _share_of_curve(search: _LawSelection, law: LawFit) -> float:
+def _share_of_curve(search: _LawSelection, law: FittedLaw) -> float:
     """Share of the law's error on the validation records that the best free curve in the place of one of its factors takes away."""
     candidate = law.candidate
     seen = _ranges(candidate)
@@ -509,12 +509,12 @@ def _share_of_curve(search: _LawSelection, law: LawFit) -> float:
     return best
 
 
-def _first_states(candidate: CandidateFit) -> dict[str, tuple[float, ...]]:
+def _first_states(candidate: FittedCandidate) -> dict[str, tuple[float, ...]]:
     columns = candidate.variables.initial.guess.T.tolist()
     return dict(zip(candidate.model.system.state_names, map(tuple, columns), strict=True))
 
 
-def _ranges(candidate: CandidateFit) -> dict[str, tuple[float, float]]:
+def _ranges(candidate: FittedCandidate) -> dict[str, tuple[float, float]]:
     """Least and largest value of each state and input along the fitted runs."""
     problem = candidate.problem
     runs = problem.shooting(candidate.variables).simulate(candidate.variables.here)
@@ -525,7 +525,7 @@ def _ranges(candidate: CandidateFit) -> dict[str, tuple[float, float]]:
     return {n: (float(v.min()), float(v.max())) for n, v in zip(names, values.T, strict=True)}
 
 
-def _to_laws(best: LawFit, fit: Fit, grade: Grade) -> tuple[Law, ...]:
+def _to_laws(best: FittedLaw, fit: Fit, grade: Grade) -> tuple[Law, ...]:
     seen = _ranges(best.candidate)
     values = {n: e.value for n, e in fit.parameters.items()}
     model = fit.model.start(**{n: v for n, v in values.items() if n in fit.model.values})

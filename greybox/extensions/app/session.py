@@ -17,7 +17,7 @@ from greybox.base.errors import DataError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
-from greybox.discovery.problem import CandidateFit, DiscoveryProblem
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Validation
@@ -221,7 +221,7 @@ class Session:
     def _run(self, record: Experiment) -> Validation:
         return validate(self.model, record, noise=dict(self.noise), options=self.options)
 
-    def _to_candidate(self, record: Experiment) -> CandidateFit:
+    def _to_candidate(self, record: Experiment) -> FittedCandidate:
         """The model at its present constants as if they had been fitted to ``record``."""
         run = self._run(record).traces[0]
         problem = DiscoveryProblem(self.model, (record,), self.noise, self.quiet, self.options).prepare(self.model)
@@ -231,11 +231,11 @@ class Session:
         variables = replace(problem.variables, initial=replace(problem.variables.initial, guess=guess))
         # Nothing is fitted: the residual and its slopes at the present constants.
         evaluation = problem.shooting(variables).evaluate(variables.here)
-        return CandidateFit(
+        return FittedCandidate(
             self.model, evaluation.cost, evaluation.count, variables.size, problem, variables, evaluation
         )
 
 
-def _runs_through(candidate: CandidateFit) -> bool:
+def _runs_through(candidate: FittedCandidate) -> bool:
     """Whether the run and its derivatives are finite to the end."""
     return bool(math.isfinite(candidate.cost) and candidate.evaluation.is_finite)
