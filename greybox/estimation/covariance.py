@@ -428,7 +428,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             if np.isfinite(covariance.covariance[k, k])
             else 0.0
         )
-        conflict = None
+        conflict, factor, factor_std = None, None, None
         if left > PRIOR_INFORMATION_CUTOFF:
             # Sherman and Morrison: (A - w e e')^-1 = A^-1 + w A^-1 e e' A^-1 / (1 - w e'A^-1 e), the inverse without
             # this prior.
@@ -440,7 +440,11 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             # The estimate without the prior lies shift / left from its mean (in its standard deviations): what is
             # seen is that pulled back by it.
             conflict = float(shift / left / np.sqrt(1 + w * variance))
-        result[variables.names[k]] = PriorCheck(mean, std, shift, variance_reduction, conflict)
+            if mean != 0:
+                # The same estimate and its standard deviation, both over the mean.
+                factor = float(1 + shift / left * std / mean)
+                factor_std = float(std / abs(mean) * np.sqrt(w * variance))
+        result[variables.names[k]] = PriorCheck(mean, std, shift, variance_reduction, conflict, factor, factor_std)
     return result
 
 

@@ -28,6 +28,7 @@ from greybox.estimation.fit_issues import (
     add_record_findings,
     find_fit_issues,
     find_option_issues,
+    find_prior_conflicts,
     find_status_details,
     find_validation_issues,
     is_at_noise,
@@ -163,6 +164,7 @@ def fit(
     options = replace(options, per_experiment=(*options.per_experiment, *names))
     if colour not in list(ColourTreatment):
         raise ModelError(f"unknown colour {colour!r}; {nearest(colour, list(map(str, ColourTreatment)))}")
+    held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
     optimum: Optimum
     starts: tuple[StartResult, ...] = ()
@@ -205,6 +207,10 @@ def fit(
     result = assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
+    if held and result.success:
+        freed = fit(result.model.free(*held), experiments, noise=noise, quiet=quiet, colour=colour, options=options)
+        if freed.success:
+            result = _say_what_held_would_be(result, freed, held)
     if judges and result.success:
         judged = validate(
             result.model,
@@ -219,6 +225,19 @@ def fit(
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
     return result
+
+
+def _say_what_held_would_be(result: Fit, freed: Fit, held: Sequence[str]) -> Fit:
+    """The fit, with what its records say of the constants that it holds at values known beforehand; ``freed`` is that without holding."""
+    # A held constant does not move, and learns nothing.
+    checks = {
+        name: replace(check, shift=0.0, variance_reduction=0.0)
+        for name, check in freed.constraints.priors.items()
+        if name in held
+    }
+    constraints = replace(result.constraints, priors={**result.constraints.priors, **checks})
+    issues = find_prior_conflicts(result.model, checks)
+    return replace(result, constraints=constraints, findings=(*result.findings, *issues))
 
 
 def _begin_with_effects(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
 from typing import Any
@@ -56,6 +57,7 @@ class EstimationCode(StrEnum):
     VALIDATION_ERROR_LARGER = "validation_error_larger"
     # What was asked for.
     PRIOR_CONFLICT = "prior_conflict"
+    PRIORS_OFF_ALIKE = "priors_off_alike"
     HELD_BY_PRIOR = "held_by_prior"
     TIED_OUTSIDE_BOUNDS = "tied_outside_bounds"
     MEAN_OF_EXPERIMENTS = "mean_of_experiments"
@@ -358,11 +360,7 @@ def find_option_issues(
     robust: RobustReport,
 ) -> tuple[Finding, ...]:
     """Findings about what was asked of a fit: priors, parameters of each experiment, ties, a robust loss, excluded outputs."""
-    result = [
-        Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, {"deviations": abs(check.conflict)})
-        for name, check in priors.items()
-        if check.conflict is not None and abs(check.conflict) > PRIOR_CONFLICT
-    ]
+    result = find_prior_conflicts(problem.model, priors)
     held = [name for name, check in priors.items() if check.variance_reduction < PRIOR_VARIANCE_REDUCTION]
     result += _list_parameters(EstimationCode.HELD_BY_PRIOR, held, Severity.NOTE)
     for name, e in tied.items():
@@ -379,6 +377,58 @@ def find_option_issues(
         if many:
             result.append(Finding(EstimationCode.TOO_MANY_OUTLIERS, Severity.WARNING, "", {"outputs": many}))
     return (*result, *find_excluded_outputs(problem))
+
+
+# Factors by which a number is off in the wrong unit; those of a hundred and a thousand stand for prefixes.
+UNIT_FACTORS: tuple[tuple[float, str], ...] = (
+    (10.0, "a power of ten"),
+    (100.0, "a power of ten"),
+    (1e3, "a power of ten"),
+    (1e6, "a power of ten"),
+    (math.degrees(1.0), "degrees and radians"),
+    (2 * math.pi, "revolutions and radians"),
+    (30 / math.pi, "revolutions a minute and radians a second"),
+    (60.0, "minutes and seconds"),
+    (3600.0, "hours and seconds"),
+    (9.80665, "kilogram-force and newton"),
+    (4.448222, "pound-force and newton"),
+    (25.4, "inches and millimetres"),
+    (6.894757, "psi and kilopascal"),
+)
+# Share within which a factor must be known, and agree, to be that of a unit: the closest two (9.55, 9.81) are 3 % apart.
+UNIT_FACTOR_SHARE = 0.01
+
+
+def find_prior_conflicts(model: Model, priors: Mapping[str, PriorCheck]) -> list[Finding]:
+    """Priors that the data contradict, each with the factor between the two; and whether one factor explains them all."""
+    conflicts = {n: c for n, c in priors.items() if c.conflict is not None and abs(c.conflict) > PRIOR_CONFLICT}
+    result = []
+    for name, check in conflicts.items():
+        values = {"deviations": abs(check.conflict or 0.0), "factor": check.factor, "factor_std": check.factor_std}
+        result.append(Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, values | _name_unit_factor(check)))
+    # Logarithms of the factors and their variances, that of the prior's mean included.
+    known = {n: c for n, c in conflicts.items() if c.factor is not None and c.factor > 0}
+    if len(known) < max(2, len(conflicts)):
+        return result
+    logs = np.array([math.log(c.factor) for c in known.values() if c.factor])
+    variances = np.array(
+        [((c.factor_std or 0.0) / c.factor) ** 2 + (c.std / c.mean) ** 2 for c in known.values() if c.factor]
+    )
+    apart = np.abs(logs[:, None] - logs[None, :]) / np.sqrt(variances[:, None] + variances[None, :])
+    if apart.max() < PRIOR_CONFLICT:
+        common = math.exp(float(np.average(logs, weights=1 / variances)))
+        shared = {"parameters": list(known), "factor": common, "inputs": [i.name for i in model.inputs]}
+        result.append(Finding(EstimationCode.PRIORS_OFF_ALIKE, Severity.WARNING, "", shared))
+    return result
+
+
+def _name_unit_factor(check: PriorCheck) -> dict[str, str]:
+    """The units whose mistaking makes this factor, where one does."""
+    if check.factor is None or check.factor <= 0 or (check.factor_std or 0.0) > UNIT_FACTOR_SHARE * check.factor:
+        return {}
+    size = abs(math.log(check.factor))
+    named = [units for factor, units in UNIT_FACTORS if abs(size - math.log(factor)) < UNIT_FACTOR_SHARE]
+    return {"units": named[0]} if named else {}
 
 
 def find_excluded_outputs(problem: EstimationProblem) -> tuple[Finding, ...]:

@@ -84,6 +84,9 @@ class PriorCheck:
     conflict
         By how many standard deviations the prior and the data by themselves disagree (standard normal where both are right); None
         where the data say nothing.
+    factor, factor_std
+        What the data by themselves say over the mean of the prior, and its standard deviation; None where they say nothing, or where
+        the prior's mean is zero.
     """
 
     mean: Finite
@@ -91,8 +94,10 @@ class PriorCheck:
     shift: float
     variance_reduction: Finite
     conflict: float | None
+    factor: float | None = None
+    factor_std: float | None = None
 
-    KEYS: ClassVar[str] = "mean std moved=shift learnt=variance_reduction conflict"
+    KEYS: ClassVar[str] = "mean std moved=shift learnt=variance_reduction conflict factor? factor_std?"
 
 
 @dataclass(frozen=True)

@@ -401,7 +401,9 @@ class Model(Printable):
     def prior(self, **priors: tuple[float, float] | None) -> Model:
         """The model with priors of its parameters.
 
-        A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori).
+        A fit starts at the mean, and weighs each prior as one more measurement (maximum a posteriori). It says where the records contradict
+        a prior, and by what factor. A parameter that is held at its prior as well (``model.prior(M=(0.0100, 0.0001)).fix("M")``) stays at
+        the mean; a second fit with it free says what the records want it to be.
 
         Parameters
         ----------

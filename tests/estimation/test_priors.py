@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
-from greybox import FitOptions, Parameter, fit, load_fit
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, load_fit
 from greybox.base.errors import ModelError
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.transcription.problem import prepare_problem
@@ -72,6 +73,104 @@ def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
     assert check.variance_reduction == pytest.approx(1 - covariance[0, 0] / 0.05**2, rel=1e-5)
     assert abs(check.conflict) > 3 > abs(found.constraints.priors["b"].conflict)
     assert find(found.findings, EstimationCode.PRIOR_CONFLICT).subject == "a"
+
+
+def test_the_factor_between_data_and_prior_is_that_of_the_regression_without_it():
+    data, design, y = regression(louder=0.8)
+    found = fit(LINE.prior(a=(1.5, 0.05), b=(-0.4, 0.02)), data, noise={"y": NOISE}, options=REST)
+    alone, spread = posterior(design, y, [0, -0.4, 0], [np.inf, 0.02, np.inf])
+    check = found.constraints.priors["a"]
+    assert check.factor == pytest.approx(alone[0] / 1.5, rel=1e-6)
+    assert check.factor_std == pytest.approx(np.sqrt(spread[0, 0]) / 1.5, rel=1e-5)
+    conflict = find(found.findings, EstimationCode.PRIOR_CONFLICT)
+    assert conflict.values["factor"] == check.factor and f"{alone[0] / 1.5:.2f}" in str(conflict)
+
+
+def test_a_held_value_that_the_records_contradict_is_said_with_its_factor(tmp_path):
+    data, design, y = regression(louder=0.8)
+    held = LINE.prior(a=(1.5, 0.05)).fix("a")
+    found = fit(held, data, noise={"y": NOISE}, options=REST)
+    alone = np.linalg.lstsq(design, y, rcond=None)[0]
+    check = found.constraints.priors["a"]
+    assert found.parameters["a"].fixed and found.parameters["a"].value == 1.5 and check.shift == 0
+    assert check.factor == pytest.approx(alone[0] / 1.5, rel=1e-6)
+    assert find(found.findings, EstimationCode.PRIOR_CONFLICT).subject == "a"
+    assert "data over prior" in str(found)
+    again = load_fit(found.save(tmp_path / "fit.json"), LINE)
+    assert again.constraints.priors == found.constraints.priors and again.parameters["a"].fixed
+    agreeing = fit(LINE.prior(a=(1.2, 0.05)).fix("a"), data, noise={"y": NOISE}, options=REST)
+    assert not [f for f in agreeing.findings if f.code == EstimationCode.PRIOR_CONFLICT]
+
+
+# A weighed mass on a measured spring and damper, pushed with a force that its sensor reads 1.2 times too large.
+WEIGHED = {"M": (0.5, 0.01), "K": (8.0, 0.16)}
+
+
+def pushed(gain, **values):
+    """Position of the mass by the exact step response of its matrix, the force as its sensor shows it."""
+    truth = {"M": 0.5, "K": 8.0, "B": 0.4, **values}
+    generator, dt = np.random.default_rng(4), 0.02
+    shown = np.repeat(generator.normal(size=60), 10)
+    a = np.array([[0, 1], [-truth["K"] / truth["M"], -truth["B"] / truth["M"]]])
+    whole = expm(dt * np.block([[a, np.array([[0.0], [1 / truth["M"]]])], [np.zeros((1, 3))]]))
+    x, path = np.zeros(2), []
+    for force in shown / gain:
+        path.append(x[0])
+        x = whole[:2, :2] @ x + whole[:2, 2] * force
+    position = np.array(path) + 1e-3 * generator.normal(size=len(path))
+    return Experiment("pushed", dt * np.arange(len(path)), {"F": shown}, {"x": position})
+
+
+def on_spring():
+    return Model(
+        "mass",
+        states=[State("x", "m", role="displacement"), State("v", "m/s", role="velocity")],
+        inputs=[Input("F", "N", role="drive")],
+        outputs=[Output("x", "m")],
+        parameters=[
+            Parameter("M", "kg", 0.5, (1e-3, 1e3)),
+            Parameter("K", "N/m", 8.0, (1e-2, 1e6)),
+            Parameter("B", "N*s/m", 0.4, (1e-4, 1e3)),
+        ],
+        balances=lambda x, u, p: [
+            Balance("motion", "m/s", 1, "x", v=x.v),
+            Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damper=-p.B * x.v),
+        ],
+    )
+
+
+def test_weighed_constants_that_are_off_alike_point_to_a_gain_which_then_takes_the_difference():
+    data, noise = pushed(1.2), {"x": 1e-3}
+    found = fit(on_spring().prior(**WEIGHED), data, noise=noise)
+    for name in WEIGHED:
+        check = found.constraints.priors[name]
+        assert check.conflict > 2.6 and abs(check.factor - 1.2) < 3 * check.factor_std + 0.02
+    alike = find(found.findings, EstimationCode.PRIORS_OFF_ALIKE)
+    assert alike.values["parameters"] == ["M", "K"] and alike.values["factor"] == pytest.approx(1.2, rel=0.01)
+    assert "input_gain" in str(alike)
+    freed = fit(on_spring().prior(**WEIGHED) + effect("input_gain"), data, noise=noise)
+    assert abs(freed.parameters["g"].value - (1 / 1.2 - 1)) < 2 * freed.parameters["g"].std
+    for name, (mean, _) in WEIGHED.items():
+        low, high = freed.parameters[name].interval
+        assert low < mean < high and not abs(freed.constraints.priors[name].conflict or 0) > 2.6
+    assert not [f for f in freed.findings if f.code in (EstimationCode.PRIOR_CONFLICT, EstimationCode.PRIORS_OFF_ALIKE)]
+
+
+def test_weighed_constants_that_are_off_by_different_factors_point_to_no_gain():
+    found = fit(on_spring().prior(**WEIGHED), pushed(1.0, M=0.6, K=8.8), noise={"x": 1e-3})
+    codes = [f.code for f in found.findings]
+    assert codes.count(EstimationCode.PRIOR_CONFLICT) == 2 and EstimationCode.PRIORS_OFF_ALIKE not in codes
+
+
+@pytest.mark.parametrize(
+    ("factor", "units"), [(1 / 9.80665, "kilogram-force and newton"), (100.0, "a power of ten"), (7.0, None)]
+)
+def test_a_factor_of_a_unit_is_named(factor, units):
+    mean = 0.5 * factor
+    found = fit(on_spring().prior(M=(mean, 0.05 * mean)), pushed(1.0), noise={"x": 1e-3})
+    conflict = find(found.findings, EstimationCode.PRIOR_CONFLICT)
+    assert conflict.values["factor"] == pytest.approx(1 / factor, rel=0.02) and conflict.values.get("units") == units
+    assert units is None or units in str(conflict)
 
 
 def test_conflicts_are_standard_normal_where_both_are_right():

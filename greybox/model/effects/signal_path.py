@@ -242,6 +242,39 @@ input_offset = Effect(
     probe=lambda s: {"u0": 0.01 * s.input},
 )
 
+input_gain = Effect(
+    "input_gain",
+    site="input",
+    parameters=[
+        amplitude_parameter("g", "1", "share by which more arrives than the record says, either sign", low=-1.0)
+    ],
+    on_input=lambda value, x, u, p: value * (1 + p.g),
+    equation="(1 + g) u",
+    parity="linear",
+    tells_apart=(
+        "Weigh or measure one constant of the plant by itself: with every constant free a gain only scales them. Or read the input with"
+        " a second instrument."
+    ),
+    source="torque constant of a drive, gain of an amplifier, calibration of a force sensor",
+    amplitudes=("g",),
+    probe=lambda s: {"g": 0.03},
+)
+
+sensor_gain = Effect(
+    "sensor_gain",
+    site="sensor",
+    parameters=[amplitude_parameter("g", "1", "share by which the reading is too large, either sign", low=-1.0)],
+    on_output=lambda value, x, u, p: value * (1 + p.g),
+    equation="(1 + g) y",
+    parity="linear",
+    tells_apart=(
+        "Read two known values at standstill: their difference shows the gain, and a third one whether the reading bends."
+    ),
+    source="calibration of a sensor, scale of a video",
+    amplitudes=("g",),
+    probe=lambda s: {"g": 0.03},
+)
+
 gain_by_sign = Effect(
     "gain_by_sign",
     site="input",
@@ -336,8 +369,10 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     drive_lag,
     transport_delay,
     input_offset,
+    input_gain,
     gain_by_sign,
     sensor_drift,
+    sensor_gain,
     sensor_lag,
     backlash,
     rectified_reading,

@@ -266,10 +266,14 @@ def _priors(fit: Fit) -> Iterator[TableBlock]:
     rows = []
     for name, c in fit.constraints.priors.items():
         conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
+        factor = "" if c.factor is None or c.factor_std is None else format_with_std(c.factor, c.factor_std)
         reduction = f"{100 * c.variance_reduction:.3g} %"
-        rows.append([name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict])
+        rows.append(
+            [name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict, factor]
+        )
     if rows:
-        yield TableBlock("Priors", ["prior", "prior value", "shift", "variance reduction", "conflict"], rows)
+        heads = ["prior", "prior value", "shift", "variance reduction", "conflict", "data over prior"]
+        yield TableBlock("Priors", heads, rows)
 
 
 def _interval_kind(fit: Fit) -> str:

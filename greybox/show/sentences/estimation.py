@@ -24,6 +24,8 @@ from greybox.show.sentences.wording import (
     NOISE_REACH,
     capitalise,
     format_shares,
+    format_with_std,
+    join_names,
 )
 
 if TYPE_CHECKING:
@@ -189,6 +191,29 @@ def _write_step_shifts(finding: Finding) -> str:
     )
 
 
+def _write_prior_conflict(finding: Finding) -> str:
+    v = finding.values
+    # Files of earlier versions have no factor.
+    factor = v.get("factor")
+    units = f": {v['units']} mistaken?" if "units" in v else ""
+    measured = (
+        "" if factor is None else f" (the data say {format_with_std(factor, v['factor_std'])} times its value{units})"
+    )
+    return (
+        f"the prior of {finding.subject} and the data disagree by {v['deviations']:.2g} standard deviations{measured}: one of them, or"
+        " the model, is wrong"
+    )
+
+
+def _write_priors_off_alike(finding: Finding) -> str:
+    v = finding.values
+    where = f"of the input {' or '.join(v['inputs'])}, or " if v["inputs"] else ""
+    return (
+        f"the data say {v['factor']:.3g} times the prior values of {join_names(v['parameters'])} alike, as a gain {where}of a sensor does"
+        " that is off by this factor: add the effect input_gain or sensor_gain and fit again"
+    )
+
+
 def _write_held_by_prior(finding: Finding) -> str:
     names = finding.values["parameters"]
     return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
@@ -335,9 +360,8 @@ register(
             " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
             " records as well"
         ),
-        EstimationCode.PRIOR_CONFLICT: (
-            "the prior of {subject} and the data disagree by {deviations:.2g} standard deviations: one of them, or the model, is wrong"
-        ),
+        EstimationCode.PRIOR_CONFLICT: _write_prior_conflict,
+        EstimationCode.PRIORS_OFF_ALIKE: _write_priors_off_alike,
         EstimationCode.HELD_BY_PRIOR: _write_held_by_prior,
         EstimationCode.TIED_OUTSIDE_BOUNDS: _write_tied_outside,
         EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (

@@ -115,6 +115,8 @@ CASES = {
         {"F": 1.0, "Fq": -0.6, "pitch": 0.02},
         {"force": lambda x, v: 1.0 * np.sin(2 * pi * x / 0.02) - 0.6 * np.cos(2 * pi * x / 0.02)},
     ),
+    "input_gain": ({"g": -0.2}, {"drive": lambda u: 0.8 * u}),
+    "sensor_gain": ({"g": 0.15}, {"shown": lambda x: 1.15 * x}),
     "gain_by_sign": ({"g": 0.4}, {"drive": lambda u: u if u > 0 else 0.6 * u}),
     "input_hysteresis": ({"h": 3.0}, {"drive": Play(3.0)}),
     "rectified_reading": ({"r": 1.0}, {"shown": abs}),

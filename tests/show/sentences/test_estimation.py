@@ -264,6 +264,27 @@ GOLDEN = [
         {"deviations": 3.1},
         "the prior of K and the data disagree by 3.1 standard deviations: one of them, or the model, is wrong",
     ),
+    (
+        "prior_conflict",
+        "K",
+        {"deviations": 3.1, "factor": 1.2076, "factor_std": 0.0055},
+        "the prior of K and the data disagree by 3.1 standard deviations (the data say 1.2076 +- 0.0055 times its value): one of them,"
+        " or the model, is wrong",
+    ),
+    (
+        "prior_conflict",
+        "K",
+        {"deviations": 31.0, "factor": 57.3, "factor_std": 0.1, "units": "degrees and radians"},
+        "the prior of K and the data disagree by 31 standard deviations (the data say 57.30 +- 0.10 times its value: degrees and radians"
+        " mistaken?): one of them, or the model, is wrong",
+    ),
+    (
+        "priors_off_alike",
+        "",
+        {"parameters": ["J", "mgl"], "factor": 1.19, "inputs": ["tau"]},
+        "the data say 1.19 times the prior values of J and mgl alike, as a gain of the input tau, or of a sensor does that is off by this"
+        " factor: add the effect input_gain or sensor_gain and fit again",
+    ),
     ("held_by_prior", "", ONE, "determined by its prior: K; the data add little or nothing"),
     ("held_by_prior", "", TWO, "determined by their priors: K, B; the data add little or nothing"),
     (
