@@ -272,35 +272,78 @@ def validate_candidate(
     return replace(fit, validation=validation.run(fit.model, fit.noise.std, problem.options))
 
 
-# How often a fit is begun again where the last one ended, as long as that moves it: one that stopped at an acceptable point goes on.
-MOST_FINISHES = 3
-# Share of its error on the estimation records by which a fit has moved.
+# How often a fit is begun again where the last one ended, until that leaves it where it is.
+MOST_FINISHES = 4
+# Share of an error by which a fit has moved: a third of a digit that a reader would see.
 MOVED_SHARE = 0.003
+# Standard deviations by which a constant has moved: less is no other answer.
+MOVED_DEVIATIONS = 0.1
 
 
-def _has_moved(before: Fit, after: Fit) -> bool:
-    """Whether a fit that began where another ended has another error on the estimation records."""
-    return any(abs(m.rmse - before.misfit[name].rmse) > MOVED_SHARE * m.rmse for name, m in after.misfit.items())
+@dataclass(frozen=True)
+class FinishedFit:
+    """A fit as one's own of the same model ends, and what another that begins there would change.
+
+    Parameters
+    ----------
+    fit
+        The fit, validated; where it is not settled, the last one but one, of which the other is known.
+    status
+        How the other one ended; empty where there is none.
+    errors
+        Errors that it changes, each with its ``records``, the ``output``, the error ``before`` and ``after``, and the ``unit``.
+    constants
+        Free constants that it moves, in their standard deviations.
+    is_settled
+        Whether another fit ends there too.
+    """
+
+    fit: Fit
+    status: str = ""
+    errors: tuple[Mapping[str, Any], ...] = ()
+    constants: Mapping[str, float] = field(default_factory=dict)
+    is_settled: bool = True
 
 
-def finish_fit(problem: DiscoveryProblem, fit: Fit, validation: ValidationSet) -> Fit:
+def compare_with_refit(fit: Fit, again: Fit) -> FinishedFit:
+    """``fit`` beside the fit ``again`` that began where it ended."""
+    pairs = (("estimation", fit.misfit, again.misfit), ("validation", fit.validation.misfit, again.validation.misfit))
+    errors = tuple(
+        {"records": records, "output": name, "before": before[name].rmse, "after": m.rmse, "unit": m.unit}
+        for records, before, after in pairs
+        for name, m in after.items()
+        if name in before and not abs(m.rmse - before[name].rmse) <= MOVED_SHARE * m.rmse
+    )
+    moves = {
+        name: abs(each.value - fit.model.values[name]) / each.std for name, each in again.parameters.items() if each.std
+    }
+    constants = {name: float(move) for name, move in moves.items() if move > MOVED_DEVIATIONS}
+    return FinishedFit(fit, again.solver.status, errors, constants, again.success and not (errors or constants))
+
+
+def finish_fit(
+    problem: DiscoveryProblem, fit: Fit, validation: ValidationSet, most: int = MOST_FINISHES
+) -> FinishedFit:
     """``fit`` as a fit of one's own of the same model ends, validated; as it is where nobody asks for it.
 
-    The model that a search writes holds the constants of ``fit``. Whoever fits it gets what the search reports, because the search has
-    done just that.
+    The model that a search writes holds these constants. Whoever fits it gets what the search reports, because the search has done just
+    that, until another fit changed nothing; where none of them stands still, what the last one changed is told.
     """
     user = problem.user_settings
     if user is None or problem.executor.is_late:
-        return fit
-    finished = fit
-    for _ in range(MOST_FINISHES):
-        before, finished = (
-            finished,
-            estimate(finished.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=user.options),
-        )
-        if not finished.success or not _has_moved(before, finished):
-            break
-    return replace(finished, validation=validation.run(finished.model, finished.noise.std, user.options))
+        return FinishedFit(fit)
+    best = FinishedFit(fit)
+    for _ in range(most):
+        again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=user.options)
+        # The constants of a fit that did not end are no better than those where it began.
+        if fit.success and not again.success:
+            return compare_with_refit(fit, again)
+        again = replace(again, validation=validation.run(again.model, again.noise.std, user.options))
+        best = compare_with_refit(fit, again)
+        if best.is_settled:
+            return FinishedFit(again)
+        fit = again
+    return best
 
 
 def estimated_initial_states(candidate: FittedCandidate) -> list[dict[str, float]]:

@@ -52,6 +52,7 @@ from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJo
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
+    FinishedFit,
     HoldoutError,
     HoldoutScores,
     ValidationSet,
@@ -615,6 +616,8 @@ def _conclude(
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
             if surrogate is not None and not judge_against_plain(judged.base, surrogate.fit, uncounted):
                 surrogate = None
+            if surrogate is not None and surrogate.finished is not None:
+                findings = (*findings, *_word_on(surrogate.finished))
     left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
     left = measure_remaining_error(final.fit, holdout, left_location, judged.scores.validation.uncounted)
     is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
@@ -691,17 +694,21 @@ def _weigh(
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
-    """A fit of the answer as one's own would end; as it is, with a word on it, where that ends without success."""
+    """A fit of the answer as one's own would end; with a word on it where another that begins there ends elsewhere, or fails."""
     problem, names = judged.selection.problem, tuple(e.name for e in fit.model.effects)
     finish = partial(finish_fit, problem, fit, judged.scores.validation)
     finished = problem.failures.attempt(SearchStage.HOLDOUT, names, finish, None)
     if finished is None:
-        return fit, (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, fit.model.title, {"status": ""}),)
-    if finished.success or not fit.success:
-        return finished, ()
-    # Its constants are those of a search that did not end: the ones that were judged stay.
-    values = {"status": finished.solver.status}
-    return fit, (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, fit.model.title, values),)
+        finished = FinishedFit(fit, is_settled=False)
+    return finished.fit, _word_on(finished)
+
+
+def _word_on(finished: FinishedFit) -> tuple[Finding, ...]:
+    """That another fit which begins at this one ends elsewhere, or fails; nothing where it ends there too."""
+    if finished.is_settled:
+        return ()
+    values = {"status": finished.status, "errors": list(finished.errors), "constants": dict(finished.constants)}
+    return (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, finished.fit.model.title, values),)
 
 
 def _summarise_laws(

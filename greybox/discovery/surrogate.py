@@ -24,10 +24,12 @@ from greybox.discovery.curve_shape import (
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
+    FinishedFit,
     HoldoutError,
     ValidationSet,
     compare_holdout_errors,
     estimated_initial_states,
+    finish_fit,
     validate_candidate,
     worst_output,
 )
@@ -107,6 +109,8 @@ class Surrogate(Printable, ReadOnly):
         The tone; None for a curve.
     amplitude
         Of a sinusoid over the variable, in ``unit``; None for others.
+    finished
+        What another fit that begins at ``fit`` would change; None where that was not tried.
     """
 
     site: str
@@ -120,6 +124,7 @@ class Surrogate(Printable, ReadOnly):
     shape: CurveShape
     tone: SurrogateTone | None = None
     amplitude: float | None = None
+    finished: FinishedFit | None = None
 
     KEYS: ClassVar[str] = """
         site variable variable_unit unit closed=share shape=shape.kind parity=shape.parity downwards=shape.downwards
@@ -450,6 +455,10 @@ CURVE_POINTS = 101
 SURROGATE_POINTS_PER_PERIOD = 24
 
 
+# How often a curve is fitted as its user will: its many heights go on for long with what does not show.
+CURVE_FINISHES = 2
+
+
 def _to_curve_surrogate(
     problem: DiscoveryProblem,
     candidate: FittedCandidate,
@@ -467,7 +476,9 @@ def _to_curve_surrogate(
         transcription="single",
         policy=replace(solver, step_refinement=limited),
     )
-    fit = validate_candidate(replace(problem, options=brief), candidate, validation)
+    brief_fit = validate_candidate(replace(problem, options=brief), candidate, validation)
+    finished = finish_fit(problem, brief_fit, ValidationSet.of(validation), CURVE_FINISHES)
+    fit = finished.fit
     holdout = compare_holdout_errors(base, fit)
     names = fit.model.names_of(CURVE)
     values = {n: fit.model.values[in_model] for n, in_model in names.items()}
@@ -488,6 +499,7 @@ def _to_curve_surrogate(
             replace(dependence, period=values["pitch"]),
             CurveShape(ShapeKind.PERIODIC),
             amplitude=float(np.hypot(values["cosine"], values["sine"])),
+            finished=finished,
         )
     levels = levels_of(values)
     if levels is not None:  # nothing is known between them
@@ -496,7 +508,7 @@ def _to_curve_surrogate(
     curve = evaluate_curve(values, z) + np.polyval(np.polyfit(measured, rest, 1), z)
     count = np.bincount(np.abs(measured[:, None] - z).argmin(axis=1), minlength=len(z))
     shape = classify_shape(z[count > 0], curve[count > 0], count[count > 0])
-    return Surrogate(signal.site, site.unit, fit, holdout, z, curve, signal, dependence, shape)
+    return Surrogate(signal.site, site.unit, fit, holdout, z, curve, signal, dependence, shape, finished=finished)
 
 
 # A tone in time

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import greybox.discovery.holdout as holdout
 from greybox.base.errors import FitError
 from greybox.discovery.execution import FailureLog, SearchStage
 from greybox.discovery.holdout import (
@@ -13,6 +14,7 @@ from greybox.discovery.holdout import (
     HoldoutScores,
     ValidationSet,
     drop_on_validation,
+    finish_fit,
     reject_on_validation,
     worst_output,
 )
@@ -157,3 +159,97 @@ def test_an_effect_that_does_no_harm_to_other_records_stays():
     both, one = candidate(100, "a", "b"), candidate(200, "a")
     scores = FakeScores({(): 10.0, ("a", "b"): 2.05, ("a",): 2.0}, 0.0)
     assert drop_on_validation(scores, both, [both, one], 0.05)[0] is both
+
+
+# A fit of one's own of what a search hands over.
+
+
+@dataclass(frozen=True)
+class EndedFit:
+    """A fit of which only the errors on both kinds of records, one constant and its standard deviation are there."""
+
+    error: float
+    constant: float = 1.0
+    judged: float = 2.0
+    status: str = "converged"
+    validation: object = None
+
+    def __post_init__(self):
+        if self.validation is None:
+            object.__setattr__(self, "validation", SimpleNamespace(misfit={}))
+
+    @property
+    def success(self):
+        return self.status == "converged"
+
+    @property
+    def solver(self):
+        return SimpleNamespace(status=self.status)
+
+    @property
+    def misfit(self):
+        return {"x": Misfit(self.error, "m", 0.0, 1.0, 10)}
+
+    @property
+    def model(self):
+        return SimpleNamespace(values={"k": self.constant}, fit=self)
+
+    @property
+    def parameters(self):
+        return {"k": SimpleNamespace(value=self.constant, std=0.1)}
+
+    @property
+    def noise(self):
+        return SimpleNamespace(std={})
+
+
+class RecordsThatJudge(ValidationSet):
+    """The error that a fit has there is its own number."""
+
+    def run(self, model, *_):
+        return SimpleNamespace(misfit={"x": Misfit(model.fit.judged, "m", 0.0, 1.0, 10)})
+
+
+def finish(monkeypatch, first, *ends):
+    """`finish_fit` of ``first``, where fits that begin there end at ``ends``, one after the other; how many were made."""
+    rest = list(ends)
+    monkeypatch.setattr(holdout, "estimate", lambda *_, **__: rest.pop(0))
+    problem = SimpleNamespace(
+        user_fit=SimpleNamespace(noise={}, quiet=(), options=None),
+        executor=SimpleNamespace(is_late=False),
+        experiments=(),
+    )
+    validation = RecordsThatJudge(())
+    first = holdout.replace(first, validation=validation.run(first.model))
+    return finish_fit(problem, first, validation), len(ends) - len(rest)
+
+
+def test_a_search_ends_with_a_fit_at_which_another_ends_too(monkeypatch):
+    finished, made = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), EndedFit(0.8), EndedFit(0.8))
+    assert finished.is_settled and made == 3
+    assert finished.fit.error == 0.8
+
+
+@pytest.mark.parametrize(
+    ("moving", "errors", "constants"),
+    [
+        ([EndedFit(1 - 0.1 * k) for k in range(1, 8)], [("estimation", 0.7, 0.6)], {}),
+        # The error on the records that were fitted is the same, and the constants go on along what these leave open.
+        ([EndedFit(1.0, judged=2 - 0.1 * k) for k in range(1, 8)], [("validation", 1.7, 1.6)], {}),
+        ([EndedFit(1.0, constant=1 + 0.05 * k) for k in range(1, 8)], [], {"k": 0.5}),
+    ],
+)
+def test_a_search_says_what_another_fit_would_change(monkeypatch, moving, errors, constants):
+    finished, made = finish(monkeypatch, EndedFit(1.0), *moving)
+    assert made == holdout.MOST_FINISHES and not finished.is_settled
+    # It stands one before the last, so that what the next fit does is known and not guessed.
+    last = moving[made - 2]
+    assert (finished.fit.error, finished.fit.constant, finished.fit.judged) == (last.error, last.constant, last.judged)
+    assert [(e["records"], pytest.approx(e["before"]), pytest.approx(e["after"])) for e in finished.errors] == errors
+    assert finished.constants == pytest.approx(constants)
+
+
+def test_a_fit_that_does_not_end_leaves_the_one_before(monkeypatch):
+    finished, _ = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), EndedFit(0.5, status="iteration_limit"))
+    assert finished.fit.error == 0.9
+    assert not finished.is_settled and finished.status == "iteration_limit"

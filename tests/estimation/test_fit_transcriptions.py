@@ -428,3 +428,20 @@ def test_noise_free_records_get_a_step_that_leaves_no_digits_behind():
         assert max(found.discretisation.error.values()) < 1e-4
     coarse = fit(prey, data, noise={"x1": 0.1, "x2": 0.2}, options=FitOptions(substeps=4))
     assert coarse.parameters["beta"].value != pytest.approx(0.7, rel=1e-6)
+
+
+def test_a_fit_never_ends_above_where_it_began():
+    """Part of a record may lead away: over its first tenth the spring was twice as stiff as over the rest, where the search begins."""
+    time = 0.05 * np.arange(4000)
+    u = np.repeat(np.random.default_rng(0).normal(size=200), 20)
+    spring = oscillator("spring", 0.1, 4.0, 1e-3, 1.0).fix("d", "c", "b")
+    stiff, soft = (simulate(spring.start(k=k), {"time": time, "u": u}).outputs["x"] for k in (8.0, 4.0))
+    x = np.where(time < time[400], stiff, soft) + 0.01 * np.random.default_rng(1).normal(size=4000)
+    record = experiment(spring, time, u[:, None], x[:, None])
+    grown, whole = (
+        fit(spring, record, noise={"x": 0.01}, options=FitOptions(at_rest=True, progressive=progressive))
+        for progressive in (True, False)
+    )
+    assert len(grown.solver.strategy.values["shares"]) > 1
+    assert grown.parameters["k"].value == pytest.approx(whole.parameters["k"].value, rel=1e-6)
+    assert grown.parameters["k"].value == pytest.approx(4.0, rel=0.01)

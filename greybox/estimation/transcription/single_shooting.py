@@ -259,6 +259,8 @@ def solve_single_shooting(
 # Precision of the prior on the logarithm of positive parameters while only part of the record is used: a factor e^2 is one standard
 # deviation.
 WEAK_PRIOR = 0.25
+# Misfit over noise up to which a search has followed its records: hardly anything can lie below it.
+AT_NOISE = 1.1
 # Growth of the number of substeps that a fit which is not thorough follows: candidates that stray to stiff parameters would take all the
 # time.
 STIFF_GROWTH = 16
@@ -291,8 +293,12 @@ class _Search:
         self.seconds, self.shares = 0.0, []
         if self.progressive:
             self.progressive = False
+            begun = self.variables
             self.grow()
-        self.fit(1.0)
+            self.fit(1.0)
+            self.return_to(begun)
+        else:
+            self.fit(1.0)
         return Solution(
             problem,
             self.variables,
@@ -307,6 +313,18 @@ class _Search:
             make_strategy(Transcription.SINGLE, shares=list(self.shares)),
             solver=self.solver,
         )
+
+    def return_to(self, begun: DecisionVector) -> None:
+        """Search on from where the search began, if that follows the whole record better than its end: parts of it led away then."""
+        if self.over or self.known is None or self.known.noise_ratio <= AT_NOISE:
+            return
+        end, self.variables = self.variables, begun
+        at_start = self.measure(1.0)
+        if at_start.cost < self.known.cost:
+            self.known = at_start
+            self.fit(1.0)
+        else:
+            self.variables = end
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""

@@ -535,6 +535,24 @@ def _look_at_stretch(finding: Finding) -> str:
     )
 
 
+def _refit_elsewhere(finding: Finding) -> str:
+    status, errors, constants = (finding.values[key] for key in ("status", "errors", "constants"))
+    ended = f" ({status_text(status)})" if status else ""
+    if not (errors or constants):
+        return (
+            f"{finding.subject}: a fit of this model that begins at these constants does not end with success{ended}. The constants are"
+            " those of the search; another fit may end elsewhere."
+        )
+    parts = [
+        f"the error of {e['output']} on the {e['records']} records from {change_text(e['before'], e['after'], e['unit'], 4)}"
+        for e in errors
+    ]
+    parts += [f"{name} by {move:.2g} standard deviations" for name, move in constants.items()]
+    return (
+        f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {join_names(parts)}."
+    )
+
+
 def _detection_limit(finding: Finding) -> str:
     v = finding.values
     return f"{finding.subject} is not detectable below {v['parameter']} = {value_with_unit(v['limit'], v['unit'], 2)}"
@@ -579,11 +597,7 @@ register(
         " the validation records",
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
-        DiscoveryCode.REFIT_ELSEWHERE: lambda f: (
-            f"{f.subject}: a fit of this model that begins at these constants does not end with success"
-            + (f" ({status_text(f.values['status'])})" if f.values["status"] else "")
-            + ". The constants are those of the search; another fit may end elsewhere."
-        ),
+        DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),

@@ -161,15 +161,26 @@ FINDINGS = [
     (Code.NOT_REACHED, *("cubic_stiffness", {}), "the time was over before it was tried"),
     (
         Code.REFIT_ELSEWHERE,
-        *("rotor", {"status": ""}),
+        *("rotor", {"status": "", "errors": [], "constants": {}}),
         "rotor: a fit of this model that begins at these constants does not end with success. The constants are those of the search;"
         " another fit may end elsewhere.",
     ),
     (
         Code.REFIT_ELSEWHERE,
-        *("rotor", {"status": "stuck"}),
+        *("rotor", {"status": "stuck", "errors": [], "constants": {}}),
         "rotor: a fit of this model that begins at these constants does not end with success (no further progress: the search stopped"
         " before it met the convergence test). The constants are those of the search; another fit may end elsewhere.",
+    ),
+    (
+        Code.REFIT_ELSEWHERE,
+        "rotor",
+        {
+            "status": "converged",
+            "errors": [{"records": "validation", "output": "w", "before": 0.0021, "after": 0.00189, "unit": "V"}],
+            "constants": {"b": 0.51},
+        },
+        "rotor: the last fit had not settled. Another that begins at these constants (converged) changes the error of w on the validation"
+        " records from 2.1 to 1.89 mV and b by 0.51 standard deviations.",
     ),
     (
         Code.SHAPE_CORRECTED,
