@@ -85,7 +85,7 @@ def study(case: Case, root: Path, limit: float) -> dict[str, Any]:
     rig, began = RIGS[case.rig], process_time()
     learn, choose, judge = (rig.record(root, stretch) for stretch in (case.learn, case.choose, case.judge))
     model = rig.model(root / rig.folder / "model")
-    found = gb.discover(model, learn, validation=choose, workers=1, time_limit=limit)
+    found = gb.discover(model, learn, validation=choose, test=judge, workers=1, time_limit=limit)
     searched = process_time() - began
     claims = [to_values(claim) for claim in found.claims]
     return {
@@ -374,7 +374,9 @@ have been looked at while the method was built, the silverbox, EMPS and tanks lo
 them. So this page is no blind test.
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
-ANSWERS = "Errors are rms of free runs on the record that chose, and on the one that took no part.\n"
+ANSWERS = """Errors are rms of free runs on the record that chose, and on the one that took no part: an answer that is worse there
+than the plain model, beyond chance, is not given.
+"""
 TRIPS = """The model that the search hands over is written, read back and fitted to the same records: its error over that of the answer on
 the records that it learnt from, was chosen by, was judged on. In C: the largest difference from the library over the record that
 judged, as a share of the largest output.

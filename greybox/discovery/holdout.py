@@ -281,7 +281,7 @@ MOVED_DEVIATIONS = 0.1
 
 
 @dataclass(frozen=True)
-class FinishedFit:
+class RefitComparison:
     """A fit as one's own of the same model ends, and what another that begins there would change.
 
     Parameters
@@ -305,7 +305,7 @@ class FinishedFit:
     is_settled: bool = True
 
 
-def compare_with_refit(fit: Fit, again: Fit) -> FinishedFit:
+def compare_with_refit(fit: Fit, again: Fit) -> RefitComparison:
     """``fit`` beside the fit ``again`` that began where it ended."""
     pairs = (("estimation", fit.misfit, again.misfit), ("validation", fit.validation.misfit, again.validation.misfit))
     errors = tuple(
@@ -318,12 +318,12 @@ def compare_with_refit(fit: Fit, again: Fit) -> FinishedFit:
         name: abs(each.value - fit.model.values[name]) / each.std for name, each in again.parameters.items() if each.std
     }
     constants = {name: float(move) for name, move in moves.items() if move > MOVED_DEVIATIONS}
-    return FinishedFit(fit, again.solver.status, errors, constants, again.success and not (errors or constants))
+    return RefitComparison(fit, again.solver.status, errors, constants, again.success and not (errors or constants))
 
 
 def finish_fit(
     problem: DiscoveryProblem, fit: Fit, validation: ValidationSet, most: int = MOST_FINISHES
-) -> FinishedFit:
+) -> RefitComparison:
     """``fit`` as a fit of one's own of the same model ends, validated; as it is where nobody asks for it.
 
     The model that a search writes holds these constants. Whoever fits it gets what the search reports, because the search has done just
@@ -331,8 +331,8 @@ def finish_fit(
     """
     user = problem.user_settings
     if user is None or problem.executor.is_late:
-        return FinishedFit(fit)
-    best = FinishedFit(fit)
+        return RefitComparison(fit)
+    best = RefitComparison(fit)
     for _ in range(most):
         again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=user.options)
         # The constants of a fit that did not end are no better than those where it began.
@@ -341,7 +341,7 @@ def finish_fit(
         again = replace(again, validation=validation.run(again.model, again.noise.std, user.options))
         best = compare_with_refit(fit, again)
         if best.is_settled:
-            return FinishedFit(again)
+            return RefitComparison(again)
         fit = again
     return best
 

@@ -52,9 +52,9 @@ from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJo
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
-    FinishedFit,
     HoldoutError,
     HoldoutScores,
+    RefitComparison,
     ValidationSet,
     block_errors,
     compare_errors,
@@ -176,6 +176,7 @@ def discover(
     estimation: Records,
     *,
     validation: Records,
+    test: Records = (),
     skip: int = 0,
     beginning: int = 0,
     noise: Mapping[str, float] | None = None,
@@ -208,10 +209,12 @@ def discover(
         Records to fit to.
     validation
         Records to judge by.
+    test
+        Records that take no part in the search: what is found is held against the plain model there at the end, and its error told.
     skip
-        Rows at the start of each validation record that the errors leave out.
+        Rows at the start of each validation and test record that the errors leave out.
     beginning
-        Rows from which the initial state of each validation record is estimated, not counted either; 0 for as many as `validate` takes.
+        Rows from which the initial state of each of them is estimated, not counted either; 0 for as many as `validate` takes.
     noise
         Standard deviation of outputs whose noise is known, in their units. Others are estimated.
     quiet
@@ -273,6 +276,10 @@ def discover(
             f"noise of {', '.join(growing)} grows with the signal; a search takes a standard deviation for each row: fit the plain model,"
             " and give the records the noise of its run (Experiment.noise)"
         )
+    test_set = ValidationSet(_as_tuple(test) if test else (), skip, beginning)
+    known = {record.fingerprint: record.name for record in (*_as_tuple(estimation), *validation_set.records)}
+    if used := [record.name for record in test_set.records if record.fingerprint in known]:
+        raise DataError(f"test record {', '.join(used)}: it takes part in the search already; give another one")
     if not validation_set:
         raise DataError(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
@@ -324,7 +331,8 @@ def discover(
             second_halves = ValidationSet(validation_set.records, half)
             judged = _select_and_judge(wider, listed.effects, scales, second_halves, policy, on_message)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
-        result = _conclude(judged, listed.effects, findings, further, problem if laws else None)
+        result = _conclude(judged, listed.effects, test_set, findings, further, problem if laws else None)
+        result = _quote_test_error(result, problem, test_set)
         fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
         failed = failed_candidates(listed.effects, problem.failures, fitted)
         not_reached: dict[str, Finding] = {}
@@ -516,6 +524,7 @@ def _look_for_laws(
 def _conclude(
     judged: JudgedSelection,
     candidates: Sequence[Effect],
+    test: ValidationSet,
     findings: tuple[Finding, ...],
     further: bool,
     of_laws: DiscoveryProblem | None = None,
@@ -574,10 +583,12 @@ def _conclude(
     judged = replace(judged, base=base, best=best, holdout=holdout)
     final = replace(final, fit=best)
     refinement = None if refinement is None else replace(refinement, fit=best)
-    uncounted, rejected = judged.scores.validation.uncounted, ""
-    if _added_effects(judged):
-        better = judge_against_plain(judged.base, judged.best, uncounted, " + ".join(_added_effects(judged)))
-        if not better:
+    uncounted, rejected, is_worse = judged.scores.validation.uncounted, "", False
+    if names := " + ".join(_added_effects(judged)):
+        better = judge_against_plain(judged.base, judged.best, uncounted, names)
+        kept = judge_on_test(problem, judged.base, judged.best, test, names)
+        is_worse = better.passed and not kept
+        if not (better and kept):
             # What does no better than the plain model on the records that judge it is no answer: the plain model is.
             laws = {} if answer is None else {law.name: law.equation for law in answer.search.laws}
             rejected = " + ".join(laws.get(name, name) for name in _added_effects(judged))
@@ -589,7 +600,7 @@ def _conclude(
             answer = None if answer is None else replace(answer, best=None, search=replace(answer.search, laws=()))
             decided = replace(_decide(judged), checks=decided.checks)
             verdict = decided.verdict
-        decided = replace(decided, checks=(*decided.checks, *better.checks))
+        decided = replace(decided, checks=(*decided.checks, *better.checks, *kept.checks))
     location = _locate(judged.baseline, selection)
     claims: tuple[Claim, ...] = ()
     if candidates and verdict is not Verdict.COMPLETE and not rejected:
@@ -614,7 +625,10 @@ def _conclude(
         named = (answer is not None and answer.best is not None) or any(e.grade is Grade.PROBABLE for e in evidence)
         if verdict is Verdict.UNKNOWN and not named:
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
-            if surrogate is not None and not judge_against_plain(judged.base, surrogate.fit, uncounted):
+            if surrogate is not None and not (
+                judge_against_plain(judged.base, surrogate.fit, uncounted)
+                and judge_on_test(problem, judged.base, surrogate.fit, test)
+            ):
                 surrogate = None
             if surrogate is not None and surrogate.finished is not None:
                 findings = (*findings, *_word_on(surrogate.finished))
@@ -624,7 +638,9 @@ def _conclude(
     if verdict is Verdict.UNKNOWN and not is_probable:
         next_steps = _propose_for_unknown(judged, location, surrogate)
     elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
-        next_steps = _propose_for_part(judged, left_location, evidence, bool(refinement and refinement.steps))
+        next_steps = _propose_for_part(
+            judged, left_location, evidence, bool(refinement and refinement.steps) and not test
+        )
     elif verdict is Verdict.COMPLETE:
         next_steps = propose_noise_check(judged.base)
     if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not next_steps:
@@ -647,7 +663,7 @@ def _conclude(
         verdict, decided = Verdict.PARTLY, replace(decided, verdict=Verdict.PARTLY)
     constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
     summary = _summarise(
-        judged, decided, evidence, claims, alternatives, left, location, surrogate, rejected, constants
+        judged, decided, evidence, claims, alternatives, left, location, surrogate, rejected, is_worse, constants
     )
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
@@ -699,11 +715,11 @@ def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]
     finish = partial(finish_fit, problem, fit, judged.scores.validation)
     finished = problem.failures.attempt(SearchStage.HOLDOUT, names, finish, None)
     if finished is None:
-        finished = FinishedFit(fit, is_settled=False)
+        finished = RefitComparison(fit, is_settled=False)
     return finished.fit, _word_on(finished)
 
 
-def _word_on(finished: FinishedFit) -> tuple[Finding, ...]:
+def _word_on(finished: RefitComparison) -> tuple[Finding, ...]:
     """That another fit which begins at this one ends elsewhere, or fails; nothing where it ends there too."""
     if finished.is_settled:
         return ()
@@ -778,12 +794,7 @@ def judge_against_plain(base: Fit, fit: Fit, uncounted: int, subject: str = "") 
     subject
         What the checks are about.
     """
-    holdout = compare_holdout_errors(base, fit).values()
-    # Rms over noise, all outputs together.
-    before, after = (
-        float(np.sqrt(np.mean([(error / e.floor) ** 2 for e, error in errors])))
-        for errors in ([(e, e.before) for e in holdout], [(e, e.after) for e in holdout])
-    )
+    before, after = _sum_up(compare_holdout_errors(base, fit))
     errors, plain = (block_errors(each.validation, uncounted, EVIDENCE_BLOCKS) for each in (fit, base))
     deviations = compare_errors(errors, plain)[1] if errors else 0.0
     least = REFINEMENT_LEAST_DEVIATIONS
@@ -793,6 +804,60 @@ def judge_against_plain(base: Fit, fit: Fit, uncounted: int, subject: str = "") 
         make_check(DiscoveryRule.CONSISTENT_DECREASE, deviations, least, lasts, subject),
     )
     return Decision(any(check.passed for check in checks), checks)
+
+
+def judge_on_test(problem: DiscoveryProblem, base: Fit, fit: Fit, test: ValidationSet, subject: str = "") -> Decision:
+    """Whether a model is no worse than the plain one on records that took no part in the search, but for chance.
+
+    Its error there, all outputs together, is larger by less than a share that counts, or larger in some parts of the records only. Without
+    such records, or where the plain model cannot be run there, nothing speaks against it.
+    """
+    plain, other = (_run_on_test(problem, each, test) for each in (base, fit))
+    if plain is None:
+        return Decision(True, ())
+    # A model that cannot be run is infinitely worse.
+    before, after, deviations = 1.0, math.inf, math.inf
+    if other is not None:
+        before, after = _sum_up(compare_holdout_errors(plain, other))
+        errors = (block_errors(each.validation, test.uncounted, EVIDENCE_BLOCKS) for each in (plain, other))
+        deviations = compare_errors(*errors)[1]
+    least = REFINEMENT_LEAST_DEVIATIONS
+    is_as_good = after <= before / (1 - VALIDATION_SHARE) or deviations < least
+    return Decision(is_as_good, (make_check(DiscoveryRule.TEST_INCREASE, deviations, least, is_as_good, subject),))
+
+
+def _run_on_test(problem: DiscoveryProblem, fit: Fit, test: ValidationSet) -> Fit | None:
+    """A fit with its runs over the test records in the place of those over the validation records; None without such runs."""
+    run = partial(test.run, fit.model, fit.noise.std, problem.options)
+    names = tuple(e.name for e in fit.model.effects)
+    validation = problem.failures.attempt(SearchStage.HOLDOUT, names, run, None) if test else None
+    is_run = validation is not None and all(np.isfinite(m.rmse) for m in validation.misfit.values())
+    return replace(fit, validation=validation) if is_run and validation is not None else None
+
+
+def _quote_test_error(result: Discovery, problem: DiscoveryProblem, test: ValidationSet) -> Discovery:
+    """A discovery with its error on the test records, beside that of the plain model; as it is without them."""
+    plain = _run_on_test(problem, result.base, test)
+    answer = plain if result.extended is result.base else _run_on_test(problem, result.extended, test)
+    if plain is None or answer is None:
+        return result
+    errors = compare_holdout_errors(plain, answer)
+    findings = tuple(
+        Finding(
+            DiscoveryCode.TEST_ERROR,
+            subject=output,
+            values={"before": e.before, "after": e.after, "unit": e.unit, "is_plain": answer is plain},
+        )
+        for output, e in errors.items()
+    )
+    return replace(result, test=errors, findings=(*findings, *result.findings))
+
+
+def _sum_up(holdout: Mapping[str, HoldoutError]) -> tuple[float, float]:
+    """Rms error over noise of the plain and of the other model, all outputs together."""
+    pairs = [(e.before / e.floor, e.after / e.floor) for e in holdout.values()]
+    before, after = (float(np.sqrt(np.mean(np.square(each)))) for each in zip(*pairs, strict=True))
+    return before, after
 
 
 @dataclass(frozen=True)
@@ -911,12 +976,13 @@ def _summarise(
     location: ResidualLocalisation,
     surrogate: Surrogate | None,
     rejected: str = "",
+    is_worse: bool = False,
     constants: Mapping[str, int] | None = None,
 ) -> tuple[Finding, ...]:
     """The conclusion as findings: the effects and how certain they are, the error they take, and what is left.
 
-    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others, and
-    ``constants`` counts those of each candidate.
+    ``rejected`` names the effects of the best model on the estimation records where the plain one does as well on the others, or better
+    on the test records (``is_worse``), and ``constants`` counts those of each candidate.
     """
     if decided.verdict is Verdict.COMPLETE:
         return (Finding(DiscoveryCode.NOTHING_MISSING),)
@@ -955,7 +1021,8 @@ def _summarise(
         return (*headline, Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
     look_alike: list[Finding] = []
     if rejected:
-        look_alike.append(Finding(DiscoveryCode.NO_LOOK_ALIKE, subject=rejected))
+        code = DiscoveryCode.WORSE_ON_TEST if is_worse else DiscoveryCode.NO_LOOK_ALIKE
+        look_alike.append(Finding(code, subject=rejected))
     elif name:
         look_alike += [Finding(DiscoveryCode.NEAREST_LOOK_ALIKE, subject=name), *reduced, *remaining]
     missing: list[Finding] = []

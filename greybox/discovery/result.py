@@ -201,6 +201,8 @@ class Discovery(Printable, StoredResult):
         Time that it took.
     laws
         The terms of an equation that the best model has in the place of effects of the catalogue; ``alternatives`` are then equations.
+    test
+        By output, the error of the plain model and of the one to go on with on the test records, which took no part in the search.
     """
 
     verdict: Verdict
@@ -227,12 +229,13 @@ class Discovery(Printable, StoredResult):
     claims: tuple[Claim, ...] = ()
     left: Mapping[str, RemainingError] = field(default_factory=dict)
     laws: tuple[Law, ...] = ()
+    test: Mapping[str, HoldoutError] = field(default_factory=dict)
 
     FILE: ClassVar[FileKind] = FileKind("a discovery", "discovery.json that greybox discover has written")
     KEYS: ClassVar[str] = """
         verdict effects! form=shape_corrections alternatives plain_misfit sites=ranked_sites when=localisation.windows
         regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
-        gap=holdout evidence claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
+        gap=holdout test evidence claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
         model=best.model.name equations=best.provenance.equations noise=best.noise.std noise_source=best.noise.source
         integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions

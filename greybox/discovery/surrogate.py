@@ -24,8 +24,8 @@ from greybox.discovery.curve_shape import (
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind, list_disturbance_sites
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
-    FinishedFit,
     HoldoutError,
+    RefitComparison,
     ValidationSet,
     compare_holdout_errors,
     estimated_initial_states,
@@ -124,7 +124,7 @@ class Surrogate(Printable, ReadOnly):
     shape: CurveShape
     tone: SurrogateTone | None = None
     amplitude: float | None = None
-    finished: FinishedFit | None = None
+    finished: RefitComparison | None = None
 
     KEYS: ClassVar[str] = """
         site variable variable_unit unit closed=share shape=shape.kind parity=shape.parity downwards=shape.downwards

@@ -14,6 +14,7 @@ from greybox.shell.inputs import (
     print_record_notes,
     read_quiet_records,
     read_records,
+    read_test_records,
     result_folder,
 )
 from greybox.shell.plants import PlantKind, plant_kind
@@ -36,7 +37,7 @@ def discover(study: Study) -> Answer:
     only noise is left, "partly" if some effects are established and more is left, "ambiguous" if the records cannot distinguish
     effects, "unknown" if no effect of the catalogue is established (a fitted curve or a tone may then represent it). Where more
     than noise is left, smaller effects are searched for and selected on the --validate records: then report the error on a
-    third record. With --laws the equation is looked for that no effect of the catalogue is. Effects in the folder effects/ of
+    third record (--test). With --laws the equation is looked for that no effect of the catalogue is. Effects in the folder effects/ of
     the project are tried beside the catalogue. Writes DIR/discovery.json, the extended model as DIR/model.py (greybox fit
     DIR/model.py ... continues with it), and DIR/report.html, a report for the browser. Every finished
     refit is stored in DIR/journal.jsonl: after Ctrl-C the same command continues from there.
@@ -60,8 +61,9 @@ def discover(study: Study) -> Answer:
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
     records, validation = read_records(study, model)
     quiet = read_quiet_records(study, model, hold=study.hold)
-    print_record_notes(records, validation, quiet)
-    check_skip(study, validation)
+    test = read_test_records(study, model)
+    print_record_notes(records, validation, quiet, test)
+    check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
     project_effects = () if only_laws or candidates else find_own_effects()
@@ -72,6 +74,7 @@ def discover(study: Study) -> Answer:
                 model,
                 records,
                 validation=validation,
+                test=test,
                 skip=study.skip,
                 beginning=study.beginning,
                 noise=dict(study.noise),
@@ -149,7 +152,7 @@ DISCOVER = Command(
     "Find the effect that a model lacks.",
     (
         *(*ESTIMATING, Study.candidates, Study.without, Study.without_family, Study.further, Study.laws, Study.priors),
-        *(Study.ties, Study.quiet, Study.validation, Study.skip, Study.beginning),
+        *(Study.ties, Study.quiet, Study.validation, Study.test, Study.skip, Study.beginning),
         Study.estimation.but(usage="ESTIMATION", help="Records to learn from, headers 'name [unit]'.", required=True),
         Study.time_limit.but(
             help="End the search after so many seconds, with the best answer so far. The same command continues it."

@@ -239,6 +239,22 @@ def print_record_notes(*groups: Iterable[Experiment]) -> None:
         print_note(f"note: {finding}")
 
 
+def read_test_records(study: Study, model: Model) -> tuple[Experiment, ...]:
+    """The records that take no part in a search. Raises GreyboxError."""
+    from greybox.data.read import read_experiments
+
+    if not study.test:
+        return ()
+    return read_experiments(
+        study.test,
+        model,
+        hold=study.hold,  # type: ignore[arg-type]
+        split=study.split_holes,
+        allow_constant_input=study.free_decay,
+        **layout_of(study),
+    )
+
+
 # Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.
 MINIMUM_VALIDATION_ROWS = 10
 

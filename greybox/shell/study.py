@@ -194,6 +194,9 @@ class Study:
     quiet = Option(Files(), "--quiet FILE", "records.quiet",
         "A record with the input at rest and the same columns, to estimate the noise from; may be repeated.")
     validation = Option(Files(), "--validate FILE", "records.validation", "A validation record, which is not fitted; may be repeated.")
+    test = Option(Files(), "--test FILE", "records.test",
+        "A record that takes no part in the search: the answer is held against the plain model there, and its error is told;"
+        " may be repeated.")
     skip = Option(Count(), "--skip N", "records.skip", "Number of rows to ignore at the start of each validation record.")
     beginning = Option(Count(), "--beginning N", "records.beginning",
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"

@@ -340,6 +340,8 @@ def _record_lines(study: Study, folder: Path) -> list[str]:
                 )
     if study.split_holes:
         lines += [f"{group} = [piece for r in {group} for piece in r.split_at_time_gaps()]" for group in names]
+    if study.test:
+        lines.append(_read("test", study.test, folder, layout | how))
     if study.quiet:
         lines.append(_read("quiet", study.quiet, folder, {**layout, "allow_constant_input": True}))
     return lines
@@ -390,7 +392,7 @@ def _fit_lines(study: Study) -> list[str]:
 
 def _discover_lines(study: Study) -> list[str]:
     given = "".join(f", {name}={text}" for name, text in _data(study).items())
-    rest = ", options=gb.FitOptions(at_rest=True)" if study.at_rest else ""
+    rest = f"{', test=test' if study.test else ''}{', options=gb.FitOptions(at_rest=True)' if study.at_rest else ''}"
     journal = f', journal={FOLDER} / "journal.jsonl"'
     return [
         f"discovery = gb.discover(plain, records{given}{rest}{journal})",

@@ -215,7 +215,7 @@ def finish(monkeypatch, first, *ends):
     rest = list(ends)
     monkeypatch.setattr(holdout, "estimate", lambda *_, **__: rest.pop(0))
     problem = SimpleNamespace(
-        user_fit=SimpleNamespace(noise={}, quiet=(), options=None),
+        user_settings=SimpleNamespace(noise={}, quiet=(), options=None),
         executor=SimpleNamespace(is_late=False),
         experiments=(),
     )

@@ -1,15 +1,19 @@
 """What does no better than the plain model on the record that judges it is no answer: the plain model is."""
 
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.base.errors import DataError, FitError
 from greybox.base.findings import with_code
 from greybox.discovery.decision import Verdict
+from greybox.discovery.execution import FailureLog
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.pipeline import judge_against_plain
+from greybox.discovery.holdout import ValidationSet
+from greybox.discovery.pipeline import judge_against_plain, judge_on_test
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.first_order import first_order
 
@@ -51,6 +55,58 @@ def test_all_outputs_count_by_their_noise_and_the_first_rows_do_not():
     assert not judge_against_plain(plain, validated(x=0.9 * SQUARES, i=8 * SQUARES), 0)
 
 
+class TestRecords:
+    """Runs over test records, by what stands for the model."""
+
+    __test__ = False
+    uncounted = 0
+
+    def run(self, model, *_):
+        if model.run is None:
+            raise FitError("it ran away")
+        return model.run
+
+
+def on_test(residual):
+    """A fit with this residual (N,) on the test records; None: it cannot be run there."""
+    run = None if residual is None else validated(x=residual).validation
+    noise = SimpleNamespace(std={"x": 0.1}, bound=lambda _: None)
+    return SimpleNamespaceFit(model=SimpleNamespace(run=run, effects=()), noise=noise)
+
+
+@dataclass(frozen=True)
+class SimpleNamespaceFit:
+    """As much of a fit as a run takes."""
+
+    model: object
+    noise: object
+    validation: object = None
+
+
+@pytest.mark.parametrize(
+    ("change", "is_kept"),
+    [
+        (np.full(400, 0.5), True),
+        (np.ones(400), True),
+        (np.full(400, 1.03), True),  # larger everywhere, by a share that does not count
+        (np.repeat([1.3, 0.8, 1.3, 0.8], 100), True),  # larger in some parts only
+        (np.full(400, 1.2), False),
+        (None, False),
+    ],
+)
+def test_an_answer_that_is_worse_on_records_that_took_no_part_is_none(change, is_kept):
+    problem = SimpleNamespace(failures=FailureLog(), options=None)
+    plain, answer = on_test(SQUARES), on_test(None if change is None else change * SQUARES)
+    decision = judge_on_test(problem, plain, answer, TestRecords(), "an effect")
+    assert decision.passed is is_kept and len(decision.checks) == 1
+
+
+def test_nothing_speaks_against_an_answer_without_test_records_or_where_the_plain_model_fails_there():
+    problem = SimpleNamespace(failures=FailureLog(), options=None)
+    assert judge_on_test(problem, on_test(SQUARES), on_test(None), ValidationSet(())).passed
+    assert judge_on_test(problem, on_test(None), on_test(None), TestRecords()).passed
+
+
 def lag_record(name, seed, disturbance):
     """A first-order lag under a held random input: its exact answer, sensor noise, and what only this record has."""
     rng = np.random.default_rng(seed)
@@ -81,3 +137,34 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer():
     assert "sensor_drift" in tried.subject
     assert "takes" not in str(found).partition("candidate ")[0].replace("takes away", "")
     assert any("sensor_drift" in rank.effects for rank in found.ranking)  # what was tried is told
+
+
+def test_a_record_of_the_search_is_no_test_record():
+    learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0 * t) for seed in (1, 2))
+    with pytest.raises(DataError, match="test record day 2: it takes part in the search already"):
+        gb.discover(first_order(), learnt, validation=chosen, test=chosen)
+
+
+@pytest.mark.parametrize("drift_of_third", [0.0, 0.03])
+def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_model(drift_of_third):
+    """The sensor drifted on the two days that the search knows; on the third as well, or not."""
+    learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0.03 * t) for seed in (1, 2))
+    third = lag_record("third day", 3, lambda t: drift_of_third * t)
+    given = {"noise": {"y": 0.02}, "effects": [gb.effect("sensor_drift"), gb.effect("input_offset")]}
+    plain = first_order().start(gain=1.5, lag=0.7)
+    without = gb.discover(plain, learnt, validation=chosen, **given)
+    found = gb.discover(plain, learnt, validation=chosen, test=third, **given)
+    quoted = with_code(found.findings, DiscoveryCode.TEST_ERROR)
+    assert [e["name"] for e in without.effects] == ["sensor_drift"] and without.test == {}
+    # Its own fit tells what the plain model leaves there.
+    free = gb.validate(found.base.model, third, noise={"y": 0.02})
+    assert found.test["y"].before == pytest.approx(free.misfit["y"].rmse)
+    if drift_of_third:
+        assert found.verdict is without.verdict and found.best.model.values == without.best.model.values
+        assert found.test["y"].after < 0.2 * found.test["y"].before
+    else:
+        assert found.effects == [] and found.extended is found.base
+        (said,) = with_code(found.conclusion, DiscoveryCode.WORSE_ON_TEST)
+        assert "sensor_drift" in said.subject
+        assert found.test["y"].after == found.test["y"].before
+    assert len(quoted) == 1

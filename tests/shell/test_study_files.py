@@ -16,7 +16,7 @@ from greybox.base.errors import GreyboxError
 from greybox.data.signals import multisine
 from greybox.shell.commands import COMMANDS
 from greybox.shell.study import Study
-from greybox.shell.study_file import read_study, study_commands, study_text
+from greybox.shell.study_file import read_study, study_commands, study_script, study_text
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
@@ -73,6 +73,18 @@ def test_a_study_file_repeats_the_options_to_the_last_bit(run: Run, data: Path, 
     assert one.exit_code == two.exit_code == 0, one.output + two.output
     first, second = (json.loads((tmp_path / folder / file).read_text()) for folder in ("one", "two"))
     assert numbers(first) == numbers(second)
+
+
+def test_a_test_record_of_a_search_stands_in_its_study_and_in_the_program(run: Run, data: Path, tmp_path: Path) -> None:
+    (tmp_path / "third.csv").write_text((data / "test.csv").read_text())
+    line = (
+        f"discover micro_actuator {data}/train.csv --validate {data}/test.csv --test third.csv --write-study study.toml"
+    )
+    assert run(*line.split()).exit_code == 0
+    study = read_study(tmp_path / "study.toml", "discover", COMMANDS)
+    assert study.test == (tmp_path / "third.csv",)
+    program = study_script(study, tmp_path / "study.py", searched=study)
+    assert "third.csv" in program and ", test=test" in program
 
 
 def test_a_comparison_is_written_and_read_as_the_same_study(run: Run, data: Path, tmp_path: Path) -> None:

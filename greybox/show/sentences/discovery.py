@@ -535,6 +535,14 @@ def _look_at_stretch(finding: Finding) -> str:
     )
 
 
+def _test_error(finding: Finding) -> str:
+    v = finding.values
+    where = f"on the test records, which took no part in the search, the error of {finding.subject}"
+    if v["is_plain"]:
+        return f"{where} is {quantity_text(v['before'], v['unit'])}"
+    return f"{where} goes from {change_text(v['before'], v['after'], v['unit'])}"
+
+
 def _refit_elsewhere(finding: Finding) -> str:
     status, errors, constants = (finding.values[key] for key in ("status", "errors", "constants"))
     ended = f" ({status_text(status)})" if status else ""
@@ -548,9 +556,7 @@ def _refit_elsewhere(finding: Finding) -> str:
         for e in errors
     ]
     parts += [f"{name} by {move:.2g} standard deviations" for name, move in constants.items()]
-    return (
-        f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {join_names(parts)}."
-    )
+    return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {join_names(parts)}."
 
 
 def _detection_limit(finding: Finding) -> str:
@@ -572,6 +578,8 @@ register(
         DiscoveryCode.UNKNOWN_EFFECT: "The model lacks an effect, and no effect of the catalogue is established.",
         DiscoveryCode.NO_LOOK_ALIKE: "What follows the estimation records best, {subject}, does no better than the plain model on the"
         " validation records: the plain model is the answer.",
+        DiscoveryCode.WORSE_ON_TEST: "What follows the estimation and the validation records best, {subject}, does worse than the plain"
+        " model on the test records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
         DiscoveryCode.HARDLY_VISIBLE: lambda f: (
             "The estimation records hardly show it: the misfit of the plain model there is"
@@ -598,6 +606,7 @@ register(
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
+        DiscoveryCode.TEST_ERROR: _test_error,
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
@@ -724,6 +733,7 @@ register(
         DiscoveryRule.CONSISTENT_DECREASE: _check(
             "decrease over blocks of the validation records, in standard errors", ">="
         ),
+        DiscoveryRule.TEST_INCREASE: _check("increase over blocks of the test records, in standard errors", "<"),
         DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
         DiscoveryRule.LAW_CURVE: _check(
             "share of the law's validation error that a free curve in its place takes away", "<="

@@ -73,6 +73,12 @@ FINDINGS = [
         " plain model is the answer.",
     ),
     (
+        Code.WORSE_ON_TEST,
+        *("cubic_stiffness", {}),
+        "What follows the estimation and the validation records best, cubic_stiffness, does worse than the plain model on the test records:"
+        " the plain model is the answer.",
+    ),
+    (
         Code.NEAREST_LOOK_ALIKE,
         *("cubic_stiffness", {}),
         "The nearest look-alike is cubic_stiffness.",
@@ -181,6 +187,16 @@ FINDINGS = [
         },
         "rotor: the last fit had not settled. Another that begins at these constants (converged) changes the error of w on the validation"
         " records from 2.1 to 1.89 mV and b by 0.51 standard deviations.",
+    ),
+    (
+        Code.TEST_ERROR,
+        *("x", {"before": 0.315, "after": 0.27, "unit": "V", "is_plain": False}),
+        "on the test records, which took no part in the search, the error of x goes from 315 to 270 mV",
+    ),
+    (
+        Code.TEST_ERROR,
+        *("x", {"before": 0.315, "after": 0.315, "unit": "V", "is_plain": True}),
+        "on the test records, which took no part in the search, the error of x is 315 mV",
     ),
     (
         Code.SHAPE_CORRECTED,
@@ -480,6 +496,7 @@ CHECKS = {
     Rule.HOLDOUT_NOISE: "backlash: validation error of the extended model over noise 18.2 <= 20: no",
     Rule.ESTIMATION_DECREASE: "backlash: share of the rms misfit removed 18.2 >= 20: no",
     Rule.VALIDATION_DECREASE: "backlash: validation misfit 18.2 <= 20: no",
+    Rule.TEST_INCREASE: "backlash: increase over blocks of the test records, in standard errors 18.2 < 20: no",
     Rule.CONSISTENT_DECREASE: "backlash: decrease over blocks of the validation records, in standard errors 18.2 >= 20: no",
     Rule.REFINED_ERROR: "backlash: validation misfit, against the model with corrected shapes, 18.2 <= 20: no",
     Rule.LAW_CURVE: "backlash: share of the law's validation error that a free curve in its place takes away 18.2 <= 20: no",
