@@ -103,6 +103,20 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"did you mean {' or '.join(repr(c) for c in close)}? ({beside})"
 
 
+# Similarity from which one name is another one with a slip of the pen.
+SLIP_SIMILARITY = 0.75
+
+
+def is_slip_of(name: str, known: Iterable[str]) -> bool:
+    """Whether an unknown name is one of those that are known but for its case or a letter.
+
+    >>> is_slip_of("P_s", ["P_S", "M"]), is_slip_of("load", ["P_S", "M"])
+    (True, False)
+    """
+    lower = name.lower()
+    return any(difflib.SequenceMatcher(None, lower, k.lower()).ratio() >= SLIP_SIMILARITY for k in known)
+
+
 class ExitCode(IntEnum):
     """How a command ended: a contract with whoever runs it from a script."""
 

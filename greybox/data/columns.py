@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest, shorten
+from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shorten
 from greybox.base.findings import Finding
 from greybox.base.units import convert, unit_converter
 from greybox.data.findings import RecordCode
@@ -444,8 +444,17 @@ _COMMENT = re.compile(r"^[#\s]*(?P<header>[^:=]+?)\s*[:=]\s*(?P<value>[^\s]+)\s*
 
 
 def request_conditions(model: Model, names: Sequence[str]) -> list[RequestedSignal]:
-    """The conditions ``names`` as signals to look for, in the units of the model's constants. Raises ModelError for other names."""
-    return [RequestedSignal(SignalKind.CONDITION, name, model.parameter(name).unit) for name in names]
+    """The conditions ``names`` as signals to look for, in the units of the model's constants; others as they stand in the file.
+
+    Raises ModelError for a name that is nearly that of a constant.
+    """
+    known = {q.name: q.unit for q in model.stated_parameters}
+    return [
+        RequestedSignal(SignalKind.CONDITION, name, model.parameter(name).unit)
+        if name in known or is_slip_of(name, known)
+        else RequestedSignal(SignalKind.CONDITION, name, "")
+        for name in names
+    ]
 
 
 def read_conditions(

@@ -63,7 +63,8 @@ class Experiment(Printable):
     source
         The file that it came from.
     conditions
-        Constants of this experiment alone, name -> value in the model's unit.
+        Constants of this experiment alone, name -> value in the model's unit. And what the model does not speak of (a load, a
+        temperature, a voltage, the day): constants that a fit has for each record, and those that a discovery finds, are held against it.
     findings
         What a reader should know about the record. A part keeps those of the whole.
     noise

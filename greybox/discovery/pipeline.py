@@ -76,6 +76,7 @@ from greybox.discovery.proposals import (
     propose_next_steps,
     propose_noise_check,
 )
+from greybox.discovery.record_conditions import follow_conditions
 from greybox.discovery.refinement import (
     REFINEMENT_LEAST_DEVIATIONS,
     VALIDATION_SHARE,
@@ -333,6 +334,10 @@ def discover(
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
         result = _conclude(judged, listed.effects, test_set, findings, further, problem if laws else None)
         result = _quote_test_error(result, problem, test_set)
+        witnesses = (*judged.selection.problem.experiments, *judged.scores.validation.records)
+        compare = partial(follow_conditions, result.extended, witnesses, problem.options)
+        trends = problem.failures.attempt(SearchStage.EVIDENCE, tuple(e["name"] for e in result.effects), compare, ())
+        result = replace(result, findings=(*result.findings, *trends))
         fitted = {name for key in judged.selection.fits if len(key) == 1 for name in key}
         failed = failed_candidates(listed.effects, problem.failures, fitted)
         not_reached: dict[str, Finding] = {}

@@ -27,8 +27,10 @@ from greybox.estimation.fit_issues import (
     EstimationCode,
     add_record_findings,
     find_fit_issues,
+    find_foreign_conditions,
     find_option_issues,
     find_prior_conflicts,
+    find_record_trends,
     find_status_details,
     find_validation_issues,
     is_at_noise,
@@ -450,6 +452,8 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     findings = (
         *find_fit_issues(optimum, parameters),
         *find_option_issues(problem, tied, per_experiment, priors, robust),
+        *find_foreign_conditions(model, problem.experiments),
+        *find_record_trends(variables, covariance, problem.experiments),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(

@@ -20,8 +20,9 @@ from greybox.estimation.noise_loop import compute_noise_ratios
 from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio
+from greybox.estimation.record_trends import find_trend, shared_conditions, trend_values
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
-from greybox.estimation.transcription.decision_vector import DecisionVector
+from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model.expressions.text import expression_text
 from greybox.model.model import Model
@@ -61,6 +62,8 @@ class EstimationCode(StrEnum):
     HELD_BY_PRIOR = "held_by_prior"
     TIED_OUTSIDE_BOUNDS = "tied_outside_bounds"
     MEAN_OF_EXPERIMENTS = "mean_of_experiments"
+    VALUES_BY_RECORD = "values_by_record"
+    CONDITION_OF_RECORDS = "condition_of_records"
     ROBUST_LOSS_OUTLIERS = "robust_loss_outliers"
     TOO_MANY_OUTLIERS = "too_many_outliers"
     CONSTANT_OUTPUT_EXCLUDED = "constant_output_excluded"
@@ -397,6 +400,33 @@ UNIT_FACTORS: tuple[tuple[float, str], ...] = (
 )
 # Share within which a factor must be known, and agree, to be that of a unit: the closest two (9.55, 9.81) are 3 % apart.
 UNIT_FACTOR_SHARE = 0.01
+
+
+def find_record_trends(
+    variables: DecisionVector, covariance: ParameterCovariance, experiments: Sequence[Experiment]
+) -> tuple[Finding, ...]:
+    """For each constant of which every record has its own: whether one value does for all, and which condition the values follow."""
+    conditions, result = shared_conditions(experiments), []
+    for which in dict.fromkeys(variables.which[variables.owner != SHARED].tolist()):
+        places = np.flatnonzero((variables.which == which) & (variables.owner != SHARED))
+        # A constant at its bound has no interval on both sides.
+        places = places[~variables.active[places]]
+        owners = variables.owner[places]
+        given = {name: values[owners] for name, values in conditions.items()}
+        block = covariance.covariance[np.ix_(places, places)]
+        trend = find_trend(variables.base[places], block, given)
+        if trend is not None:
+            q = variables.model.all_parameters[which]
+            values = trend_values(trend, q.unit, len(places))
+            result.append(Finding(EstimationCode.VALUES_BY_RECORD, Severity.NOTE, q.name, values))
+    return tuple(result)
+
+
+def find_foreign_conditions(model: Model, experiments: Sequence[Experiment]) -> tuple[Finding, ...]:
+    """Conditions that are no parameter of the model: the records are compared by them, and that is all."""
+    known = {*model.values, *(tie.name for tie in model.ties)}
+    foreign = dict.fromkeys(name for e in experiments for name in e.conditions if name not in known)
+    return tuple(Finding(EstimationCode.CONDITION_OF_RECORDS, Severity.NOTE, name) for name in foreign)
 
 
 def find_prior_conflicts(model: Model, priors: Mapping[str, PriorCheck]) -> list[Finding]:

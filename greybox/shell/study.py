@@ -183,7 +183,8 @@ class Study:
         completion.constants)
     conditions = Option(Conditions(), "--condition NAME[=V1,V2,...]", "conditions.",
         "A parameter with a known value in each record: one value for each record in order (--validate last). NAME alone"
-        " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'.")
+        " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'. Any other name, such as load=1,6.1,"
+        " is what --own parameters, and those that a discovery finds, are held against.")
     process_noise = Option(Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
         "Add process noise to a state. The fit then minimises the prediction error with a Kalman filter and estimates the"
         " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).", completion.states)

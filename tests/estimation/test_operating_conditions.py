@@ -125,7 +125,7 @@ def test_every_transcription_knows_the_conditions():
             [{"K2": 1e-9}, {}],
             r"condition 'K2' is free in the model but not given for experiment 2; give it for every .*, or fix it",
         ),
-        ([{"load": 1.0}, {"P_S": 1.0}], r"condition 'load'.*; .*parameter 'P_S': 1 Pa lies outside"),
+        ([{"P_s": 1.0}, {"P_S": 1.0}], r"condition 'P_s'.*; .*parameter 'P_S': 1 Pa lies outside"),
     ],
 )
 def test_conditions_that_do_not_fit_the_model_are_refused_in_words(conditions, message):

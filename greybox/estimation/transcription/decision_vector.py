@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base.errors import ModelError, is_slip_of, nearest
 from greybox.base.numerics import AT_BOUND, ROUNDED_BOUND
 from greybox.model.model import Model
 from greybox.model.signals import Parameter
@@ -22,7 +22,8 @@ def resolve_conditions(
 ) -> tuple[dict[int, float], ...]:
     """For each experiment its conditions, as position in ``system.p`` -> value.
 
-    A condition is a parameter of the model with a value of its own in that experiment, in the parameter's unit; experiments that
+    A condition is a parameter of the model with a value of its own in that experiment, in the parameter's unit, or something that the
+    model does not speak of (a load, a temperature), by which the records are compared and which is left out here; experiments that
     do not name it keep the model's value. It is known, so it is not fitted.
 
     Parameters
@@ -50,9 +51,11 @@ def resolve_conditions(
             for n in given
             if n in tied
         ]
-        unknown = [n for n in given if n not in names and n not in tied]
+        # What the model does not speak of (a load, a temperature) is what its records are compared by; a name that is nearly that of a
+        # parameter is a mistake.
+        mistaken = [n for n in given if n not in names and n not in tied and is_slip_of(n, names)]
         problems += [
-            f"{subject}: condition {n!r} is not a parameter of {model.title}; {nearest(n, names)}" for n in unknown
+            f"{subject}: condition {n!r} is not a parameter of {model.title}; {nearest(n, names)}" for n in mistaken
         ]
         try:
             model.start(**{n: v for n, v in given.items() if n in names})
@@ -67,7 +70,7 @@ def resolve_conditions(
             )
     if problems:
         raise ModelError("; ".join(problems))
-    return tuple({names.index(n): float(v) for n, v in given.items()} for given in conditions)
+    return tuple({names.index(n): float(v) for n, v in given.items() if n in names} for given in conditions)
 
 
 def check_own_constants(model: Model, per_experiment: Sequence[str], experiments: int) -> None:

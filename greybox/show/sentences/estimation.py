@@ -14,6 +14,7 @@ from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.profiles import NEARLY_COLLINEAR
+from greybox.estimation.record_trends import TrendKind
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
@@ -23,6 +24,7 @@ from greybox.show.sentences.wording import (
     LONGEST_FORMULA,
     NOISE_REACH,
     capitalise,
+    format_number,
     format_shares,
     format_with_std,
     join_names,
@@ -214,6 +216,34 @@ def _write_priors_off_alike(finding: Finding) -> str:
     )
 
 
+def write_record_trend(finding: Finding) -> str:
+    """What the values of a constant by record have in common."""
+    v, name = finding.values, finding.subject
+    unit = format_unit(v["unit"])
+    low, high = (format_number(each, 3) for each in v["at"])
+    if v["kind"] == TrendKind.ALIKE:
+        return f"one value of {name} does for all {v['records']} records: {low} {unit}".rstrip()
+    if v["kind"] == TrendKind.DIFFERENT:
+        return f"{name} differs between the records ({low} to {high} {unit}) and follows no condition that is given"
+    condition, (least, most) = v["condition"], v["levels"]
+    ends = f"{low} to {high} {unit} at {least:g} to {most:g}"
+    ratio = v["ratio"]
+    rises = v["at"][1] > v["at"][0]
+    way = "grows" if rises else "falls"
+    if ratio is None:
+        text = f"{name} {'rises' if rises else 'falls'} with {condition}: {ends}"
+    elif least > 0:
+        proportion = " in proportion to" if v["kind"] == TrendKind.PROPORTIONAL else " with"
+        text = f"{name} {way}{proportion} {condition}: {ratio:.3g} times at {most / least:.3g} times the {condition} ({ends})"
+    else:
+        text = f"{name} {way} with {condition}: {ratio:.3g} times from {least:g} to {most:g} ({low} to {high} {unit})"
+    if v["kind"] == TrendKind.PAIR:
+        text += "; two records show no more than that they differ"
+    if v["also"]:
+        text += f"; in these records {join_names(v['also'])} tells as much"
+    return text
+
+
 def _write_held_by_prior(finding: Finding) -> str:
     names = finding.values["parameters"]
     return f"determined by {'its prior' if len(names) == 1 else 'their priors'}: {', '.join(names)}; the data add little or nothing"
@@ -367,6 +397,10 @@ register(
         EstimationCode.MEAN_OF_EXPERIMENTS: lambda f: (
             f"each experiment has its own value of {', '.join(f.values['parameters'])}: the fitted model has the mean, and a validation"
             " uses the mean"
+        ),
+        EstimationCode.VALUES_BY_RECORD: write_record_trend,
+        EstimationCode.CONDITION_OF_RECORDS: (
+            "{subject} is no constant of the model: constants that each record has for itself are held against it"
         ),
         EstimationCode.ROBUST_LOSS_OUTLIERS: _write_outliers,
         EstimationCode.TOO_MANY_OUTLIERS: lambda f: (

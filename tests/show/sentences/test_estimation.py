@@ -285,6 +285,30 @@ GOLDEN = [
         "the data say 1.19 times the prior values of J and mgl alike, as a gain of the input tau, or of a sensor does that is off by this"
         " factor: add the effect input_gain or sensor_gain and fit again",
     ),
+    (
+        "values_by_record",
+        "Fc",
+        {
+            **{"kind": "proportional", "condition": "load", "levels": [1.0, 6.1], "at": [0.1, 0.61], "ratio": 6.1},
+            **{"share": 0.99, "also": ["day"], "unit": "N", "records": 4},
+        },
+        "Fc grows in proportion to load: 6.1 times at 6.1 times the load (0.1 to 0.61 N at 1 to 6.1); in these records day tells as much",
+    ),
+    (
+        "values_by_record",
+        "Kw",
+        {
+            **{"kind": "linear", "condition": "voltage", "levels": [0.0, 3.21], "at": [60.0, 300.0], "ratio": 5.0},
+            **{"share": 0.9, "also": [], "unit": "N", "records": 10},
+        },
+        "Kw grows with voltage: 5 times from 0 to 3.21 (60 to 300 N)",
+    ),
+    (
+        "condition_of_records",
+        "load",
+        {},
+        "load is no constant of the model: constants that each record has for itself are held against it",
+    ),
     ("held_by_prior", "", ONE, "determined by its prior: K; the data add little or nothing"),
     ("held_by_prior", "", TWO, "determined by their priors: K, B; the data add little or nothing"),
     (

@@ -1,0 +1,193 @@
+"""Constants of which each record has a value of its own: does one value do for all, and which condition of the records do they follow?
+
+The values are compared by generalised least squares with their joint covariance, which allows for what the records do not explain
+(G. A. F. Seber, A. J. Lee 2003, Linear Regression Analysis, sections 3.10 and 4.3): first one value for all, then a straight line over each
+condition, then one value for each level of a condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from greybox.base.linear_algebra import pseudo_inverse
+from greybox.data.experiment import Experiment
+
+# Probability with which values that are the same are said to differ, and values that follow no condition to follow one.
+ERROR_PROBABILITY = 0.01
+# Standard errors within which a line may miss the origin, and still be called in proportion.
+ORIGIN_DEVIATIONS = 2.0
+# Share of the largest value that these may be; a line that is known less well is in proportion to nothing.
+ORIGIN_SHARE = 0.2
+
+
+class TrendKind(StrEnum):
+    """What values by record say."""
+
+    ALIKE = "alike"
+    """One value does for all."""
+
+    PROPORTIONAL = "proportional"
+    """They go with a condition, through the origin."""
+
+    LINEAR = "linear"
+    """They lie on a straight line over a condition, or scatter about one."""
+
+    MONOTONE = "monotone"
+    """They rise or fall from level to level of a condition, on no straight line."""
+
+    PAIR = "pair"
+    """They differ between the only two records, whose conditions differ too: two points show no more."""
+
+    DIFFERENT = "different"
+    """They differ, and follow no condition."""
+
+
+@dataclass(frozen=True)
+class RecordTrend:
+    """What the values of one constant in several records have in common.
+
+    Parameters
+    ----------
+    kind
+        What was found.
+    condition
+        The condition that the values follow; empty where they follow none.
+    levels
+        Its lowest and its highest value.
+    values
+        The constant there: the mean of the records at that level, or along the line where it goes through the origin; the common value,
+        twice, where one does for all.
+    share
+        Share of the differences between the records that the condition explains.
+    also
+        Other conditions that explain them significantly: what goes together in the records cannot be told apart.
+    """
+
+    kind: TrendKind
+    condition: str = ""
+    levels: tuple[float, float] = (np.nan, np.nan)
+    values: tuple[float, float] = (np.nan, np.nan)
+    share: float = 0.0
+    also: tuple[str, ...] = ()
+
+    @property
+    def ratio(self) -> float | None:
+        """The constant at the highest over that at the lowest level; None where it changes its sign, or is zero."""
+        low, high = self.values
+        return high / low if low * high > 0 else None
+
+
+def shared_conditions(experiments: Sequence[Experiment]) -> dict[str, np.ndarray]:
+    """The conditions that every record has, and that differ: name -> values (E,)."""
+    names = [
+        n for n in (experiments[0].conditions if experiments else {}) if all(n in e.conditions for e in experiments)
+    ]
+    levels = {name: np.array([e.conditions[name] for e in experiments]) for name in names}
+    return {name: values for name, values in levels.items() if np.ptp(values) > 0}
+
+
+def find_trend(values: np.ndarray, covariance: np.ndarray, conditions: Mapping[str, np.ndarray]) -> RecordTrend | None:
+    """What the values of a constant by record have in common.
+
+    Parameters
+    ----------
+    values, covariance
+        The constant in each record (E,), and the joint covariance of these estimates (E, E). A record that does not determine it has a
+        variance that is not finite, and is left out.
+    conditions
+        Condition -> its value in each record (E,).
+
+    Returns
+    -------
+    RecordTrend or None
+        None where fewer than two records determine the constant.
+    """
+    from scipy import stats
+
+    known = np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0)
+    count = int(known.sum())
+    if count < 2:
+        return None
+    theta, precision = values[known], pseudo_inverse(covariance[np.ix_(known, known)])
+    one = np.ones((count, 1))
+    mean, scatter, _ = _least_squares(one, theta, precision)
+    # Q = r' C^-1 r of equal values is chi-squared with E - 1 degrees of freedom.
+    if stats.chi2.sf(scatter, count - 1) > ERROR_PROBABILITY:
+        return RecordTrend(TrendKind.ALIKE, values=(float(mean[0]), float(mean[0])))
+    followed: list[tuple[float, RecordTrend]] = []
+    for name, given in conditions.items():
+        z = given[known]
+        levels = np.unique(z)
+        if len(levels) < 2:
+            continue
+        ends = float(levels[0]), float(levels[-1])
+        if count == 2:
+            at = float(theta[z == ends[0]][0]), float(theta[z == ends[1]][0])
+            followed.append((1.0, RecordTrend(TrendKind.PAIR, name, ends, at, 1.0)))
+            continue
+        line, left, spread = _least_squares(np.column_stack([one, z]), theta, precision)
+        p_value, excess = _compare(scatter, left, 1, count - 2)
+        each, _, _ = _least_squares((z[:, None] == levels).astype(float), theta, precision)
+        at = float(each[0]), float(each[-1])
+        if p_value <= ERROR_PROBABILITY:
+            # Through the origin: within its error, which must be small enough to say so.
+            reach = ORIGIN_DEVIATIONS * np.sqrt(excess * spread[0, 0])
+            passes = abs(line[0]) <= reach <= ORIGIN_SHARE * np.abs(theta).max()
+            kind = TrendKind.PROPORTIONAL if passes else TrendKind.LINEAR
+            if passes and ends[0] > 0:
+                at = float(line[0] + line[1] * ends[0]), float(line[0] + line[1] * ends[1])
+            followed.append((p_value, RecordTrend(kind, name, ends, at, 1 - left / scatter)))
+            continue
+        # One value for each level: it needs levels that were repeated, to be held against what repeats differ by.
+        left = _least_squares((z[:, None] == levels).astype(float), theta, precision)[1]
+        steps = np.diff(each)
+        if count > len(levels) > 2 and (np.all(steps > 0) or np.all(steps < 0)):
+            p_value, _ = _compare(scatter, left, len(levels) - 1, count - len(levels))
+            if p_value <= ERROR_PROBABILITY:
+                followed.append((p_value, RecordTrend(TrendKind.MONOTONE, name, ends, at, 1 - left / scatter)))
+    if not followed:
+        return RecordTrend(TrendKind.DIFFERENT, values=(float(theta.min()), float(theta.max())))
+    # Of several conditions the one that explains most leads.
+    followed.sort(key=lambda each: (each[0], -each[1].share))
+    best = followed[0][1]
+    others = tuple(trend.condition for _, trend in followed[1:])
+    return RecordTrend(best.kind, best.condition, best.levels, best.values, best.share, others)
+
+
+def _least_squares(design: np.ndarray, y: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+    """Coefficients (k,), weighted sum of squares that is left, and covariance (k, k) of the coefficients."""
+    covariance = pseudo_inverse(design.T @ precision @ design)
+    coefficients = covariance @ (design.T @ precision @ y)
+    residual = y - design @ coefficients
+    return coefficients, max(float(residual @ precision @ residual), 0.0), covariance
+
+
+def _compare(before: float, after: float, added: int, degrees: int) -> tuple[float, float]:
+    """Probability of so much less scatter by chance, and the excess of what is left over what the intervals of the values allow."""
+    from scipy import stats
+
+    if degrees < 1 or stats.chi2.sf(after, degrees) > ERROR_PROBABILITY:
+        # What is left is within the intervals: their size is the measure.
+        return float(stats.chi2.sf(before - after, added)), 1.0
+    excess = after / degrees
+    return float(stats.f.sf((before - after) / added / excess, added, degrees)), excess
+
+
+def trend_values(trend: RecordTrend, unit: str, records: int) -> dict[str, Any]:
+    """What a finding holds of a trend."""
+    return {
+        "kind": str(trend.kind),
+        "condition": trend.condition,
+        "levels": list(trend.levels) if trend.condition else [],
+        "at": list(trend.values),
+        "ratio": trend.ratio,
+        "share": trend.share,
+        "also": list(trend.also),
+        "unit": unit,
+        "records": records,
+    }
