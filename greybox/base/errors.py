@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import traceback
 from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
@@ -55,6 +56,18 @@ class OutputError(GreyboxError, OSError):
 
     def __str__(self) -> str:
         return f"{self.filename}: cannot be written ({self.strerror}); what was there before stands"
+
+
+# What models, solvers and compilers raise: errors of this library, CasADi's (RuntimeError), those of linear algebra and of arithmetic,
+# ValueError of numerical libraries for arrays that are not finite, and what a compiler or a full disk gives. Any other is a bug.
+NUMERICAL_ERRORS = (GreyboxError, RuntimeError, ValueError, ArithmeticError, OSError, MemoryError)
+
+
+def is_own_bug(error: Exception) -> bool:
+    """Whether lines of this library raised an error that models, solvers and compilers do not: it must end the run."""
+    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
+    is_ours = bool(frames) and str(frames[-1].f_globals.get("__name__")).partition(".")[0] == __name__.partition(".")[0]
+    return is_ours and not isinstance(error, NUMERICAL_ERRORS)
 
 
 class WorkersLostError(GreyboxError):

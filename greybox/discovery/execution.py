@@ -15,7 +15,7 @@ from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
-from greybox.base.errors import FitError, GreyboxError
+from greybox.base.errors import NUMERICAL_ERRORS, FitError, GreyboxError
 from greybox.base.files import add_entry, read_journal
 from greybox.base.findings import Finding
 from greybox.base.json_file import find_offence
@@ -79,12 +79,6 @@ class SearchFailure:
     reason: str
 
 
-# What models, solvers and compilers raise: errors of this library, CasADi's (RuntimeError), those of linear algebra and of arithmetic,
-# ValueError of numerical libraries for arrays that are not finite, and what a compiler or a full disk gives. While a candidate is
-# prepared, functions of an effect that a user wrote run: they may raise anything.
-NUMERICAL_ERRORS = (GreyboxError, RuntimeError, ValueError, ArithmeticError, OSError, MemoryError)
-
-
 @dataclass
 class FailureLog:
     """Failures of a search in the order in which they happened, each model once a stage."""
@@ -105,6 +99,7 @@ class FailureLog:
         try:
             return run()
         except Exception as error:
+            # While a candidate is prepared, functions of an effect that a user wrote run: they may raise anything.
             if stage is not SearchStage.PREPARATION and not isinstance(error, NUMERICAL_ERRORS):
                 raise
             self.add(stage, effects, reason_of(error))

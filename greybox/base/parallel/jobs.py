@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+import traceback
 from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from greybox.base.errors import GreyboxError, WorkersLostError
+from greybox.base.errors import NUMERICAL_ERRORS, GreyboxError, WorkersLostError
 from greybox.base.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
 from greybox.base.parallel.local_pool import (
     LocalPool,
@@ -56,7 +57,7 @@ def run_jobs(
     Parameters
     ----------
     job
-        What to do. An exception in it is its result.
+        What to do. What a model, a solver or a compiler raises in it is its result; any other error ends the run here.
     common
         What all jobs share; sent to each worker once.
     items
@@ -220,6 +221,8 @@ class _Book:
         if isinstance(result, _OtherVersion):
             fault = f"a worker has {result.version}, and this process {describe_version()}; install the same version on both"
             raise WorkersLostError(fault, self.results)
+        if isinstance(result, _Bug):
+            raise result.error from RuntimeError(f"in a worker:\n{result.trace}")
         self.done_by_workers += 1
         self.enter(k, result)
 
@@ -242,18 +245,29 @@ class _OtherVersion:
     version: str
 
 
+@dataclass(frozen=True)
+class _Bug:
+    """What a worker answers whose job raised an error that no model, solver or compiler does, with where it was."""
+
+    error: Exception
+    trace: str
+
+
 def _work(version: str, payload: bytes, item: bytes) -> bytes:
     """One job, where it runs."""
     if version != describe_version():
         return pack(_OtherVersion(describe_version()))
     job, common = unpack_shared(payload)
-    return pack(_run_timed(job, common, unpack(item)))
+    try:
+        return pack(_run_timed(job, common, unpack(item)))
+    except Exception as error:
+        return pack(_Bug(error, traceback.format_exc()))
 
 
 def _run_timed(job: Callable[[Any, Any], Any], common: Any, item: Any) -> JobResult:
     began = time.perf_counter()
     try:
         return JobResult(job(common, item), "", time.perf_counter() - began)
-    except Exception as error:
+    except NUMERICAL_ERRORS as error:
         text = str(error) if isinstance(error, GreyboxError) else f"{type(error).__name__}: {error}"
         return JobResult(None, text, time.perf_counter() - began)

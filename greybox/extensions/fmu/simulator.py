@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from greybox.base.errors import OutputError, shorten
+from greybox.base.errors import OutputError, is_own_bug, shorten
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, FmuVariable
 from greybox.simulation.plant import PlantRunError
@@ -135,6 +135,8 @@ class FmuSimulator:
         try:
             result = self._simulate(experiment, time, step, values)
         except Exception as error:  # of the FMU, its solver or the library: whatever it is, the run is lost
+            if is_own_bug(error):
+                raise
             self.failures += 1
             self._discard()
             raise FmuRunError(
@@ -257,7 +259,9 @@ class FmuSimulator:
                 run, slopes = runner.run(experiment, values, unknowns, widths)
             if lost:
                 raise lost[0]
-        except Exception:  # of the FMU or the library: differences take their place
+        except Exception as error:  # of the FMU or the library: differences take their place
+            if is_own_bug(error):
+                raise
             self._may_differentiate = False
             return None
         expected = np.column_stack([outputs[o.label] for o in self.plant.outputs])

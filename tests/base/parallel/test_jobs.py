@@ -76,6 +76,15 @@ def test_an_exception_is_the_result_of_its_job_alone():
     assert results[2].error == "ZeroDivisionError: division by zero"
 
 
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_bug_in_a_job_ends_the_run(workers):
+    """It must not pass for a job that failed: a search would count it as a model that does not fit."""
+    with pytest.raises(TypeError, match="unsupported operand") as caught:
+        run_jobs(refuses, None, [2, "3", 4], workers=workers)
+    if workers > 1:
+        assert "in refuses" in str(caught.value.__cause__)
+
+
 def test_a_worker_that_dies_loses_no_finished_job(tmp_path):
     results, _ = run_jobs(dies_once, tmp_path, range(6), workers=2)
     assert (tmp_path / "died").exists()
