@@ -43,6 +43,8 @@ from greybox.simulation.kernel.c_compiler import find_compiler
 
 # Numbers that the state of a model in C may have, the past of a delayed input among them.
 PLANT_STATE = 4096
+# Steps of a sample at which the model in C and the library are compared: the first with which the run goes through.
+SUBSTEPS = (8, 64, 512)
 # Share by which two errors may differ and still be the same.
 SAME = 0.01
 # Seconds after which a search begins no further refit: what it has by then is its answer.
@@ -175,10 +177,16 @@ def run_in_c(model: gb.Model, record: gb.Experiment, folder: Path) -> float | st
     dt = float(np.median(np.diff(record.time)))
     time = dt * np.arange(record.rows)
     inputs = np.column_stack([record.inputs[i.name] for i in model.inputs] or [np.zeros(record.rows)])
+    signals = {i.name: inputs[:, k] for k, i in enumerate(model.inputs)}
     try:
-        source, _ = gb.export.to_c(model, folder / "plant.c", dt=dt, substeps=8)
-        signals = {i.name: inputs[:, k] for k, i in enumerate(model.inputs)}
-        run = gb.simulate(model, {"time": time, **signals}, substeps=8)
+        # Both with the same step, and one at which a fast mode (a small mass that a fit has found) does not run away.
+        for substeps in SUBSTEPS:
+            run = gb.simulate(model, {"time": time, **signals}, substeps=substeps)
+            if run.overflow is None:
+                break
+        else:
+            return f"not compared, as the run overflows at {run.overflow:.3g} s"
+        source, _ = gb.export.to_c(model, folder / "plant.c", dt=dt, substeps=substeps)
     except GreyboxError as error:
         return str(error)
     library = folder / "plant.so"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from fits.measured_certainty import judge_claim, round_trip, said, write_page
+from fits.measured_certainty import judge_claim, round_trip, run_in_c, said, write_page
 from fits.measured_rigs import RIGS, SEARCHES
 from greybox.discovery.disturbance_sites import list_disturbance_sites
 from greybox.model.effects.catalogue import all_effects
@@ -99,6 +99,22 @@ def test_an_answer_takes_its_round_trip() -> None:
     assert trip["written"] == 0 and trip["rewritten"] == 0
     assert all(abs(ratio - 1) < 1e-3 for ratio in trip["ratio"].values())
     assert trip["c"] < 1e-9
+
+
+@pytest.mark.parametrize(("rate", "is_compared"), [(5.0, True), (2e3, True), (1e9, False)])
+def test_the_model_in_c_is_compared_at_a_step_that_its_fast_modes_allow(tmp_path, rate, is_compared) -> None:
+    plant = gb.Model(
+        "rotor",
+        states=[gb.State("w", "rad/s", 1.0, role="velocity")],
+        inputs=[gb.Input("u", "rad/s^2", role="drive")],
+        outputs=[gb.Output("w", "rad/s")],
+        parameters=[gb.Parameter("b", "1/rad", rate)],
+        # About the speed of one, with which it begins, its mode has the rate 2 b.
+        balances=lambda x, u, p: [gb.Balance("torque", "rad/s^2", 1, "w", drive=u.u, drag=-p.b * x.w**2)],
+    )
+    time = 0.02 * np.arange(50)
+    difference = run_in_c(plant, gb.Experiment("steps", time, {"u": np.ones(50)}, {"w": np.zeros(50)}), tmp_path)
+    assert difference < 1e-12 if is_compared else "overflows" in difference
 
 
 def test_the_page_counts_what_was_said() -> None:
