@@ -122,14 +122,21 @@ USUAL_ITERATIONS = 15
 
 
 def share_done(progress: FitProgress) -> float | None:
-    """Share of a fit that is done, from the usual duration of each stage; None where a stage takes longer than usual."""
+    """Share of a fit that is done, from the usual duration of each stage; None where that is no forecast any more."""
     within = expected_share(max(progress.iteration, 0), USUAL_ITERATIONS)
-    return None if within is None else (progress.stage - 1 + within) / max(progress.stages, progress.stage)
+    # Later stages run over more of the record: of the last one nothing is known from those before.
+    is_last = progress.stages > 1 and progress.stage >= progress.stages
+    return None if within is None or is_last else (progress.stage - 1 + within) / max(progress.stages, progress.stage)
+
+
+# Share of what is usual up to which it forecasts how much is left: what is not done by then often takes several times as long, and the
+# last second would be told for a minute.
+FORECAST_SHARE = 0.5
 
 
 def expected_share(done: int, usual: int) -> float | None:
-    """Share that is done of what takes ``usual`` steps as a rule; None from there on, where nothing says how many are left."""
-    return done / usual if done < usual else None
+    """Share that is done of what takes ``usual`` steps as a rule; None from half of them on, where nothing says how many are left."""
+    return done / usual if done <= FORECAST_SHARE * usual else None
 
 
 # Refits that a discovery usually takes.

@@ -31,12 +31,18 @@ def test_times_are_told_as_people_do(seconds: float, text: str) -> None:
 
 
 def test_a_fit_gets_on_and_is_never_done_before_it_ends() -> None:
-    shares = [share_done(FitProgress(stage, 2, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 14)]
-    assert shares[0] == 0 and shares[4] == 0.5
-    assert shares == sorted(shares) and shares[-1] < 1
+    shares = [share_done(FitProgress(stage, 3, k, 1.0)) for stage in (1, 2) for k in (0, 1, 5, 7)]
+    assert shares[0] == 0 and shares[4] == pytest.approx(1 / 3)
+    assert shares == sorted(shares) and shares[-1] < 0.5
 
 
-@pytest.mark.parametrize("iteration", [15, 40, 400])
+@pytest.mark.parametrize("iteration", [0, 5, 14])
+def test_the_last_and_longest_stage_of_a_fit_does_not_say_when_it_ends(iteration: int) -> None:
+    """It runs over the whole record: a second was told as left for most of a minute."""
+    assert share_done(FitProgress(5, 5, iteration, 1.0)) is None
+
+
+@pytest.mark.parametrize("iteration", [8, 15, 40, 400])
 def test_a_search_longer_than_usual_does_not_say_when_it_ends(iteration: int) -> None:
     """A share of the steps so far would be no forecast: it says a third of the time so far, however long that is."""
     share = share_done(FitProgress(1, 1, iteration, 1.0))
@@ -110,4 +116,6 @@ def test_a_discovery_says_its_steps_and_how_many_refits_are_done(
         ("plain model: misfit 50 times the noise; refit 10", 0.25),
     ]
     assert capsys.readouterr().err == "plain model: misfit 50 times the noise\n"
-    assert expected_share(400, 40) is None
+    assert expected_share(20, 40) == 0.5
+    # From half of what is usual on it is no forecast: 39 of 40 said a second, and there were 45 to come.
+    assert [expected_share(done, 40) for done in (21, 39, 400)] == [None] * 3

@@ -20,6 +20,7 @@ from greybox.show.sentences.wording import (
     count_noun,
     format_number,
     join_names,
+    limit_text,
     make_formatter,
     quantity_text,
 )
@@ -127,11 +128,7 @@ def _limits(design: Design) -> TableBlock:
     rows = []
     for name, limit in design.limits.items():
         predicted = change_text(limit.predicted_low, limit.predicted_high, limit.unit)
-        if isinf(limit.low) or isinf(limit.high):
-            side, end = ("at most", limit.high) if isinf(limit.low) else ("at least", limit.low)
-            allowed = f"{side} {quantity_text(end, limit.unit)}"
-        else:
-            allowed = change_text(limit.low, limit.high, limit.unit)
+        allowed = limit_text(limit.low, limit.high, limit.unit)
         rows.append([name, allowed, predicted])
         if limit.rate < inf:
             rate = f"{limit.unit}/s"

@@ -14,6 +14,7 @@ from greybox.base.numerics import TINY
 from greybox.data.signals import SignalLimit, chirp, prbs
 from greybox.extensions.design.plant import PlantScenario
 from greybox.extensions.design.problem import DesignPolicy, DesignProblem, LimitPrediction
+from greybox.show.sentences.wording import limit_text
 
 
 class InputShape(Protocol):
@@ -428,8 +429,8 @@ def fit_into_limits(
     if kept is None:
         limit = keeper.question.limits[ruling]
         raise DataError(
-            f"limit of {ruling!r}: no input keeps {limit.low:g} to {limit.high:g} under every explanation and what is not known of its"
-            " constants; widen the limit, or determine the constants better first"
+            f"limit of {ruling!r}: no input keeps {limit_text(limit.low, limit.high, digits=6)} under every explanation and what is not"
+            " known of its constants; widen the limit, or determine the constants better first"
         )
     return kept
 

@@ -21,6 +21,7 @@ from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSour
 from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions
 from greybox.model.model import Model
+from greybox.show.sentences.wording import limit_text
 from greybox.simulation.simulate import declared_initial_state, write_csv
 
 # What a design and a campaign have to say beside their numbers.
@@ -238,7 +239,8 @@ class DesignProblem(ReadOnly):
         for name, limit in self.limits.items():
             if name in start and not limit.low <= start[name] <= limit.high:
                 raise DataError(
-                    f"limit of {name!r}: the plant starts at {start[name]:g}, outside {limit.low:g} to {limit.high:g}; no input keeps it"
+                    f"limit of {name!r}: the plant starts at {start[name]:g}, outside {limit_text(limit.low, limit.high, digits=6)};"
+                    " no input keeps it"
                 )
         super().__post_init__()
 

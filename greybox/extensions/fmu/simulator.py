@@ -259,8 +259,8 @@ class FmuSimulator:
                 run, slopes = runner.run(experiment, values, unknowns, widths)
             if lost:
                 raise lost[0]
-        except Exception as error:  # of the FMU or the library: differences take their place
-            if is_own_bug(error):
+        except Exception as raised:  # of the FMU or the library: differences take their place
+            if is_own_bug(raised):
                 raise
             self._may_differentiate = False
             return None

@@ -106,11 +106,10 @@ def site_text(label: str) -> str:
     return f"the {name} balance" if kind == SiteKind.BALANCE else f"the {label}"
 
 
-def sites_text(labels: Sequence[str]) -> str:
-    """The likeliest sites."""
-    if len(labels) > 1:
-        return f"{' or '.join(map(site_text, labels))} (these sensors cannot distinguish them)"
-    return site_text(labels[0]) if labels else "no particular site"
+def sites_text(labels: Sequence[str], *, explained: bool = False) -> str:
+    """The likeliest sites; ``explained`` where they are told first, with why there are several."""
+    why = " (these sensors cannot distinguish them)" if explained and len(labels) > 1 else ""
+    return " or ".join(map(site_text, labels)) + why if labels else "no particular site"
 
 
 def ratio_text(ratio: float, bounded: bool, digits: int = 3) -> str:
@@ -128,7 +127,7 @@ def _localisation(location: ResidualLocalisation) -> str:
     if location.likeliest:
         site = location.sites[0]
         size = f", {value_with_unit(site.size, site.unit)} rms" if site.unit else ""
-        lines.append(f"where: {sites_text(location.likeliest)}{size}")
+        lines.append(f"where: {sites_text(location.likeliest, explained=True)}{size}")
     relevant = [str(d) for d in location.dependences if d.is_relevant][:3]
     lines.append(f"as:    {'; '.join(relevant) if relevant else 'no function of any one variable'}")
     return "\n".join(lines)
@@ -473,7 +472,7 @@ def _missing_signal(finding: Finding) -> str:
     else:
         dependence = "no function of any one variable"
     size = value_with_unit(values["size"], values["unit"])
-    return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'])}. The signal is {dependence}."
+    return f"The plain model lacks a signal of {size} rms at {sites_text(values['sites'], explained=True)}. The signal is {dependence}."
 
 
 def _check_noise(finding: Finding) -> str:

@@ -45,6 +45,13 @@ def change_text(before: float, after: float, unit: str, digits: int = 3) -> str:
     return f"{factor * before:.{digits}g} to {factor * after:.{digits}g} {prefix}{unit}".rstrip()
 
 
+def limit_text(low: float, high: float, unit: str = "", digits: int = 3) -> str:
+    """``0.5 to 1.5 A``; ``at most 1.5 A`` or ``at least 0.5 A`` where the other end is open."""
+    if math.isinf(low):
+        return f"at most {quantity_text(high, unit, digits)}"
+    return f"at least {quantity_text(low, unit, digits)}" if math.isinf(high) else change_text(low, high, unit, digits)
+
+
 # What templates are written with: sentences as data, lists, counts, capitals.
 
 # Beginnings of a sentence that may take a capital; a name of a signal or a parameter stays as it is.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -243,6 +244,11 @@ BAD = [
     ({"limits": {"u": (-1, 1), "x": (0.1, 0.2)}}, DataError, "limit of 'x': the plant starts at 0, outside"),
     ({"limits": {"u": (-1, 1), "x": SignalLimit(-1, 1, 5.0)}}, ModelError, "rate of 'x': only an input"),
     ({"limits": {"u": (0.5, 1), "x": (-1e-6, 1e-6)}}, DataError, "limit of 'x': no input keeps"),
+    (
+        {"limits": {"u": (-1, 1), "x": (-math.inf, -1e-6)}},
+        DataError,
+        "the plant starts at 0, outside at most -1e-06; no input",
+    ),
     ({"duration": 0.5}, DataError, "0.5 s every 0.05 s are 10 rows; give 40 to"),
     ({"duration": 1e9}, DataError, "rows; give 40 to 200000"),
     ({"noise": {}}, DataError, "the noise of no output is known"),

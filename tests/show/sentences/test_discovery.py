@@ -557,10 +557,10 @@ def test_a_dependence_says_its_share_loop_and_tone():
 
 def test_sites_that_cannot_be_told_apart_are_alternatives():
     assert sites_text(["balance force"]) == "the force balance"
-    assert (
-        sites_text(["sensor of x", "input u"])
-        == "the sensor of x or the input u (these sensors cannot distinguish them)"
-    )
+    either = "the sensor of x or the input u"
+    assert sites_text(["sensor of x", "input u"]) == either
+    # Why there are several is told once, where they are first.
+    assert sites_text(["sensor of x", "input u"], explained=True) == f"{either} (these sensors cannot distinguish them)"
     assert sites_text([]) == "no particular site"
 
 
