@@ -105,7 +105,7 @@ class Doubling:
     def refit(self, job):
         import time
 
-        patience = time.monotonic() + 20
+        patience = time.monotonic() + 100  # the other worker may still be starting, for long on a busy machine
         while job.keep == 3 and time.monotonic() < patience:
             if self.journal.exists() and self.journal.read_text().count("\n") >= 3:
                 return RefitOutcome({"lines": 3.0}, ())

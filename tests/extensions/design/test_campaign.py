@@ -38,6 +38,9 @@ from greybox.shell.commands import app
 from greybox.show.describe import describe_page
 from tests.support.result_schema import strict_offences
 
+# Seconds to wait for another process; a busy machine takes long to start one.
+PATIENCE = 60
+
 PROGRAM = Path(__file__).parents[2] / "support" / "rig_program.py"
 POLICY = DesignPolicy()
 QUICK = replace(
@@ -233,8 +236,9 @@ with hold_file("campaign.lock") as held:
     run_rig({command!r}, pathlib.Path("a"), pathlib.Path("b"), 1, 9.0, CAMPAIGN_POLICY.rig_timeout, held)
 """
     campaign = subprocess.Popen([sys.executable, "-c", script])
-    note, deadline = tmp_path / "pid", time.monotonic() + 60
-    while not (note.exists() and note.read_text()) and time.monotonic() < deadline:
+    note, deadline = tmp_path / "pid", time.monotonic() + PATIENCE
+    while not (note.exists() and note.read_text()):
+        assert time.monotonic() < deadline and campaign.poll() is None
         time.sleep(0.05)
     campaign.kill()
     campaign.wait()
@@ -243,6 +247,8 @@ with hold_file("campaign.lock") as held:
             assert held is None
     finally:
         os.kill(int(note.read_text()), signal.SIGKILL)
+    # A wait of its own: on a busy machine the program may have taken most of the first one to begin.
+    deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         with hold_file(tmp_path / "campaign.lock") as held:
             if held is not None:
