@@ -56,6 +56,8 @@ def _protected(value: Any) -> Any:
     if isinstance(value, dict):
         return MappingProxyType({name: _protected(each) for name, each in value.items()})
     if hasattr(value, "setflags"):  # an array; asking NumPy itself would load it for every command's help
+        if not value.flags.writeable:
+            return value  # itself and no view of it: who owns its memory need not be copied again
         view = value.view()
         view.setflags(write=False)
         return view

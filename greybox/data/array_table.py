@@ -153,7 +153,8 @@ def _to_column(column: ArrayColumn, array: np.ndarray, labels: RowLabels, proble
     if array.ndim != 1:
         problems.append(f"column {header!r} has shape {array.shape}; it needs one number for each row")
     elif array.dtype.kind in "biuf":
-        return array.astype(np.float64)
+        # A column of its own is not copied; one of a matrix would keep the whole matrix alive.
+        return array if array.dtype == np.float64 and array.flags.owndata else array.astype(np.float64)
     elif array.dtype.kind in "OUS":
         values = [_to_number(v) for v in array]
         bad = [k for k, v in enumerate(values) if v is None]

@@ -211,10 +211,10 @@ class Experiment(Printable):
 
     @property
     def intervals(self) -> np.ndarray:
-        """Lengths (N-1,) in seconds of the intervals between rows: the sampling time if regular, else each its own."""
+        """Lengths (N-1,) in seconds of the intervals between rows: the sampling time if regular (not to be written to), else each its own."""
         if self.sampling_time is None:
             return np.diff(self.time)
-        return np.full(self.rows - 1, self.sampling_time)
+        return np.broadcast_to(np.float64(self.sampling_time), (self.rows - 1,))
 
     def window(self, start_row: int, stop_row: int) -> Experiment:
         """Rows ``start_row`` up to but without ``stop_row``, counted from 0, with the times of the whole record.

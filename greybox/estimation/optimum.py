@@ -43,10 +43,15 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
     result = []
     for experiment, record, (y, x) in zip(problem.experiments, problem.records, runs, strict=True):
         y, x, seen, given = (record.samples(rows) for rows in (y, x, record.y, record.u))
-        measured = {o.name: seen[:, j] for j, o in enumerate(problem.model.outputs) if np.isfinite(seen[:, j]).any()}
+        # The signals of the record themselves, which no one has to copy; what it lacks is a column of its own.
+        measured = {
+            o.name: experiment.outputs.get(o.name, seen[:, j])
+            for j, o in enumerate(problem.model.outputs)
+            if np.isfinite(seen[:, j]).any()
+        }
         simulated = {o.name: y[:, j] for j, o in enumerate(problem.model.outputs) if o.name in measured}
         start = dict(zip(states, map(float, x[0]), strict=True))
-        inputs = {i.name: given[:, j] for j, i in enumerate(problem.model.inputs)}
+        inputs = {i.name: experiment.inputs.get(i.name, given[:, j]) for j, i in enumerate(problem.model.inputs)}
         result.append(
             Trace(
                 experiment.name,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
@@ -31,18 +31,33 @@ def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
 
     Over a gap a lag has fewer pairs; each correlation is weighted by its own number of pairs.
     """
-    r = series - np.nanmean(series)
-    measured = np.isfinite(r)
-    r = np.where(measured, r, 0.0)
-    n, square = int(measured.sum()), float(r @ r)
-    if square == 0:
+    mean, n = measure_mean([series])
+    products, pairs = np.zeros(lags + 1), np.zeros(lags + 1, int)
+    for rows in _blocks(len(series)):
+        # A block, and the samples before it that it is multiplied with.
+        first = max(rows.start - lags, 0)
+        r = series[first : rows.stop] - mean
+        measured = np.isfinite(r)
+        r[~measured] = 0.0
+        for k in range(lags + 1):
+            late, early = slice(max(rows.start, k) - first, len(r)), slice(max(rows.start, k) - first - k, len(r) - k)
+            products[k] += r[late] @ r[early]
+            pairs[k] += (measured[late] & measured[early]).sum()
+    if products[0] == 0:
         return 0.0, 1.0
-    statistic = 0.0
-    for k in range(1, lags + 1):
-        pairs = int((measured[k:] & measured[:-k]).sum())
-        if pairs:
-            statistic += n * (n + 2) * (float(r[k:] @ r[:-k]) / square) ** 2 / pairs
+    seen = np.flatnonzero(pairs[1:]) + 1
+    statistic = float(n * (n + 2) * ((products[seen] / products[0]) ** 2 / pairs[seen]).sum())
     return statistic, float(chdtrc(lags, statistic))
+
+
+def measure_mean(parts: Sequence[np.ndarray], power: int = 1) -> tuple[float, int]:
+    """Mean of a power of the finite values of all ``parts`` (N,), and how many there are; NaN of none."""
+    total, count = 0.0, 0
+    for part in parts:
+        for rows in _blocks(len(part)):
+            known = part[rows][np.isfinite(part[rows])]
+            total, count = total + float((known**power).sum()), count + len(known)
+    return total / count if count else np.nan, count
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +67,9 @@ class LaggedInput:
     Parameters
     ----------
     signal
-        The input (N,) less its mean.
+        The input (N,).
+    mean
+        What is taken off it.
     lags
         Delays.
     slopes, share
@@ -60,6 +77,7 @@ class LaggedInput:
     """
 
     signal: np.ndarray
+    mean: float
     lags: int
     slopes: np.ndarray | None = None
     share: np.ndarray | None = None
@@ -67,7 +85,7 @@ class LaggedInput:
     @classmethod
     def of(cls, signal: np.ndarray, lags: int) -> LaggedInput:
         """That of an input (N,) with its mean."""
-        return cls(signal - signal.mean(), lags)
+        return cls(signal, float(signal.mean()), lags)
 
     def __len__(self) -> int:
         return len(self.signal)
@@ -75,7 +93,7 @@ class LaggedInput:
     def __getitem__(self, rows: slice, /) -> np.ndarray:
         first, last, _ = rows.indices(len(self))
         before = np.zeros(max(self.lags - first, 0))
-        reached = np.concatenate([before, self.signal[max(first - self.lags, 0) : last]])
+        reached = np.concatenate([before, self.signal[max(first - self.lags, 0) : last] - self.mean])
         delayed = sliding_window_view(reached, self.lags + 1)[:, ::-1] if last > first else np.zeros((0, self.lags + 1))
         if self.slopes is None or self.share is None:
             return np.ascontiguousarray(delayed)
@@ -110,7 +128,7 @@ def input_independence_test(
     """
     size = regressors[0][:0].shape[1]
     c, p = np.zeros(size), np.zeros((size, size))
-    variance = float(np.nanmean(np.square(np.concatenate(residuals))))
+    variance, _ = measure_mean(residuals, 2)
     if variance == 0 or not np.isfinite(variance):
         return 0.0, 1.0
     for r, u in zip(residuals, regressors, strict=True):
@@ -130,20 +148,25 @@ def input_independence_test(
 MIN_NORMALITY_VALUES = 8
 
 
-def normality_test(series: np.ndarray) -> tuple[float, float] | None:
+def normality_test(*series: np.ndarray) -> tuple[float, float] | None:
     """Jarque and Bera's statistic of skewness and kurtosis, chi-square with two degrees of freedom for a normal sample.
 
     None of too few values.
     """
-    usable = series[np.isfinite(series)]
-    if len(usable) < MIN_NORMALITY_VALUES:
+    mean, count = measure_mean(series)
+    if count < MIN_NORMALITY_VALUES:
         return None
-    if np.ptp(usable) == 0:
+    # fmin and fmax pass over NaN.
+    if min(np.fmin.reduce(part) for part in series) == max(np.fmax.reduce(part) for part in series):
         return 0.0, 1.0
-    z = (usable - usable.mean()) / usable.std()
-    skewness, kurtosis = float((z**3).mean()), float((z**4).mean())
+    moments = np.zeros(3)
+    for part in series:
+        for rows in _blocks(len(part)):
+            z = part[rows][np.isfinite(part[rows])] - mean
+            moments += [float((z**power).sum()) / count for power in (2, 3, 4)]
+    skewness, kurtosis = moments[1] / moments[0] ** 1.5, moments[2] / moments[0] ** 2
     # N / 6 (S^2 + (K - 3)^2 / 4).
-    statistic = len(z) / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4)
+    statistic = float(count / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4))
     return statistic, float(chdtrc(2, statistic))
 
 
@@ -156,7 +179,7 @@ def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | N
         return None
     if all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
-    return _analyse_variance([np.abs(b - np.median(b)) for b in blocks])
+    return _analyse_variance(np.abs(b - np.median(b)) for b in blocks)
 
 
 def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | None:
@@ -168,15 +191,19 @@ def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | None:
     return _analyse_variance(blocks)
 
 
-def _analyse_variance(blocks: Sequence[np.ndarray]) -> tuple[float, float]:
+def _analyse_variance(blocks: Iterable[np.ndarray]) -> tuple[float, float]:
     """The F statistic of equal means, and its tail probability. `scipy.stats` has it too and takes half a second to import."""
-    values = np.concatenate(list(blocks))
+    # One block after the other: all of them are a long record once more.
+    counts, means, spreads = (
+        np.array(of_blocks) for of_blocks in zip(*((len(b), b.mean(), b.var()) for b in blocks), strict=True)
+    )
+    number, total = len(counts), int(counts.sum())
     # F = between / within, each over its degrees of freedom: k - 1 and N - k.
-    between = sum(len(b) * (b.mean() - values.mean()) ** 2 for b in blocks) / (len(blocks) - 1)
-    within = sum(((b - b.mean()) ** 2).sum() for b in blocks) / (len(values) - len(blocks))
+    between = float(counts @ (means - counts @ means / total) ** 2) / (number - 1)
+    within = float(counts @ spreads) / (total - number)
     if within == 0:
         return (0.0, 1.0) if between == 0 else (np.inf, 0.0)
-    return float(between / within), float(fdtrc(len(blocks) - 1, len(values) - len(blocks), between / within))
+    return float(between / within), float(fdtrc(number - 1, total - number, between / within))
 
 
 def split_into_blocks(residuals: Sequence[np.ndarray], count: int, least: int) -> list[np.ndarray]:
@@ -185,7 +212,7 @@ def split_into_blocks(residuals: Sequence[np.ndarray], count: int, least: int) -
     parts: list[np.ndarray] = []
     for r in residuals:
         pieces = np.array_split(r, max(1, round(count * len(r) / total)))
-        parts += [p[np.isfinite(p)] for p in pieces]
+        parts += [p if np.isfinite(p).all() else p[np.isfinite(p)] for p in pieces]
     return [p for p in parts if len(p) >= least]
 
 
@@ -376,7 +403,7 @@ def residual_tests(fit: Fit) -> ResidualTests:
             tuple(unbounded),
             {name: tuple(each) for name, each in inputs.items()},
             tuple(trace.time for trace in fit.traces),
-            fit_autoregression(join_series(residuals), policy=noise_policy),
+            fit_autoregression(join_series(residuals), overwrite_input=True, policy=noise_policy),
         )
     whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
     return ResidualTests(tuple(tests), whitened, tested)
@@ -420,16 +447,15 @@ def run_residual_tests(
     raw
         The residuals with their outliers, if ``residuals`` are without.
     """
-    series = join_series(residuals)
-    colour = fit_autoregression(series)
-    rms = float(np.sqrt(np.nanmean(series**2))) or 1.0
-    white = [colour.whiten(r / rms) for r in residuals]
-    count = int(np.isfinite(series).sum())
+    colour = fit_autoregression(join_series(residuals), overwrite_input=True)
+    square, count = measure_mean(residuals, 2)
+    rms = float(np.sqrt(square)) or 1.0
 
     def make_test(kind: ResidualTestKind, result: tuple[float, float], lags: int = 0, name: str = "") -> ResidualTest:
         statistic, p_value = result
         return ResidualTest(output, kind, statistic, p_value, bool(p_value < ALARM_LEVEL), lags, name, colour)
 
+    series = residuals[0] if len(residuals) == 1 else join_series(residuals)
     tests = [
         make_test(ResidualTestKind.WHITENESS, ljung_box_test(series, lags), lags)
         for lags in WHITENESS_LAGS
@@ -442,10 +468,12 @@ def run_residual_tests(
                 regressors = _take_off(regressors, slopes, [np.isfinite(r) for r in residuals])
             result = input_independence_test(residuals, regressors, colour)
             tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
-    whitened = np.concatenate(white if raw is None else [colour.whiten(r / rms) for r in raw])
+    del series
+    white = [colour.whiten(r / rms, overwrite_input=True) for r in residuals]
+    unbounded = white if raw is None else [colour.whiten(r / rms, overwrite_input=True) for r in raw]
     blocks = split_into_blocks(white, RESIDUAL_TEST_BLOCKS, MIN_BLOCK_VALUES)
     others = {
-        ResidualTestKind.NORMALITY: normality_test(whitened),
+        ResidualTestKind.NORMALITY: normality_test(*unbounded),
         ResidualTestKind.EQUAL_VARIANCE: equal_variance_test(blocks),
         ResidualTestKind.EQUAL_MEAN: equal_mean_test(blocks),
     }

@@ -72,7 +72,9 @@ def to_record(model: Model, experiment: Experiment) -> Record:
     if hold == "band-limited":
         return _to_finer_record(experiment, u, y)
     lengths, row = _group_intervals(experiment.intervals)
-    return Record(u, y, lengths[row], row, lengths, hold == "first")
+    # Equal intervals take the memory of one.
+    h = np.broadcast_to(lengths, row.shape) if len(lengths) == 1 else lengths[row]
+    return Record(u, y, h, row, lengths, hold == "first")
 
 
 # Points in each interval, between which the input is linear.
@@ -91,7 +93,7 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Re
     measured[::points] = y
     length = np.array([experiment.sampling_time / points])
     interpolated = interpolate_band_limited(u, points)
-    h = np.full(rows - 1, length[0])
+    h = np.broadcast_to(length, (rows - 1,))
     return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
 
 

@@ -17,14 +17,14 @@ from numpy.typing import ArrayLike
 
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.files import write_file
-from greybox.base.numerics import REFERENCE_TOLERANCE
+from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import UNNAMED, Experiment, Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise
+from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise, follow_step
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -219,7 +219,7 @@ def simulate(
         # Some ten states along the run: the first guess saw the start alone, and a mode may become fast on the way.
         visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
         longest = float(record.lengths.max(initial=0.0))
-        needed = choose_substeps(model.system, p, visited, longest, policy=rules)
+        needed = choose_substeps(model.system, p, visited, longest, policy=follow_step(rules, step))
         # At least halved, so that the difference of the two runs shows the error of the coarser one.
         more = max(2 * step.substeps, needed)
         before = y
@@ -394,14 +394,15 @@ def write_csv(experiment: Experiment, model: Model, path: str | os.PathLike[str]
     outputs = [(s.name, s.unit, experiment.outputs[s.name]) for s in model.outputs if s.name in experiment.outputs]
     signals = [("time", "s", experiment.time), *inputs, *outputs]
     heads = [f"{name} [{unit}]" if unit else name for name, unit, _ in signals]
-    columns = [values.tolist() for _, _, values in signals]
 
     def write_rows(file: BinaryIO) -> None:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(heads)
         # `repr` has every digit that a double needs to be read back the same.
-        writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
+        for first in range(0, experiment.rows, ROWS_AT_A_TIME):  # a number of Python takes four times the memory
+            columns = [values[first : first + ROWS_AT_A_TIME].tolist() for _, _, values in signals]
+            writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in zip(*columns, strict=True))
         text.flush()
         text.detach()
 

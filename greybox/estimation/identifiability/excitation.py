@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Finding, Severity
+from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, fastest_and_slowest_rate
@@ -142,13 +143,19 @@ def excitation_order(u: np.ndarray) -> int:
     generator = np.random.default_rng(0)  # lags without a common divisor: no two tones look alike
     lags = np.sort(generator.choice(np.arange(1, length // 2), limit - 1, replace=False))
     lags = np.concatenate([[0], lags])
-    starts = np.arange(length - lags[-1])
+    count = length - int(lags[-1])
     orders = []
     for k in range(len(u) // length):
-        part = u[k * length : (k + 1) * length] / size
-        # Rank of [u(t + lag_1) ... u(t + lag_n)]: the order is the number of lags that are linearly independent.
-        s = np.linalg.svd(part[starts[:, None] + lags], compute_uv=False)
-        orders.append(int((s > ORDER_THRESHOLD * s[0]).sum()) if s[0] > 0 else 0)
+        # Rank of U = [u(t + lag_1) ... u(t + lag_n)]: the order is the number of lags that are linearly independent. Its singular
+        # values are the roots of the eigenvalues of U'U, which is summed over blocks of rows and keeps the digits that the threshold asks.
+        gram = np.zeros((len(lags), len(lags)))
+        for first in range(0, count, ROWS_AT_A_TIME):
+            rows = min(ROWS_AT_A_TIME, count - first)
+            begin = k * length + first
+            delayed = np.stack([u[begin + lag : begin + lag + rows] for lag in lags]) / size
+            gram += delayed @ delayed.T
+        squares = np.linalg.eigvalsh(gram)
+        orders.append(int((squares > ORDER_THRESHOLD**2 * squares[-1]).sum()) if squares[-1] > 0 else 0)
     return statistics.median_high(orders)
 
 
@@ -158,15 +165,23 @@ BAND_POWER = 0.999
 
 def excitation_bandwidth(time: np.ndarray, u: np.ndarray) -> float:
     """Frequency in rad/s below which nearly all of the movement of an input (N,) lies."""
-    grid = np.linspace(time[0], time[-1], len(time))
-    even = np.interp(grid, time, u)
-    # Windowed: the jump from the record's end to its beginning would look like a wide band.
-    even = (even - even.mean()) * np.hanning(len(even))
-    power = np.abs(np.fft.rfft(even)) ** 2
-    if power.sum() <= 0:
+    count, duration = len(time), float(time[-1] - time[0])
+    even = np.interp(np.linspace(time[0], time[-1], count), time, u)
+    even -= even.mean()
+    for first in range(0, count, ROWS_AT_A_TIME):
+        rows = np.arange(first, min(first + ROWS_AT_A_TIME, count))
+        # Von Hann's window: the jump from the record's end to its beginning would look like a wide band.
+        even[rows] *= 0.5 - 0.5 * np.cos(2 * np.pi * rows / max(count - 1, 1))
+    spectrum = np.fft.rfft(even)
+    del even
+    power = np.square(spectrum.real)
+    power += np.square(spectrum.imag)
+    total = float(power.sum())
+    if total <= 0:
         return 0.0
-    k = int(np.searchsorted(np.cumsum(power), BAND_POWER * power.sum()))
-    return float(2 * np.pi * np.fft.rfftfreq(len(even), grid[1] - grid[0])[min(k, len(power) - 1)])
+    k = int(np.searchsorted(np.cumsum(power, out=power), BAND_POWER * total))
+    # Frequency k of n samples h seconds apart: k / (n h).
+    return 2 * np.pi * min(k, len(power) - 1) * (count - 1) / (count * duration)
 
 
 # Parts of a record of which the median order counts, so that a single step in a long record does not.

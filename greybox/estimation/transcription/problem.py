@@ -140,7 +140,15 @@ class EstimationProblem:
         )
         policy = self.policy.discretisation
         step = discretise(
-            self.model.system, p, no_states, lengths, method=self.method, substeps=substeps, policy=policy
+            self.model.system,
+            p,
+            no_states,
+            lengths,
+            method=self.method,
+            substeps=substeps,
+            rows=0 if self.model.noisy_states else sum(len(r.u) for r in self.records),
+            directions=self.variables.size,
+            policy=policy,
         )
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
 
@@ -212,6 +220,9 @@ def prepare_problem(
             lengths,
             method=options.method,
             substeps=options.substeps,
+            # A Kalman filter takes the matrices apart.
+            rows=0 if model.noisy_states else sum(len(r.u) for r in records),
+            directions=len(model.free_parameters) + int(beginning.free.sum()),
             policy=policy.discretisation,
         )
     if not step.per_interval:

@@ -27,7 +27,7 @@ from greybox.estimation.transcription.problem import (
     make_strategy,
 )
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps
+from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps, follow_step
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 
 # How much of a record to fit at first, and how much more next.
@@ -193,7 +193,7 @@ def refine_step(
         visited = np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs])
         longest = max(float(r.lengths.max()) for r in problem.records)
         fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
-        rules = problem.policy.discretisation
+        rules = follow_step(problem.policy.discretisation, problem.step)
         needed = choose_substeps(system, p, visited, longest, relaxing=fast, policy=rules)
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):

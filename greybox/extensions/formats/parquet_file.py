@@ -27,8 +27,8 @@ def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTab
 
     def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
         with pq.ParquetFile(path) as file:
-            table = file.read(columns=list(names), use_threads=False)
-        return {name: _to_numbers(table.column(name)) for name in names}
+            # One column after the other, and what arrow has of it is given back: a long record is in memory once.
+            return {name: _to_numbers(file.read(columns=[name], use_threads=False).column(name)) for name in names}
 
     return ArrayTable.from_infos(infos, load, policy)
 
@@ -49,10 +49,13 @@ def _inspect_columns(file: Any, policy: ReadingPolicy) -> dict[str, ArrayInfo]:
 
 
 def _to_numbers(column: Any) -> np.ndarray:
-    """A column (N,) as numbers, NaN for nulls."""
+    """A column (N,) as numbers of its own, NaN for nulls."""
     import pyarrow as pa
 
-    return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+    numbers = np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+    del column
+    pa.default_memory_pool().release_unused()
+    return numbers
 
 
 # Many records in one file: a column names the record of each row, and the rows of a record stand together.

@@ -98,7 +98,7 @@ def _ranges(run: Simulation, model: Model) -> TableBlock:
     for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():
             factor, unit = scale_to_prefix(units[name], np.asarray(values))
-            rows.append([name, kind, f"{format_range(factor * np.asarray(values))} {unit}"])
+            rows.append([name, kind, f"{format_range(np.asarray(values), factor=factor)} {unit}"])
     return TableBlock("Ranges of the signals", ["signal", "kind", "from … to"], rows)
 
 

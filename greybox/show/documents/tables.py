@@ -33,7 +33,7 @@ from greybox.model.equations import equations_text
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
 from greybox.model.model import Model
-from greybox.show.figures.figure import scale_to_prefix
+from greybox.show.figures.figure import scale_to_prefix, value_range
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, make_formatter
 from greybox.simulation.simulate import Simulation
 
@@ -279,10 +279,10 @@ def signal_units(model: Model) -> dict[str, str]:
     return units | {o.name: o.unit for o in model.outputs}
 
 
-def format_range(values: np.ndarray) -> str:
-    """``-3.1 to 2.7``, of the finite ``values`` (N,)."""
-    known = values[np.isfinite(values)]
-    return f"{known.min():.4g} to {known.max():.4g}" if len(known) else "nothing"
+def format_range(*signals: np.ndarray, factor: float = 1.0) -> str:
+    """``-3.1 to 2.7``, of the finite values of all ``signals`` (N,) times ``factor``."""
+    ends = [end for values in signals for end in value_range(values) if math.isfinite(end)]
+    return f"{factor * min(ends):.4g} to {factor * max(ends):.4g}" if ends else "nothing"
 
 
 def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
@@ -292,9 +292,8 @@ def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
             groups = [t.inputs if use == "input" else t.measured for t in traces]
             values = [np.asarray(g[signal.name]) for g in groups if signal.name in g]
             std = fit.noise.std.get(signal.name) if use == "measured" else None
-            every = np.concatenate(values) if values else np.array([])
-            factor, unit = scale_to_prefix(signal.unit, every)
+            factor, unit = scale_to_prefix(signal.unit, *values)
             noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
-            limits = f"{format_range(factor * every)} {unit}" if values else "not recorded"
+            limits = f"{format_range(*values, factor=factor)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
     return TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.figure import MODELS, Axis, Curve, Figure, Height, Panel, Points, Role, Scale, Symbol, Thinning
+from greybox.base.figure import MODELS, Axis, Figure, Height, Panel, Points, Role, Scale, Symbol
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
 from greybox.estimation.errors import OutputRun
-from greybox.show.figures.figure import draw_sizes, root_mean_square, scale_to_prefix, size_axis
+from greybox.show.figures.figure import draw_over_time, draw_sizes, root_mean_square, scale_to_prefix, size_axis
 from greybox.show.figures.records import TIME
 from greybox.show.sentences.wording import capitalise, record_text, value_with_unit
 
@@ -80,11 +80,9 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
     for output, runs in _runs_by_output(comparison, record).items():
         first = next(iter(runs.values()))
         factor, unit = scale_to_prefix(comparison.outputs[output], first.measured)
-        measured = Curve(
-            first.time, factor * first.measured, Role.MEASURED, "measured", 3.0, thinning=Thinning.ENVELOPE
-        )
+        measured = draw_over_time(first.time, first.measured, Role.MEASURED, "measured", 3.0, factor=factor)
         curves = [
-            Curve(run.time, factor * _cut(run.simulated, run.measured), roles[n], n, 1.4, thinning=Thinning.ENVELOPE)
+            draw_over_time(run.time, _cut(run.simulated, run.measured), roles[n], n, 1.4, factor=factor)
             for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
         ]
         panels.append(
@@ -116,14 +114,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
         typical = np.array([_error_size(run) for run in runs.values()])
         factor, unit = scale_to_prefix(comparison.outputs[output], typical)
         curves = [
-            Curve(
-                run.time,
-                factor * _cut(run.measured - run.simulated, run.measured),
-                roles[n],
-                n,
-                1.0,
-                thinning=Thinning.ENVELOPE,
-            )
+            draw_over_time(run.time, _cut(run.measured - run.simulated, run.measured), roles[n], n, 1.0, factor=factor)
             for n, run in reversed(runs.items())
         ]
         reach = TYPICAL_ERRORS * factor * max(typical[np.isfinite(typical)], default=1.0) or 1.0

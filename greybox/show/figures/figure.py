@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.base.figure import Axis, Bars, Points, Role, Scale, Series, Symbol, Thinning
+from greybox.base.figure import Axis, Bars, Curve, Points, Role, Scale, Series, Symbol, Thinning
+from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.base.units import format_unit
 from greybox.show.sentences.wording import choose_prefix
 
@@ -72,7 +73,7 @@ EXPONENT = re.compile(r"(\d+(?:\.\d+)?)e([+-])0*(\d+)")
 
 def scale_to_prefix(unit: str, *signals: np.ndarray) -> tuple[float, str]:
     """Factor and unit in which the largest value of ``signals`` has one to three digits: ``(1e6, "µm")``."""
-    largest = max((float(np.nanmax(np.abs(s))) for s in signals if np.isfinite(s).any()), default=0.0)
+    largest = max((abs(end) for s in signals for end in value_range(s) if math.isfinite(end)), default=0.0)
     factor, prefix = choose_prefix(unit, largest)
     return factor, prefix + typeset_unit(unit)
 
@@ -119,14 +120,22 @@ def _typeset_exponent(match: re.Match[str]) -> str:
 
 def root_mean_square(values: np.ndarray) -> float:
     """Root mean square of the finite ``values`` (N,); NaN where there are none."""
-    known = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(known**2))) if len(known) else math.nan
+    squares, count = 0.0, 0
+    for first in range(0, len(values), ROWS_AT_A_TIME):  # a long record is not copied
+        block = values[first : first + ROWS_AT_A_TIME]
+        known = block[np.isfinite(block)]
+        squares, count = squares + float(known @ known), count + len(known)
+    return math.sqrt(squares / count) if count else math.nan
 
 
 def value_range(values: np.ndarray) -> tuple[float, float]:
     """Smallest and largest of the finite ``values`` (N,); NaN where there are none."""
-    known = values[np.isfinite(values)]
-    return (float(known.min()), float(known.max())) if len(known) else (math.nan, math.nan)
+    low, high = math.inf, -math.inf
+    for first in range(0, len(values), ROWS_AT_A_TIME):  # a long record is not copied
+        block = values[first : first + ROWS_AT_A_TIME]
+        known = block[np.isfinite(block)]
+        low, high = min(low, float(known.min(initial=math.inf))), max(high, float(known.max(initial=-math.inf)))
+    return (low, high) if low <= high else (math.nan, math.nan)
 
 
 # Long records and spectra in few points, so that no peak is lost.
@@ -160,12 +169,30 @@ def min_max_envelope(time: np.ndarray, values: np.ndarray, stretches: int) -> tu
     if n <= 2 * stretches:
         return time, values
     edges = np.linspace(0, n, stretches + 1).astype(int)[:-1]
-    known = np.isfinite(values)
-    low = np.minimum.reduceat(np.where(known, values, np.inf), edges)
-    high = np.maximum.reduceat(np.where(known, values, -np.inf), edges)
-    low, high = np.where(np.isfinite(low), low, np.nan), np.where(np.isfinite(high), high, np.nan)
+    # fmin and fmax pass over NaN; only a signal that overflows has to be copied.
+    bounded = np.where(np.isinf(values), np.nan, values) if np.isinf(values).any() else values
+    low, high = np.fmin.reduceat(bounded, edges), np.fmax.reduceat(bounded, edges)
     last = np.append(edges[1:], n) - 1
     return np.column_stack([time[edges], time[last]]).ravel(), np.column_stack([low, high]).ravel()
+
+
+# Stretches that a curve over time keeps of a long record: ten times as many as any printer draws.
+KEPT_STRETCHES = 20_000
+
+
+def draw_over_time(
+    time: np.ndarray,
+    values: np.ndarray,
+    role: Role,
+    label: str = "",
+    width: float = 1.2,
+    *,
+    factor: float = 1.0,
+    held: bool = False,
+) -> Curve:
+    """``factor`` times ``values`` (N,) over ``time`` (N,), of a long record no more than its envelope; ``held``: as steps."""
+    x, y = min_max_envelope(time, values, KEPT_STRETCHES)
+    return Curve(x, factor * y, role, label, width, thinning=Thinning.ENVELOPE, held=held)
 
 
 def thin_spectrum(frequency: np.ndarray, values: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -25,13 +26,19 @@ from greybox.base.figure import (
     Scale,
     Series,
     Symbol,
-    Thinning,
 )
+from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests
+from greybox.estimation.residuals import (
+    ResidualSeries,
+    ResidualTest,
+    ResidualTestKind,
+    ResidualTests,
+    measure_mean,
+)
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
-from greybox.show.figures.figure import choose_evenly
+from greybox.show.figures.figure import choose_evenly, draw_over_time
 from greybox.show.sentences.estimation import name_test
 
 
@@ -79,14 +86,27 @@ def cross_correlation(first: Sequence[np.ndarray], second: Sequence[np.ndarray],
     correlation, count
         (lags + 1,) from lag 0 on, and the samples of ``second``.
     """
-    pairs = [(a - np.nanmean(a), b - np.nanmean(b)) for a, b in zip(first, second, strict=True)]
-    sizes = [np.sqrt(np.nanmean(np.concatenate([p[k] for p in pairs]) ** 2)) or 1.0 for k in (0, 1)]
-    correlation = np.zeros(lags + 1)
-    for k in range(lags + 1):
-        products = np.concatenate([a[: max(len(a) - k, 0)] * b[k:] for a, b in pairs])
-        known = np.isfinite(products)
-        correlation[k] = products[known].mean() / (sizes[0] * sizes[1]) if known.any() else 0.0
-    return correlation, int(sum(np.isfinite(b).sum() for _, b in pairs))
+    products, pairs = np.zeros((2, lags + 1))
+    squares, counts = np.zeros((2, 2))
+    for a, b in zip(first, second, strict=True):
+        means = measure_mean([a])[0], measure_mean([b])[0]
+        for begin in range(0, len(b), ROWS_AT_A_TIME):  # a long record is not copied
+            # A block of ``second``, and what ``first`` was before it.
+            before, end = max(begin - lags, 0), begin + ROWS_AT_A_TIME
+            r = [each[before:end] - mean for each, mean in zip((a, b), means, strict=True)]
+            known = [np.isfinite(each) for each in r]
+            for k in (0, 1):
+                r[k][~known[k]] = 0.0
+                squares[k] += r[k][begin - before :] @ r[k][begin - before :]
+                counts[k] += known[k][begin - before :].sum()
+            for k in range(lags + 1):
+                late, early = (slice(max(begin, k) - before - n, len(r[1]) - n) for n in (0, k))
+                products[k] += r[0][early] @ r[1][late]
+                pairs[k] += (known[0][early] & known[1][late]).sum()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sizes = np.sqrt(squares / counts)
+        correlation = products / pairs / np.prod(np.where(sizes > 0, sizes, 1.0))
+    return np.where(pairs > 0, correlation, 0.0), int(counts[1])
 
 
 def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[ResidualTest]:
@@ -134,13 +154,19 @@ NORMAL_POINTS = 2000
 
 
 def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
-    values = np.concatenate(series.raw)
-    values = np.sort(values[np.isfinite(values)])
-    expected, ordered = expect_normal_order(len(values)), values
-    slope, middle = np.polyfit(expected, ordered, 1)
-    shown, ends = choose_evenly(len(values), NORMAL_POINTS), expected[[0, -1]]
+    values = np.concatenate([part[np.isfinite(part)] for part in series.raw])
+    values.sort()
+    shown = choose_evenly(len(values), NORMAL_POINTS)
+    expected = expect_normal_order(len(values), shown)
+    # The line of least squares through all points: slope = sum e v / sum e^2, as the expected ones are symmetric about zero.
+    middle, moments = float(values.mean()), np.zeros(2)
+    for begin in range(0, len(values), ROWS_AT_A_TIME):
+        rows = np.arange(begin, min(begin + ROWS_AT_A_TIME, len(values)))
+        of_rows = expect_normal_order(len(values), rows)
+        moments += of_rows @ values[rows], of_rows @ of_rows
+    slope, ends = moments[0] / moments[1], expected[[0, -1]]
     drawn = (
-        Points(expected[shown], ordered[shown], Role.RESIDUAL, size=4.0),
+        Points(expected, values[shown], Role.RESIDUAL, size=4.0),
         Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
     )
     axes = Axis("quantile of a normal distribution"), Axis("residual / noise")
@@ -155,28 +181,30 @@ DRAWING_RESIDUAL_SHARE = 0.998
 
 def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
     """The residual along all records, and mean and spread of its stretches."""
-    every = np.concatenate(series.series)
-    total = float(np.sqrt(np.nanmean(every**2))) or 1.0
+    rows_of_all = sum(map(len, series.series))
+    total = float(np.sqrt(measure_mean(series.series, 2)[0])) or 1.0
     behind: list[Series] = []
     front: list[Series] = []
     start = 0.0
     for time, residual in zip(series.time, series.series, strict=True):
-        since = start + time - time[0]
-        behind.append(Curve(since, residual, Role.BAND, width=0.9, thinning=Thinning.ENVELOPE))
-        count = max(2, round(DRAWING_PARTS * len(residual) / len(every)))
+        shift = start - float(time[0])
+        curve = draw_over_time(time, residual, Role.BAND, width=0.9)
+        behind.append(replace(curve, x=curve.x + shift))
+        count = max(2, round(DRAWING_PARTS * len(residual) / rows_of_all))
         edges = np.linspace(0, len(residual), count + 1).astype(int)
         stretches = [np.flatnonzero(np.isfinite(residual[a:b])) + a for a, b in pairwise(edges)]
         stretches = [rows for rows in stretches if len(rows) > 1]
-        middle = np.array([since[rows].mean() for rows in stretches])
+        middle = np.array([time[rows].mean() + shift for rows in stretches])
         mean, spread = (np.array([f(residual[rows]) for rows in stretches]) for f in (np.mean, np.std))
         first = start == 0.0
         front += [
             Points(middle, mean, Role.SIMULATED, "mean" if first else "", joined=True),
             Points(middle, spread, Role.RESIDUAL, "spread" if first else "", symbol=Symbol.SQUARE, joined=True),
         ]
-        start = float(since[-1])
+        start = float(time[-1]) + shift
     lines = (Reference(0.0, width=0.6), Reference(total, width=0.6, dash=Dash.DASHED))
-    reach = 1.15 * max(float(np.nanquantile(np.abs(every), DRAWING_RESIDUAL_SHARE)), total)
+    sizes = np.abs(np.concatenate([part[np.isfinite(part)] for part in series.series]))
+    reach = 1.15 * max(float(np.quantile(sizes, DRAWING_RESIDUAL_SHARE, overwrite_input=True)), total)
     time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
     axis = Axis("residual / noise", limits=(-reach, reach))
     return Panel(
@@ -212,11 +240,14 @@ def _quantile() -> float:
     return float(ndtri((1 + DRAWING_CONFIDENCE) / 2))
 
 
-def expect_normal_order(count: int) -> np.ndarray:
-    """Medians (N,) of the ordered values of a normal sample (Filliben 1975). `scipy.stats` has them, and takes half a second to load."""
-    medians = (np.arange(1, count + 1) - 0.3175) / (count + 0.365)
-    medians[-1] = 0.5 ** (1 / count)
-    medians[0] = 1 - medians[-1]
+def expect_normal_order(count: int, places: np.ndarray) -> np.ndarray:
+    """Medians of the values at some ``places`` of an ordered normal sample of ``count`` (Filliben 1975).
+
+    `scipy.stats` has them, and takes half a second to load.
+    """
+    medians = (places + 1 - 0.3175) / (count + 0.365)
+    largest = 0.5 ** (1 / count)
+    medians = np.where(places == count - 1, largest, np.where(places == 0, 1 - largest, medians))
     return ndtri(medians)
 
 

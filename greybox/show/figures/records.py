@@ -23,7 +23,7 @@ from greybox.base.figure import (
 )
 from greybox.data.experiment import Experiment
 from greybox.estimation.result_parts import Trace
-from greybox.show.figures.figure import root_mean_square, scale_to_prefix, value_range
+from greybox.show.figures.figure import draw_over_time, root_mean_square, scale_to_prefix, value_range
 from greybox.show.sentences.wording import capitalise, range_with_unit, record_text, value_with_unit
 
 # The spectrum of a residual, as pages draw it and take it anew over the stretch that a reader zooms into.
@@ -86,13 +86,13 @@ def plot_signals(
     for signal, given in signals.items():
         values = np.asarray(given)
         factor, unit = scale_to_prefix(units[signal], values)
-        curve = Curve(time, factor * values, role, signal, thinning=Thinning.ENVELOPE, held=held)
+        curve = draw_over_time(time, values, role, signal, factor=factor, held=held)
         panels.append(Panel(signal, (curve,), TIME, Axis(signal, unit), height=Height.LOW))
-        low, high = value_range(factor * values)
+        low, high = value_range(values)
         missing = int((~np.isfinite(values)).sum())
         gaps = f"; {missing} values are missing" if missing else ""
         verb = "ranges from" if math.isfinite(low) else "has"
-        description.append(f"{signal} {verb} {range_with_unit(low, high, unit)}{gaps}")
+        description.append(f"{signal} {verb} {range_with_unit(factor * low, factor * high, unit)}{gaps}")
     return Figure(name, tuple(panels), caption, tuple(description))
 
 
@@ -119,13 +119,14 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
         simulated = trace.simulated[output]
         factor, unit = scale_to_prefix(units[output], measured, simulated)
         curves = (
-            _over_time(trace.time, factor * measured, Role.MEASURED, "measured", 2.4),
-            _over_time(trace.time, factor * simulated, Role.SIMULATED, "simulated", 1.2),
+            draw_over_time(trace.time, measured, Role.MEASURED, "measured", 2.4, factor=factor),
+            draw_over_time(trace.time, simulated, Role.SIMULATED, "simulated", 1.2, factor=factor),
         )
         panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
         missing = int(np.isnan(measured).sum())
         gaps = f"; {missing} of {len(measured)} values are missing" if missing else ""
-        ranges = (range_with_unit(*value_range(factor * values), unit) for values in (measured, simulated))
+        ends = (value_range(values) for values in (measured, simulated))
+        ranges = (range_with_unit(factor * low, factor * high, unit) for low, high in ends)
         description.append(
             f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured {', simulated '.join(ranges)}{gaps}"
         )
@@ -144,13 +145,13 @@ def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, fl
         residual, std = trace.residual(output), known_noise(noise.get(output))
         factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
         band = 2 * factor * std
-        curve = _over_time(trace.time, factor * residual, Role.RESIDUAL, "residual", 1.0)
-        axis = Axis(f"residual of {output}", unit, still_limits=_robust_limits(factor * residual, band))
+        curve = draw_over_time(trace.time, residual, Role.RESIDUAL, "residual", 1.0, factor=factor)
+        axis = Axis(f"residual of {output}", unit, still_limits=_robust_limits(residual, factor, band))
         panels.append(Panel(output, (*_noise_band(band), curve), TIME, axis))
-        known = residual[np.isfinite(residual)]
         text = f"Residual of {output}: rms {value_with_unit(factor * root_mean_square(residual), unit)}"
-        if std > 0 and len(known):
-            inside = 100 * np.mean(np.abs(known) <= 2 * std)
+        known = int(np.isfinite(residual).sum())
+        if std > 0 and known:
+            inside = 100 * int(((-2 * std <= residual) & (residual <= 2 * std)).sum()) / known
             text += f", {inside:.0f} % of it within two standard deviations of the noise, {value_with_unit(band, unit)}"
         description.append(text)
     caption = f"Residual (measured minus simulated) of {record_text(trace.name)}" + (
@@ -194,8 +195,8 @@ def plot_residuals_before_after(
         std, pair = known_noise(noise.get(output)), (before.residual(output), after.residual(output))
         factor, unit = scale_to_prefix(units[output], pair[0], np.array([2 * std]))
         curves = (
-            _over_time(before.time, factor * pair[0], Role.BASELINE, "plain model", 1.0),
-            _over_time(after.time, factor * pair[1], Role.EXTENDED, extended, 1.0),
+            draw_over_time(before.time, pair[0], Role.BASELINE, "plain model", 1.0, factor=factor),
+            draw_over_time(after.time, pair[1], Role.EXTENDED, extended, 1.0, factor=factor),
         )
         series = (*_noise_band(2 * factor * std), *curves)
         panels.append(Panel(output, series, TIME, Axis(f"residual of {output}", unit)))
@@ -252,9 +253,9 @@ def plot_runs_before_after(
     for output, measured in before.measured.items():
         factor, unit = scale_to_prefix(units[output], measured, before.simulated[output])
         curves = (
-            _over_time(before.time, factor * measured, Role.MEASURED, "measured", 3.0),
-            _over_time(before.time, factor * before.simulated[output], Role.BASELINE, labels[0], 1.3),
-            _over_time(after.time, factor * after.simulated[output], Role.EXTENDED, labels[1], 1.3),
+            draw_over_time(before.time, measured, Role.MEASURED, "measured", 3.0, factor=factor),
+            draw_over_time(before.time, before.simulated[output], Role.BASELINE, labels[0], 1.3, factor=factor),
+            draw_over_time(after.time, after.simulated[output], Role.EXTENDED, labels[1], 1.3, factor=factor),
         )
         panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
     return Figure(
@@ -282,10 +283,6 @@ def liveliest_window(time: np.ndarray, values: np.ndarray) -> tuple[float, float
 def known_noise(std: float | None) -> float:
     """The standard deviation of a noise, 0 where it is not known."""
     return std if std is not None and np.isfinite(std) else 0.0
-
-
-def _over_time(time: np.ndarray, values: np.ndarray, role: Role, label: str, width: float) -> Curve:
-    return Curve(time, values, role, label, width, thinning=Thinning.ENVELOPE)
 
 
 def _noise_band(half: float) -> Sequence[Series]:
@@ -317,9 +314,9 @@ def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, l
 SHOWN_SHARE = 0.9995
 
 
-def _robust_limits(residual: np.ndarray, band: float) -> tuple[float, float]:
-    """The residual's range, not blown up by a single outlier, and never less than the noise band."""
-    known = residual[np.isfinite(residual)]
-    largest = float(np.quantile(np.abs(known), SHOWN_SHARE)) if len(known) else 0.0
+def _robust_limits(residual: np.ndarray, factor: float, band: float) -> tuple[float, float]:
+    """The range of ``factor`` times a residual, not blown up by a single outlier, and never less than the noise band."""
+    sizes = np.abs(residual[np.isfinite(residual)])
+    largest = factor * float(np.quantile(sizes, SHOWN_SHARE, overwrite_input=True)) if len(sizes) else 0.0
     reach = 1.1 * max(1.2 * band, largest)
     return (-reach, reach) if reach > 0 else (-1.0, 1.0)

@@ -17,8 +17,18 @@ from greybox.simulation.integrators.input_delay import count_history_columns, de
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, Step
 
 
-def make_step(name: str, system: System, method: IntegrationMethod, substeps: int, past: InputHistory | None) -> Step:
-    """The step of ``system`` by a smooth ``method``; a delayed input needs the ``past`` and takes at least two substeps."""
+def make_step(
+    name: str,
+    system: System,
+    method: IntegrationMethod,
+    substeps: int,
+    past: InputHistory | None,
+    reach: float | None = None,
+) -> Step:
+    """The step of ``system`` by a smooth ``method``; a delayed input needs the ``past`` and takes at least two substeps.
+
+    ``reach``: see `Step.reach`.
+    """
     if system.delays and past is None:
         raise ModelError(f"the delayed input of {system.delays[0].effect!r} needs its past; use discretise")
     # Friction runs the smooth method on pieces of a substep, and the delay hands friction its substeps: a body may
@@ -38,7 +48,7 @@ def make_step(name: str, system: System, method: IntegrationMethod, substeps: in
     ua, ub = ca.SX.sym("ua", columns), ca.SX.sym("ub", columns)
     # Stages repeat subexpressions of the equations; without `cse` each would be an instruction of its own, with its tangent.
     whole = ca.Function("advance", [x, ua, ub, p, h], [ca.cse(advance(x, ua, ub, p, h))])
-    return Step(name, whole, outputs, as_coefficients, substeps, past=past)
+    return Step(name, whole, outputs, as_coefficients, substeps, past=past, reach=reach)
 
 
 def make_rate_function(system: System) -> ca.Function:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -15,7 +15,8 @@ from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.implicit import midpoint, radau
 from greybox.simulation.integrators.input_delay import add_input_history, require_history
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate, find_fast_relaxing_states, mixed, rk4
-from greybox.simulation.integrators.step import InputHistory, Step
+from greybox.simulation.integrators.step import MANY_STATES, InputHistory, Step
+from greybox.simulation.integrators.taylor import choose_taylor_step, taylor
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class DiscretisationPolicy:
 
 
 DEFAULT_POLICY = DiscretisationPolicy()
+
+
+def follow_step(policy: DiscretisationPolicy, step: Step) -> DiscretisationPolicy:
+    """``policy`` with substeps as long as the method of ``step`` takes them."""
+    return policy if step.reach is None else replace(policy, eigenvalue_step=step.reach)
 
 
 # How many substeps: from the fastest eigenvalue as a first guess, and from the error measured by halving.
@@ -62,6 +68,7 @@ def choose_substeps(
     policy
         The largest ``|h lambda|`` of a substep, and the most substeps.
     """
+    x = x[:1] if system.linear else x  # the eigenvalues are the same at every state
     u = np.zeros(system.u.numel())
     exact_states = list(system.relaxing if relaxing is None else relaxing)
     fastest = max((compute_fastest_rate(system.jacobian(row, u, p).full(), exact_states) for row in x), default=0.0)
@@ -148,6 +155,8 @@ METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
 
 # Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own.
 MAX_INTERVAL_LENGTHS = 200
+# Ratio of the longest interval to the shortest up to which all are stepped alike.
+ALIKE_LENGTHS = 1.5
 # Numbers that the coefficients of all lengths may take with their slopes along every parameter: 320 MB.
 MAX_HOLD_NUMBERS = 4e7
 
@@ -162,6 +171,8 @@ def discretise(
     substeps: int = 0,
     target: float = 0.0,
     inputs: np.ndarray | None = None,
+    rows: int = 0,
+    directions: int = 0,
     policy: DiscretisationPolicy = DEFAULT_POLICY,
 ) -> Step:
     """One discrete step of ``system`` for records with given interval lengths.
@@ -176,13 +187,17 @@ def discretise(
         The distinct interval lengths of the records, in seconds.
     method
         ``automatic`` takes the exact hold for a linear model (unless the time is so irregular that every interval has a length of its
-        own) and RK4 otherwise. ``exact``, ``rk4``, ``mixed`` (RK4 with exponentials of fast relaxing states), and for stiff nonlinear
+        own), by its series where the model is so large and sparse that this costs less, and RK4 otherwise.
+        ``exact``, ``rk4``, ``mixed`` (RK4 with exponentials of fast relaxing states), and for stiff nonlinear
         models ``midpoint`` and ``radau``.
     substeps
         Substeps in each sampling interval. 0 ties them to the fastest eigenvalue; the implicit methods then take one.
     target
         With a positive target that number is only the first guess: it is doubled until a run over ``inputs`` (N, nu), from the first of
         the states ``x``, changes by less than this share of its movement when the step is halved.
+    rows, directions
+        Rows of all records over which a search will run it, and directions of the tangents: what a large linear model costs decides how
+        its exact hold is computed (`greybox.simulation.integrators.taylor`). Zero for single runs.
     policy
         How fine a step has to be, and what the methods can take.
 
@@ -208,9 +223,22 @@ def discretise(
             f"the exact hold with a delayed input needs one sampling time, the intervals run from {min(lengths):g} to {max(lengths):g} s;"
             " use RK4, or resample the record"
         )
+    longest = float(np.max(lengths, initial=0.0))
+    # Where intervals differ much, each is best taken whole.
+    is_even = longest <= ALIKE_LENGTHS * float(np.min(lengths, initial=longest))
+    if (
+        method == "automatic"
+        and rows
+        and is_even
+        and system.linear
+        and past is None
+        and system.x.numel() >= MANY_STATES
+    ):
+        chosen = choose_taylor_step(system, p, longest, rows, directions)
+        if chosen is not None:
+            return _make_taylor(system, chosen[0], substeps or chosen[1])
     if method == "exact" or (method == "automatic" and system.linear and few_lengths and not uneven_delay):
         return _make(system, "exact", (), 1, past)
-    longest = float(np.max(lengths, initial=0.0))
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
     first = substeps or (
         # An implicit step is stable at any length; whether it is accurate is what ``target`` asks.
@@ -223,6 +251,11 @@ def discretise(
     if target <= 0 or inputs is None or substeps:
         return make(first)
     return refine_substeps(target, make, first, p, x[0], inputs, longest, policy)
+
+
+@lru_cache(maxsize=64)
+def _make_taylor(system: System, order: int, substeps: int) -> Step:
+    return taylor(system, order, substeps)
 
 
 @lru_cache(maxsize=64)  # for the next fit of the same equations at other values

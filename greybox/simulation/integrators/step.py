@@ -33,6 +33,10 @@ def call_function(function: ca.Function, *arguments: np.ndarray) -> list[np.ndar
     return [array.T for array in results]
 
 
+# States from which the exact hold of a linear model is not written out as instructions, whose number grows as their square: its products
+# of matrices, or the series of its exponential, take its place.
+MANY_STATES = 16
+
 # (p (np,), interval lengths (nh,), which parameters (na,)) -> coefficients q (nh, nq) and d q / d p[which] (nh, nq, na)
 CoefficientFunction = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -85,6 +89,9 @@ class Step:
     regressors: ca.Function | None = None
     """Of a step that is linear ``(ua, ub) -> r (nr,)``: ``x_next = Q [x; r]`` with ``q`` the matrix ``Q`` (nx, nx + nr), column by
     column."""
+
+    reach: float | None = None
+    """Largest ``|h lambda|`` of a substep where that is not as `DiscretisationPolicy` says: the method has an order of its own."""
 
     def __post_init__(self) -> None:
         if self.past is not None and not self.per_interval and self.substeps < 2:

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.simulation.integrators.composition import as_coefficients
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.c_compiler import choose_vector_width, load_library
@@ -27,7 +26,7 @@ from greybox.simulation.kernel.interface import (
     check_arguments,
     check_sums,
 )
-from greybox.simulation.kernel.record import Record
+from greybox.simulation.kernel.record import Record, is_repeated
 from greybox.simulation.kernel.tape import Tape, fuse_products, read_tape, simplify_tape
 
 ADVANCE = ("x", "ua", "ub", "q", "h")
@@ -101,7 +100,7 @@ class CompiledKernel:
 
     def _declare(self, library: ctypes.CDLL, shape: LibraryShape, leading: tuple[Any, ...] = ()) -> KernelFunctions:
         """The functions of a library, which take the types ``leading`` first."""
-        numbers = (ctypes.c_int, ctypes.c_int)
+        numbers = (ctypes.c_int, ctypes.c_int, ctypes.c_int)
         if not shape.blocks:
             return KernelFunctions(_declare(library.simulate, None, leading, numbers, 8), None, None)
         # Coefficients are asked for with directions, and the library of the simulation has no lanes to carry slopes
@@ -109,7 +108,7 @@ class CompiledKernel:
         has_hold = self.step.generator is not None
         return KernelFunctions(
             None,
-            _declare(library.sums, ctypes.c_long, leading, numbers, 14),
+            _declare(library.sums, ctypes.c_long, leading, (*numbers, ctypes.c_int), 14),
             _declare(library.hold, None, leading, (), 5) if has_hold else None,
         )
 
@@ -206,7 +205,7 @@ class CompiledKernel:
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
         self._get_functions(SIMULATION).simulate(
             *self._leading_arguments(record, len(y)),
-            *map(_get_address, (record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x)),
+            *map(_get_address, (record.u, record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x)),
         )
         return y, x
 
@@ -253,10 +252,9 @@ class CompiledKernel:
         samples = len(record.y)
         r, jacobian = (
             np.full((samples, self.sizes.ny), np.nan),
-            np.full((samples, self.sizes.ny, _count_padded(arguments.directions)), np.nan),
+            np.full((samples, self.sizes.ny, arguments.directions), np.nan),
         )
         self._run_pass(record, samples, arguments, (None, r, jacobian))
-        _drop_padding(jacobian, arguments.directions)
         return r, jacobian
 
     def _run_pass(
@@ -264,6 +262,7 @@ class CompiledKernel:
     ) -> int:
         """One pass over the first ``samples`` samples; the first sample that failed, or -1."""
         arrays = (
+            record.u,
             record.y,
             record.h,
             arguments.row,
@@ -281,11 +280,11 @@ class CompiledKernel:
         # Directions in whole blocks: a fit of 5 and one of 7 constants share a library of 8.
         shape = _choose_shape(arguments.directions, record.first_order, self._free if is_free else None)
         return self._get_functions(shape).sums(
-            *self._leading_arguments(record, samples), *map(_get_address, (*arrays, *results))
+            *self._leading_arguments(record, samples), arguments.directions, *map(_get_address, (*arrays, *results))
         )
 
     def _leading_arguments(self, record: Record, n: int) -> tuple[Any, ...]:
-        return n, record.first_order, self.step.substeps, _get_address(record.u)
+        return n, record.first_order, self.step.substeps, is_repeated(record.h)
 
 
 def _declare(function: Any, result: Any, leading: tuple[Any, ...], numbers: tuple[Any, ...], arrays: int) -> Any:
@@ -316,28 +315,10 @@ def _pad_directions(array: np.ndarray) -> np.ndarray:
     return padded
 
 
-def _drop_padding(array: np.ndarray, directions: int) -> None:
-    """Shorten the last axis of an array that owns its memory, where it is: the slopes of a long record are in memory once.
-
-    Rows move towards the beginning, one lot after another, and none reaches a lot that is still to be moved.
-    """
-    rows, padded = array.size // array.shape[-1], array.shape[-1]
-    if directions == padded:
-        return
-    numbers = array.reshape(-1)
-    for first in range(0, rows, ROWS_AT_A_TIME):
-        last = min(first + ROWS_AT_A_TIME, rows)
-        # Copied before it is written: source and target of a lot overlap.
-        kept = numbers[first * padded : last * padded].reshape(-1, padded)[:, :directions].copy()
-        numbers[first * directions : last * directions] = kept.reshape(-1)
-    del numbers
-    array.resize((*array.shape[:-1], directions), refcheck=False)  # no view of it is left
-
-
 def _get_address(array: np.ndarray | None) -> int | None:
     """Where the numbers of an array begin; a pass asks for some fifteen, and the short way takes a quarter of the time."""
     if array is None:
         return None
-    if array.size and array.flags.carray:
+    if array.size and array.flags.carray and not is_repeated(array):
         return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     return array.__array_interface__["data"][0]  # empty, or not to be written

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from greybox.base.errors import GreyboxError
-from greybox.simulation.integrators.step import Step
+from greybox.simulation.integrators.step import MANY_STATES, Step
 from greybox.simulation.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.gradual import GradualKernel
@@ -106,10 +106,6 @@ __all__ = [
 
 # What was reported already: one warning a process is enough, for the compiler and for each operation that C does not have.
 _warned: set[str] = set()
-
-
-# States from which a linear step runs by products of matrices. Its instructions grow as their square.
-MANY_STATES = 16
 
 
 def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:

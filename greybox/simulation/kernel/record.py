@@ -12,9 +12,14 @@ from greybox.simulation.integrators.input_delay import add_input_history
 from greybox.simulation.integrators.step import Step
 
 
+def is_repeated(array: np.ndarray) -> bool:
+    """Whether all entries of an array (N,) of float64 are one number in memory."""
+    return array.dtype == np.float64 and array.strides == (0,)
+
+
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One experiment as plain arrays: float64 (``row`` int32), C-contiguous.
+    """One experiment as plain arrays: float64 (``row`` int32), C-contiguous but for ``h``, which may be one number that is repeated.
 
     Raises
     ------
@@ -52,7 +57,9 @@ class Record:
     def __post_init__(self) -> None:
         for name in ("u", "y", "h", "row", "lengths"):
             kind = np.int32 if name == "row" else np.float64
-            object.__setattr__(self, name, np.ascontiguousarray(getattr(self, name), dtype=kind))
+            given = np.asarray(getattr(self, name))
+            if name != "h" or not is_repeated(given):
+                object.__setattr__(self, name, np.ascontiguousarray(given, dtype=kind))
         shapes = f"u {self.u.shape}, y {self.y.shape}, h {self.h.shape}, row {self.row.shape}"
         if self.u.ndim != 2 or self.y.ndim != 2 or len(self.u) != len(self.y) or len(self.y) < 1:
             raise DataError(f"record: {shapes}; u and y need one row for each sample, at least one")

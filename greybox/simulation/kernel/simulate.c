@@ -1,6 +1,6 @@
 /* Simulation without sensitivities. Rows of y (n, NY) and x (n, NX) are written where the pointers are not NULL. */
 
-EXPORT void simulate(CONTEXT long n, int first_order, int substeps, const double *u, const double *h, const int *row,
+EXPORT void simulate(CONTEXT long n, int first_order, int substeps, int is_even, const double *u, const double *h, const int *row,
                      const double *q, const double *p, const double *x0, double *y_out, double *x_out)
 {
     double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)];
@@ -22,7 +22,7 @@ EXPORT void simulate(CONTEXT long n, int first_order, int substeps, const double
         if (k + 1 == n)
             break;
         const long r = row ? row[k] : 0;
-        const double step = h[k] / substeps;
+        const double step = h[is_even ? 0 : k] / substeps;
         const double *qr = q + r * NQ;
         if (r != last || step != length) {
             last = r, length = step;

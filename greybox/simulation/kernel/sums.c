@@ -1,7 +1,9 @@
 /* One pass over a record with its tangents: residuals r = (measured - y) * weight, their Jacobian J = dr along W * NB lanes, and the
    sums of a Gauss-Newton step. Memory does not grow with n. Returns the first sample whose state or output is not finite, else -1.
    sums: squares and counts (NY each), gradient J'r (W * NB), J'J (W * NB, W * NB), one after the other, or NULL;
-   residual (n, NY), jacobian (n, NY, W * NB) are written where something was measured, or NULL.
+   h holds the length of each interval (n - 1), or of all of them (1) where `is_even`.
+   residual (n, NY), jacobian (n, NY, kept) are written where something was measured, or NULL: the first `kept` lanes, the others are
+   padding.
    FIRST_ORDER and SUBSTEPS are the arguments of that name, or constants where the caller knows them: a linear model's pass then takes
    a third less time. */
 
@@ -27,7 +29,7 @@ static void add_products(CONTEXT int seen, const v *e, v *gn)
 #define FEW_ENTRIES 32
 #define IS_SMALL (NY * NB < FEW_ENTRIES)
 
-EXPORT long sums(CONTEXT long n, int first_order, int substeps, const double *u, const double *measured, const double *h, const int *row,
+EXPORT long sums(CONTEXT long n, int first_order, int substeps, int is_even, int kept, const double *u, const double *measured, const double *h, const int *row,
                  const double *q, const vu *dq, const double *p, const vu *dp, const double *x0, const vu *dx0,
                  const double *weight, double *sums, double *residual, double *jacobian)
 {
@@ -78,14 +80,14 @@ EXPORT long sums(CONTEXT long n, int first_order, int substeps, const double *u,
             if (residual)
                 residual[k * NY + i] = r;
             if (jacobian)
-                memcpy(jacobian + (k * NY + i) * NB * W, e, NB * sizeof *e);
+                memcpy(jacobian + (k * NY + i) * kept, e, kept * sizeof *jacobian);
         }
         if (sums && !IS_SMALL)
             add_products(PASS seen, all, gn);
         if (k + 1 == n)
             break;
         const long l = row ? row[k] : 0;
-        const double step = h[k] / SUBSTEPS;
+        const double step = h[is_even ? 0 : k] / SUBSTEPS;
         const double *ql = q + l * NQ;
         const vu *dql = dq + l * NQ * NB;
         if (l != last || step != length) {

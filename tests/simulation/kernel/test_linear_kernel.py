@@ -12,9 +12,10 @@ import greybox as gb
 from benchmarks.chains import NOISE, STEP, make_chain, make_trial
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.input_delay import require_history
+from greybox.simulation.integrators.step import MANY_STATES
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.kernel.linear import LinearKernel
-from greybox.simulation.kernel.make_kernel import MANY_STATES, make_kernel
+from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
 
