@@ -211,7 +211,7 @@ class Experiment(Printable):
 
     @property
     def intervals(self) -> np.ndarray:
-        """Lengths (N-1,) in seconds of the intervals between rows: the sampling time if regular (not to be written to), else each its own."""
+        """Lengths (N-1,) in seconds of the intervals between rows, read only: the sampling time if regular, else each its own."""
         if self.sampling_time is None:
             return np.diff(self.time)
         return np.broadcast_to(np.float64(self.sampling_time), (self.rows - 1,))
