@@ -6,17 +6,15 @@ Every other case is on one of two rigs (`fits.hidden_cases`), the others on six 
 without greybox. Each case is answered twice: with every effect of the catalogue among the candidates, and with the true effects and
 their families taken away. Every case leaves FOLDER/NNNNN.json, so the study goes on where it was stopped.
 
-``--page`` writes docs/discovery_study.md, docs/certainty.md and docs/claims.md with their figures from what FOLDER holds, bad results
-included, and prints the weights of `greybox.discovery.CertaintyPolicy` that these cases ask for. ``--calibrate`` fits the map from the
-weight of a claim to its probability to what FOLDER holds: the page on claims must then come from another draw.
+``--page`` writes docs/discovery_study.md and docs/claims.md with their figures from what FOLDER holds, bad results included.
+``--calibrate`` fits the map from the weight of a claim to its probability to what FOLDER holds: the page on claims must then come from
+another draw.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -25,7 +23,6 @@ from typing import Any
 import greybox as gb
 from fits.hidden_baselines import by_correlation, by_sparse_regression
 from fits.hidden_cases import Case, make
-from fits.hidden_certainty import format_weights, write_certainty
 from fits.hidden_claims import calibrate, describe_claims, write_claims
 from fits.hidden_page import VISIBLE, write
 from fits.plant_cases import make as make_plant
@@ -136,29 +133,24 @@ def _describe_truth(case: Case) -> dict[str, Any]:
 
 
 def _describe(case: Case, model: gb.Model, discovery: Discovery, right: set[str]) -> dict[str, Any]:
-    """One answer: the verdict, its effects with their evidence, what else is said, and the constants beside the true ones."""
+    """One answer: the verdict, its effects with their grades, what is claimed, and the constants beside the true ones."""
     worst = max(discovery.holdout.values(), key=lambda g: g.before / g.floor)
     dependences = [d for d in discovery.localisation.dependences if d.is_relevant]
     surrogate = discovery.surrogate
-    sites = {e["name"]: e["site"] for e in discovery.effects}
     return {
         "verdict": str(discovery.verdict),
         "effects": [
             {
-                "name": e.effect,
-                "site": sites[e.effect],
-                "right": e.effect in right,
-                "right_or_equal": bool({e.effect, *e.alike} & right),
-                "grade": str(e.grade),
-                "probability": e.probability,
-                "alike": list(e.alike),
-                "rival": e.rival,
-                "measures": {n: v if math.isfinite(v) else None for n, v in e.measures.items()},
+                "name": e["name"],
+                "site": e["site"],
+                "right": e["name"] in right,
+                "grade": str(e["grade"]),
+                "probability": e["probability"],
             }
-            for e in discovery.evidence
+            for e in discovery.effects
         ],
         "claims": describe_claims(case, model, discovery.claims),
-        "said": list(sites),
+        "said": [e["name"] for e in discovery.effects],
         "alternatives": discovery.alternatives,
         "sites": list(discovery.sites),
         "variables": [d.variable for d in dependences[:1]] + ([surrogate.variable] if surrogate else []),
@@ -241,9 +233,7 @@ def main() -> None:
         return
     rows, docs = read(chosen.folder), Path(__file__).resolve().parents[1] / "docs"
     write(rows, docs, chosen.rows)
-    write_certainty(rows, docs)
     write_claims(rows, docs)
-    sys.stdout.write(format_weights(rows) + "\n")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,11 @@
 """Where model and data disagree, which effect is missing, and whether one may say so."""
 
 from greybox.discovery.candidates import family_of
-from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import Claim, Depth
 from greybox.discovery.curve_shape import CurveShape, Dependence, Parity, ShapeKind
-from greybox.discovery.decision import Verdict
+from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
-from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.execution import SearchFailure, SearchStage
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import (
@@ -21,7 +19,6 @@ from greybox.discovery.localisation import (
 )
 from greybox.discovery.pipeline import discover
 from greybox.discovery.policy import (
-    CertaintyPolicy,
     DiscoveryPolicy,
     RefinementPolicy,
     SearchBudget,
@@ -34,7 +31,6 @@ from greybox.discovery.selection import SelectionStep, StepKind
 from greybox.discovery.surrogate import Surrogate, SurrogateTone
 
 __all__ = [
-    "CertaintyPolicy",
     "Claim",
     "CurveShape",
     "Dependence",
@@ -42,7 +38,6 @@ __all__ = [
     "Discovery",
     "DiscoveryPolicy",
     "DiscoveryProblem",
-    "EffectEvidence",
     "EffectSignal",
     "EffectTest",
     "FittedCandidate",

@@ -27,9 +27,10 @@ import numpy as np
 from greybox.base.numerics import TINY
 from greybox.base.values import ReadOnly
 from greybox.discovery.candidates import family_of
-from greybox.discovery.certainty import Grade
 from greybox.discovery.curve_shape import TIME
+from greybox.discovery.decision import Conclusion, Grade, Verdict, make_check
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
+from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, TONE
 from greybox.discovery.table import Draws, FittedSet
@@ -81,6 +82,10 @@ class Claim(ReadOnly):
         Share of the rms error that what is claimed takes away on the records that judge, 0 to 1.
     rival
         What wins most often where the claim does not hold: "" where it always does.
+    equals
+        Of a name: effects of other families that do the same in its place. No record of this kind separates them.
+    joint
+        Of a name: how probable it is that it or one of its equals is right.
     frequency, left
         What the probability was computed from, beside the share, the sites and the form: the share of the resamples in which the claim
         holds; and of the set that won most often, the share of the rms error that is no noise.
@@ -97,10 +102,12 @@ class Claim(ReadOnly):
     grade: Grade = Grade.STAND_IN
     share: float = 0.0
     rival: str = ""
+    equals: tuple[str, ...] = ()
+    joint: float = 0.0
     frequency: float = 0.0
     left: float = 0.0
 
-    KEYS: ClassVar[str] = "depth output site variables form family name probability grade share rival"
+    KEYS: ClassVar[str] = "depth output site variables form family name probability grade share rival equals"
 
     @property
     def site(self) -> str:
@@ -122,6 +129,8 @@ LEAST_FREQUENCY = 0.2
 LEAST_SHARE = 0.05
 # Difference of the logarithms of two errors below which two sets win together.
 SAME_LOG_ERROR = 1e-3
+# Share of the resamples, of those in which a set is good, from which another one that is good too does the same.
+EQUAL_FREQUENCY = 0.5
 # Forms of a claim.
 STATIC, WITH_MEMORY, TIMING = "static", "with memory", "timing"
 # Share of the resamples in which the form must be the same for a claim to say it.
@@ -277,8 +286,8 @@ def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
         and (c.depth < Depth.VARIABLES or c.variables == claim.variables)
         and (c.depth < Depth.FAMILY or c.family == claim.family)
     ]
-    probability = min([claim.probability, *implied])
-    return replace(claim, probability=probability, grade=to_grade(probability))
+    probability, joint = (min([each, *implied]) for each in (claim.probability, claim.joint))
+    return replace(claim, probability=probability, joint=joint, grade=to_grade(probability))
 
 
 Key = Callable[[tuple[str, ...], EffectForm], Hashable]
@@ -352,9 +361,27 @@ class _Context:
             frequency=frequency,
             left=self.left,
         )
-        # What would be said again in so many of the resamples is no likelier than that.
-        probability = min(to_probability(depth, to_features(claim)), frequency)
-        return replace(claim, probability=probability, grade=to_grade(probability))
+        probability = _weigh(claim)
+        claim = replace(claim, probability=probability, grade=to_grade(probability))
+        if depth < Depth.NAME or shown is None:
+            return claim
+        equals = self._equals(best, shown)
+        either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
+        return replace(claim, equals=equals, joint=_weigh(replace(claim, frequency=self.weights.share(either))))
+
+    def _equals(self, best: int, form: EffectForm) -> tuple[str, ...]:
+        """The effects of other families with which a set that is good does without this one, as often as not."""
+        rest = Counter(f.name for f in self.forms[best]) - Counter([form.name])
+        rounds = self.draws.good[:, best]
+        equals = []
+        for k, forms in enumerate(self.forms):
+            others = list((Counter(f.name for f in forms) - rest).elements())
+            is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
+            if not is_exchange or not others[0] or others[0] in {form.name, *form.family}:
+                continue
+            if float(self.draws.good[rounds, k].mean()) >= EQUAL_FREQUENCY:
+                equals.append(others[0])
+        return tuple(dict.fromkeys(equals))
 
     def _form(self, value: Hashable, depth: Depth) -> str:
         """The form of what makes the claim, where the winners agree."""
@@ -406,6 +433,11 @@ def read_certainty() -> Mapping[int, tuple[float, ...]]:
     return {int(depth): tuple(row) for depth, row in data["depths"].items()}
 
 
+def _weigh(claim: Claim) -> float:
+    """The probability of a claim: what would be said again in so many of the resamples is no likelier than that."""
+    return min(to_probability(claim.depth, to_features(claim)), claim.frequency)
+
+
 class Features(NamedTuple):
     """What the map multiplies."""
 
@@ -453,7 +485,7 @@ def to_grade(probability: float) -> Grade:
 
 
 def lower_grade(claim: Claim) -> Claim:
-    """The same claim where the answer as a whole is open: what was established is only probable."""
+    """The same claim where not all of its rivals were tried: what was established is only probable."""
     return replace(claim, grade=Grade.PROBABLE) if claim.is_established else claim
 
 
@@ -468,6 +500,44 @@ def deepest_established(claims: Sequence[Claim]) -> Claim | None:
     return max(established, key=lambda c: (c.depth, c.share), default=None)
 
 
-def name_by_evidence(claims: Sequence[Claim], established: Collection[str]) -> tuple[Claim, ...]:
-    """The claims, of which a name is certain only where the evidence for the effect says so, by form and not by weight alone."""
-    return tuple(lower_grade(c) if c.depth is Depth.NAME and c.name not in established else c for c in claims)
+def read_verdict(decided: Conclusion, claims: Sequence[Claim], effects: Sequence[str]) -> Conclusion:
+    """The verdict once the claims are weighed: a name is certain only where it is established.
+
+    A model whose residual is noise is ``named`` only if each of its ``effects`` is established. Where some are, and the residual is not
+    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart stay
+    ``ambiguous``, and so is a model whose names fall short of certainty by nothing but their equals.
+    """
+    if decided.verdict is Verdict.COMPLETE or not effects:
+        return decided
+    made = [name_claim(claims, effect) for effect in effects]
+    checks = tuple(
+        make_check(
+            DiscoveryRule.ESTABLISHED,
+            0.0 if claim is None else claim.probability,
+            ESTABLISHED_FROM,
+            claim is not None and claim.is_established,
+            effect,
+        )
+        for effect, claim in zip(effects, made, strict=True)
+    )
+    established = [check.passed for check in checks]
+    verdict = decided.verdict
+    if verdict is Verdict.NAMED and not all(established):
+        tied = [c is not None and bool(c.equals) and c.joint >= ESTABLISHED_FROM for c in made]
+        certain = [sure or tie for sure, tie in zip(established, tied, strict=True)]
+        verdict = Verdict.AMBIGUOUS if all(certain) else Verdict.UNKNOWN
+    if verdict is Verdict.AMBIGUOUS and any(c is None or c.joint < PROBABLE_FROM for c in made):
+        verdict = Verdict.UNKNOWN
+    if verdict is Verdict.UNKNOWN and any(established):
+        verdict = Verdict.PARTLY
+    return Conclusion(verdict, (*decided.checks, *checks))
+
+
+def list_tied_sets(claims: Sequence[Claim], effects: Sequence[str]) -> list[tuple[str, ...]]:
+    """The sets of effects that would do the same as those of a model, with one of them replaced by its equal."""
+    return [
+        tuple(other if name == effect else name for name in effects)
+        for effect in effects
+        if (claim := name_claim(claims, effect)) is not None
+        for other in claim.equals
+    ]

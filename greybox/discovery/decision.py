@@ -34,6 +34,17 @@ class Verdict(StrEnum):
     """Something is missing, and no effect of the catalogue is established."""
 
 
+class Grade(StrEnum):
+    """What may be said of a claim, or of an effect in a model."""
+
+    ESTABLISHED = "established"
+    """It holds: nothing else that was fitted does as well."""
+    PROBABLE = "probable"
+    """It explains a part of the error, and another claim might do so as well."""
+    STAND_IN = "stand_in"
+    """It represents something that has another form."""
+
+
 @dataclass(frozen=True)
 class Decision:
     """A yes or a no, and the checks that it rests on."""

@@ -15,7 +15,7 @@ from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
-from greybox.data.noise.noise_model import BoundDirection, NoiseModel
+from greybox.data.noise.noise_model import BoundDirection, NoiseModel, fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
@@ -531,3 +531,39 @@ def drop_on_validation(
             break
         selected = best
     return selected, tuple(checks)
+
+
+# Correlation from sample to sample up to which a residual may be the noise of a sensor, where nobody knows the noise.
+MOST_CORRELATION = 0.95
+# Standard errors by which the rms of noise may exceed its level by chance.
+CHANCE_DEVIATIONS = 3.0
+
+
+def measure_structure(scores: HoldoutScores, candidate: FittedCandidate, only_visible: bool) -> float:
+    """Share of the rms error on the validation records that is no noise, 0 to 1, all outputs together.
+
+    What the uncertainty of constants and first states explains does not count (`HoldoutScores.adapt`). Where the noise is known, what
+    exceeds it; else what the samples before tell of each sample. With ``only_visible`` what noise may look like is noise: a level up
+    to `VISIBLE_RMS` or within chance, and the correlation of first order that a sensor may have.
+    """
+    run, adapted = scores.run(candidate), scores.adapt(candidate)
+    if run is None or adapted is None:
+        return 1.0
+    noise, charge, shares = candidate.problem.noise, scores.charge(adapted), []
+    for name, misfit in run.misfit.items():
+        series = join_series(adapted.residuals[name])
+        rms = max(float(np.sqrt(np.nanmean(series**2) + charge[name])), TINY)
+        if is_level_measured(noise, name):
+            bound = noise.bound(name)  # the problem may weigh with another level, the residual's
+            level = misfit.rmse / misfit.noise_ratio if bound is None else bound.level
+            if only_visible:
+                # The rms of N samples of noise has a standard error of 1 / sqrt(2 N) of itself.
+                level *= max(VISIBLE_RMS, 1 + CHANCE_DEVIATIONS / math.sqrt(2 * misfit.samples))
+            shares.append(max(1 - (level / rms) ** 2, 0.0))
+            continue
+        deviation = series / rms
+        colour, first = fit_autoregression(deviation), fit_autoregression(deviation, max_order=1)
+        # A sensor, or the filter behind it, has one time constant; a correlation that lasts longer is none of theirs.
+        is_sensor = only_visible and abs(first.autocorrelation(2)[1]) < MOST_CORRELATION
+        shares.append(1 - colour.innovation_variance / (first.innovation_variance if is_sensor else 1.0))
+    return float(np.sqrt(np.mean(shares))) if shares else 1.0

@@ -22,12 +22,19 @@ from greybox.base.json_shape import to_values
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
-from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Claim, deepest_established, name_by_evidence, weigh_claims
-from greybox.discovery.conclusion import list_tied_sets, weigh_evidence
+from greybox.discovery.claims import (
+    Claim,
+    deepest_established,
+    list_tied_sets,
+    lower_grade,
+    name_claim,
+    read_verdict,
+    weigh_claims,
+)
 from greybox.discovery.decision import (
     Conclusion,
     Decision,
+    Grade,
     Verdict,
     decide_verdict,
     judge_validation_only,
@@ -40,13 +47,6 @@ from greybox.discovery.effect_signal import (
     RemainingError,
     estimate_effect_signals,
     measure_remaining_error,
-)
-from greybox.discovery.evidence import (
-    EffectEvidence,
-    EvidenceInputs,
-    gather_evidence,
-    lower_grade,
-    measure_structure,
 )
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
@@ -61,6 +61,7 @@ from greybox.discovery.holdout import (
     compare_holdout_errors,
     drop_on_validation,
     finish_fit,
+    measure_structure,
     reject_on_validation,
     validate_candidate,
     worst_output,
@@ -94,6 +95,7 @@ from greybox.discovery.residual_noise import (
     is_shape_correction,
 )
 from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_rivals
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
 from greybox.discovery.table import FitTable
@@ -544,25 +546,26 @@ def _conclude(
     if further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged):
         final, refinement = _refine(judged, candidates)
     signals = _estimate_signals(final)
-    evidence: tuple[EffectEvidence, ...] = ()
-    if final.candidate.effects:
-        inputs = EvidenceInputs(
+    location = _locate(judged.baseline, selection)
+    claims: tuple[Claim, ...] = ()
+    if candidates and decided.verdict is not Verdict.COMPLETE:
+        problem.executor.release_reserve()
+        known = selection.fits if refinement is None or not refinement.steps else {}
+        rivals = RivalSearch(
             final.scores.problem,
             selection.scales,
             candidates,
             final.candidate,
             selection.baseline,
-            final.fit,
-            selection.fits if refinement is None or not refinement.steps else {},
-            final.scores,
+            known,
             signals,
             policy,
         )
-        problem.executor.release_reserve()
-        evidence = attempt(SearchStage.EVIDENCE, final.candidate.effects, partial(gather_evidence, inputs), ())
-        if problem.executor.skipped:  # neither all rivals nor all tests of its form were tried
-            evidence = tuple(lower_grade(e) for e in evidence)
-    decided = weigh_evidence(decided, evidence)
+        weigh = partial(_weigh, judged, rivals, location)
+        claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
+        if problem.executor.skipped:  # not all rivals were tried
+            claims = tuple(map(lower_grade, claims))
+    decided = read_verdict(decided, claims, _named_effects(final.candidate))
     verdict = decided.verdict
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
     answer: LawAnswer | None = None
@@ -574,13 +577,12 @@ def _conclude(
         verdict, decided = answer.verdict, replace(decided, verdict=answer.verdict)
         best = answer.best or (answer.base if verdict is Verdict.COMPLETE else final.fit)
         if answer.best is not None and answer.search.candidate is not None:
-            evidence = tuple(e for e in evidence if e.effect in answer.search.candidate.effects)
             final = FinalModel(
                 HoldoutScores(of_laws or problem, judged.scores.validation), answer.search.candidate, best
             )
         judged = replace(judged, base=answer.base, best=best, holdout=compare_holdout_errors(answer.base, best))
         if verdict is Verdict.COMPLETE:
-            final, evidence = FinalModel(judged.scores, judged.baseline, best), ()
+            final, claims = FinalModel(judged.scores, judged.baseline, best), ()
     # The answer is what a fit of one's own gives, of the plain model and of the one that is handed over.
     base, doubts = _finish(judged, judged.base)
     best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
@@ -600,19 +602,16 @@ def _conclude(
             holdout = compare_holdout_errors(judged.base, judged.base)
             judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
             selected, final = judged.baseline, FinalModel(judged.scores, judged.baseline, judged.base)
-            evidence, signals = (), ()
+            claims, signals = (), ()
             refinement = None if refinement is None else Refinement(judged.base, (), refinement.checks)
             answer = None if answer is None else replace(answer, best=None, search=replace(answer.search, laws=()))
             decided = replace(_decide(judged), checks=decided.checks)
             verdict = decided.verdict
         decided = replace(decided, checks=(*decided.checks, *better.checks, *kept.checks))
-    location = _locate(judged.baseline, selection)
-    claims: tuple[Claim, ...] = ()
-    if candidates and verdict is not Verdict.COMPLETE and not rejected:
-        weigh = partial(_weigh, judged, final, location, evidence)
-        claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
     # Where no name is certain the answer still goes as deep as the records carry.
     is_deeper = verdict is Verdict.UNKNOWN and not problem.executor.skipped and deepest_established(claims) is not None
+    of_names = [c for effect in _physical_effects(judged) if (c := name_claim(claims, effect)) is not None]
+    is_probable = any(c.grade is Grade.PROBABLE for c in of_names)
     surrogate: Surrogate | None = None
     next_steps: tuple[Finding, ...] = ()
     if verdict in (Verdict.UNKNOWN, Verdict.PARTLY):
@@ -627,7 +626,7 @@ def _conclude(
             policy,
         )
         # A curve stands in for what has no name: not where a law or a probable effect is said.
-        named = (answer is not None and answer.best is not None) or any(e.grade is Grade.PROBABLE for e in evidence)
+        named = (answer is not None and answer.best is not None) or is_probable
         if verdict is Verdict.UNKNOWN and not named:
             surrogate = attempt(SearchStage.SURROGATE, selected.effects, represent, None)
             if surrogate is not None and not (
@@ -639,12 +638,11 @@ def _conclude(
                 findings = (*findings, *_word_on(surrogate.finished))
     left_location = _locate(_under_less_noise(final), selection) if final.candidate.effects else location
     left = measure_remaining_error(final.fit, holdout, left_location, judged.scores.validation.uncounted)
-    is_probable = any(e.grade is Grade.PROBABLE for e in evidence)
     if verdict is Verdict.UNKNOWN and not is_probable:
         next_steps = _propose_for_unknown(judged, location, surrogate)
     elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
         next_steps = _propose_for_part(
-            judged, left_location, evidence, bool(refinement and refinement.steps) and not test
+            judged, left_location, of_names, bool(refinement and refinement.steps) and not test
         )
     elif verdict is Verdict.COMPLETE:
         next_steps = propose_noise_check(judged.base)
@@ -663,12 +661,12 @@ def _conclude(
     has_law = search is not None and answer is not None and answer.best is not None
     alternatives = [rival.effects for rival in judged.rivals]
     if verdict is Verdict.AMBIGUOUS and not alternatives:
-        alternatives = list_tied_sets(evidence)
+        alternatives = list_tied_sets(claims, _physical_effects(judged))
     if is_deeper:
         verdict, decided = Verdict.PARTLY, replace(decided, verdict=Verdict.PARTLY)
     constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
     summary = _summarise(
-        judged, decided, evidence, claims, alternatives, left, location, surrogate, rejected, is_worse, constants
+        judged, decided, claims, alternatives, left, location, surrogate, rejected, is_worse, constants
     )
     if search is not None and answer is not None and verdict is not Verdict.COMPLETE:
         summary = _summarise_laws(judged, search, has_law, summary, left)
@@ -689,7 +687,6 @@ def _conclude(
         effect_signals=signals,
         surrogate=surrogate,
         refinement=refinement,
-        evidence=evidence,
         claims=claims,
         left=left,
         policy=policy,
@@ -698,20 +695,30 @@ def _conclude(
     )
 
 
-def _weigh(
-    judged: JudgedSelection, final: FinalModel, location: ResidualLocalisation, evidence: Sequence[EffectEvidence]
-) -> tuple[Claim, ...]:
+def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation) -> tuple[Claim, ...]:
     """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer."""
-    selection = judged.selection
+    selection, answer = judged.selection, rivals.selected
     table = FitTable(judged.scores)
-    table.add(selection.baseline, final.candidate, *selection.problem.fitted)
-    draws = table.draw(table.leading((selection.baseline, final.candidate)))
-    if not draws.sets:
-        return ()
-    leading = draws.sets[draws.leading].candidate
-    left = measure_structure(table.scores, leading, only_visible=True)
-    claims = weigh_claims(draws, location.sets, leading.given, left)
-    return name_by_evidence(claims, {e.effect for e in evidence if e.grade is Grade.ESTABLISHED})
+
+    def weigh() -> tuple[Claim, ...]:
+        table.add(selection.baseline, answer, *selection.problem.fitted)
+        draws = table.draw(table.leading((selection.baseline, answer)))
+        if not draws.sets:
+            return ()
+        leading = draws.sets[draws.leading].candidate
+        left = measure_structure(table.scores, leading, only_visible=True)
+        claims = weigh_claims(draws, location.sets, leading.given, left)
+        # The certain answer is the model that is handed over: a name that it does not hold is no more than probable.
+        return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
+
+    without = refit_rivals(rivals)
+    claims = weigh()
+    standing = [
+        rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
+    ]
+    for rest in standing:
+        refit_curves_in_place(rivals, rest)
+    return weigh() if standing else claims
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
@@ -942,13 +949,13 @@ MOST_SEPARATIONS = 2
 
 
 def _propose_for_part(
-    judged: JudgedSelection, location: ResidualLocalisation, evidence: Sequence[EffectEvidence], refined: bool
+    judged: JudgedSelection, location: ResidualLocalisation, names: Sequence[Claim], refined: bool
 ) -> tuple[Finding, ...]:
     """What to do about the rest beside established effects."""
     policy = judged.selection.policy
-    doubtful = [e for e in evidence if e.grade is not Grade.ESTABLISHED]
-    doubts = [doubt for e in doubtful if (doubt := explain_doubt(e)) is not None]
-    shares = {e.effect: e.share for e in doubtful}
+    doubtful = [c for c in names if not c.is_established]
+    doubts = [doubt for c in doubtful if (doubt := explain_doubt(c)) is not None]
+    shares = {c.name: c.share for c in doubtful}
     steps = sorted(doubts, key=lambda doubt: -shares[doubt.subject])[:MOST_SEPARATIONS]
     if refined:
         steps.append(Finding(DiscoveryCode.QUOTE_THIRD_RECORD))
@@ -974,7 +981,6 @@ def _propose_for_unknown(
 def _summarise(
     judged: JudgedSelection,
     decided: Conclusion,
-    evidence: Sequence[EffectEvidence],
     claims: Sequence[Claim],
     alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
@@ -996,8 +1002,9 @@ def _summarise(
     error = judged.holdout[output]
     # With what corrects the shape of an effect: the error is that of the whole model.
     fitted = _added_effects(judged)
-    grades = {e.effect: e.grade for e in evidence}
-    established = [e for e in effects if grades.get(e) is Grade.ESTABLISHED]
+    made = {e: c for e in effects if (c := name_claim(claims, e)) is not None}
+    grades = {e: made[e].grade if e in made else Grade.STAND_IN for e in effects}
+    established = [e for e in effects if grades[e] is Grade.ESTABLISHED]
     reduced = _error_reduced(fitted, judged.holdout, VALIDATION_SHARE)
     explained = {"share": error.share, "output": output}
     remaining = [
@@ -1013,14 +1020,14 @@ def _summarise(
         values = {**explained, "rivals": rivals, "is_simplest": counts[0] < min(counts[1:], default=0)}
         return (Finding(DiscoveryCode.EFFECTS_TIED, subject=name, values=values), *reduced)
     if decided.verdict is Verdict.PARTLY and established:
-        others = {e: grades[e] for e in effects if e in grades and e not in established}
+        others = {e: grades[e] for e in effects if e not in established}
         values = {"established": established, "others": others}
         return (Finding(DiscoveryCode.EFFECTS_ESTABLISHED, subject=name, values=values), *reduced, *remaining)
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
     headline: list[Finding] = []
     if deepest is not None:
         headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=to_values(deepest)))
-    probable = {e.effect: e.probability for e in evidence if e.effect in effects and e.grade is Grade.PROBABLE}
+    probable = {e: c.probability for e, c in made.items() if c.grade is Grade.PROBABLE}
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
         return (*headline, Finding(DiscoveryCode.EFFECTS_PROBABLE, subject=name, values=values), *reduced, *remaining)
@@ -1098,6 +1105,11 @@ def _added_effects(judged: JudgedSelection) -> list[str]:
 def _physical_effects(judged: JudgedSelection) -> list[str]:
     """Those that have a name, without curves that correct them."""
     return [name for name in _added_effects(judged) if not is_shape_correction(name)]
+
+
+def _named_effects(candidate: FittedCandidate) -> list[str]:
+    """The same of a candidate."""
+    return [name for name in candidate.effects if not is_shape_correction(name)]
 
 
 def _name(candidate: FittedCandidate) -> str:

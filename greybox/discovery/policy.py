@@ -41,14 +41,6 @@ class RefinementPolicy:
 
 
 @dataclass(frozen=True)
-class CertaintyPolicy:
-    """How probable it is that an effect is right, and from which probability it may be called so."""
-
-    intercept: float = -3.8
-    """Constant of the logistic function."""
-
-
-@dataclass(frozen=True)
 class DiscoveryPolicy:
     """The decision numbers of all stages of a discovery.
 
@@ -64,7 +56,5 @@ class DiscoveryPolicy:
     """When an effect is accepted and named."""
     budget: SearchBudget = field(default_factory=SearchBudget)
     """How much is tried."""
-    certainty: CertaintyPolicy = field(default_factory=CertaintyPolicy)
-    """How probable it is that an effect is right."""
     refinement: RefinementPolicy = field(default_factory=RefinementPolicy)
     """When a further, small effect is accepted on measured records (`refine`)."""

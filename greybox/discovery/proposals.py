@@ -14,9 +14,8 @@ from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import InputKind, chirp, multisine
-from greybox.discovery.certainty import LEAST_RIVAL, MOST_CHANGE, to_features
+from greybox.discovery.claims import Claim
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
-from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
 from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
@@ -238,16 +237,17 @@ def propose_experiments(
     return tuple(findings)
 
 
-def explain_doubt(evidence: EffectEvidence) -> Finding | None:
-    """What would settle an effect that is not established: None where it stands well and only what else is left speaks against it."""
-    name, features = evidence.effect, to_features(evidence.measures)
-    if evidence.alike:
-        return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.alike[0]})
-    if evidence.rival and features["rival_t"] < LEAST_RIVAL:
-        return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=name, values={"rival": evidence.rival})
-    if features["change"] > MOST_CHANGE and math.isfinite(evidence.change):
-        return Finding(DiscoveryCode.FIT_HALVES_ALONE, subject=name, values={"change": evidence.change})
-    return None
+def explain_doubt(claim: Claim) -> Finding | None:
+    """What would settle a name that is not established: None where only what else is left speaks against it."""
+    rival = claim.equals[0] if claim.equals else _other_effect(claim)
+    if not rival:
+        return None
+    return Finding(DiscoveryCode.SEPARATE_FROM_RIVAL, subject=claim.name, values={"rival": rival})
+
+
+def _other_effect(claim: Claim) -> str:
+    """The effect that the best rival of a name has and that is not this one; "" where the rival has no other."""
+    return next((name for name in claim.rival.split(" + ") if name and name != claim.name), "")
 
 
 def list_detection_limits(candidates: Sequence[FittedCandidate]) -> tuple[Finding, ...]:

@@ -11,12 +11,10 @@ from greybox.base.findings import Check, Finding
 from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, Finite, Interval
 from greybox.base.values import Printable
-from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Claim
-from greybox.discovery.decision import Verdict
+from greybox.discovery.claims import Claim, name_claim
+from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
-from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.execution import SearchFailure
 from greybox.discovery.holdout import HoldoutError, worst_output
 from greybox.discovery.laws.search import Law
@@ -182,8 +180,6 @@ class Discovery(Printable, StoredResult):
         A curve or a tone in the place of an unknown effect.
     refinement
         The further effects that were looked for where more than noise was left; the best model has them.
-    evidence
-        For each effect of the best model what speaks for it, its probability and grade.
     claims
         What is said of the plain model, as a tree: where something is missing, of which variables, of which family, which effect; each
         with its probability, its grade and its best rival.
@@ -225,7 +221,6 @@ class Discovery(Printable, StoredResult):
     options: FitOptions = field(default_factory=FitOptions)
     not_tried: Mapping[str, Finding] = field(default_factory=dict)
     failures: tuple[SearchFailure, ...] = ()
-    evidence: tuple[EffectEvidence, ...] = ()
     claims: tuple[Claim, ...] = ()
     left: Mapping[str, RemainingError] = field(default_factory=dict)
     laws: tuple[Law, ...] = ()
@@ -235,7 +230,7 @@ class Discovery(Printable, StoredResult):
     KEYS: ClassVar[str] = """
         verdict effects! form=shape_corrections alternatives plain_misfit sites=ranked_sites when=localisation.windows
         regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
-        gap=holdout test evidence claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
+        gap=holdout test claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
         model=best.model.name equations=best.provenance.equations noise=best.noise.std noise_source=best.noise.source
         integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions
@@ -302,7 +297,6 @@ class Discovery(Printable, StoredResult):
         A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen instead of probability and share.
         """
         laws = {law.name: law for law in self.laws}
-        evidence = {e.effect: e for e in self.evidence}
         given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
         effects: list[FoundEffect] = []
         for bound in self.best.model.bound_effects:
@@ -333,7 +327,7 @@ class Discovery(Printable, StoredResult):
                     entry["memory"] = law.memory
                 effects.append(entry)
                 continue
-            each = evidence.get(bound.effect.name)
+            each = name_claim(self.claims, bound.effect.name)
             effects.append(
                 {
                     "name": bound.effect.name,
@@ -358,7 +352,7 @@ def load_discovery(path: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``verdict``, ``effects`` with their parameters, ``evidence``, ``parameters`` of the best model and more, as
+        ``verdict``, ``effects`` with their parameters, ``claims``, ``parameters`` of the best model and more, as
         ``docs/result_files.md`` lists them.
 
     Raises

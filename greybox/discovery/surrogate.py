@@ -330,14 +330,6 @@ def _usual_variables(model: Model, site: DisturbanceSite) -> list[str]:
     return list(dict.fromkeys(name for name in (model.system.state_names[site.column], *motion) if name))
 
 
-@dataclass(frozen=True)
-class FreeCurve:
-    """A candidate with a smooth curve over ``variable`` at one site, in the place of whatever it lacks."""
-
-    variable: str
-    candidate: FittedCandidate
-
-
 # Sites that the sensors cannot separate at which a free curve is tried in the place of an effect.
 FREE_SITES = 3
 
@@ -348,11 +340,11 @@ def refit_free_curves(
     location: ResidualLocalisation,
     policy: DiscoveryPolicy,
     enough: float = math.inf,
-) -> list[FreeCurve]:
+) -> list[FittedCandidate]:
     """``candidate`` with a smooth curve at each of the likeliest sites of what it leaves, over the likeliest variables and over time.
 
     The most that anything without memory could do there, whatever its name. Empty where nothing is left, or ``candidate`` has a curve.
-    One that is far above the cost ``enough`` (`EvidencePolicy.hopeless_curve`) after a few iterations stays as it is then.
+    One that is far above the cost ``enough`` (`HOPELESS_CURVE`) after a few iterations stays as it is then.
     """
     if location.signal is None or CURVE in candidate.effects:
         return []
@@ -377,7 +369,7 @@ def refit_free_curves(
         for place in (*places, *drift):
             fit = _refit_free_curve(problem, candidate, place, enough)
             if fit is not None:
-                curves.append(FreeCurve(place.dependence.variable, fit))
+                curves.append(fit)
     return curves
 
 

@@ -133,8 +133,10 @@ def _key_of(candidate: FittedCandidate) -> SetKey:
     return frozenset((b.effect.name, b.site, b.effect.equation) for b in added)
 
 
-# Sets that take part in the draws: those that leave least on the records that were fitted.
+# Sets that take part in the draws at most: those that leave least on the records that were fitted...
 MOST_SETS = 60
+# ...and at most so many times the rms error of the best of them: no resample makes up for more.
+NEAR_RATIO = 3.0
 
 
 @dataclass
@@ -173,9 +175,16 @@ class FitTable:
         """The fits, those that leave least first."""
         return tuple(sorted(self._sets.values(), key=lambda fit: fit.noise_ratio))
 
-    def leading(self, always: Iterable[FittedCandidate]) -> list[FittedCandidate]:
-        """Those that take part in the draws; some ``always`` do."""
-        kept = {_key_of(fit) for fit in (*self.candidates[:MOST_SETS], *always)}
+    def leading(self, always: Sequence[FittedCandidate]) -> list[FittedCandidate]:
+        """Those that take part in the draws; some ``always`` do, and so does every part of one that takes part.
+
+        What an effect takes of the error is the difference from the set without it.
+        """
+        least = min((fit.noise_ratio for fit in self.candidates), default=0.0)
+        near = {_key_of(fit) for fit in self.candidates if fit.noise_ratio <= NEAR_RATIO * least}
+        near |= {_key_of(fit) for fit in always}
+        taking_part = [fit for fit in self.candidates if any(_key_of(fit) <= key for key in near)]
+        kept = {_key_of(fit) for fit in (*taking_part[:MOST_SETS], *always)}
         return [fit for key, fit in self._sets.items() if key in kept]
 
     def sums(self, candidate: FittedCandidate) -> BlockSums | None:

@@ -1,26 +1,28 @@
 """From the winners of resampled records to claims, grades and a verdict. Nothing is simulated."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import (
     ESTABLISHED_FROM,
     Claim,
     Depth,
     deepest_established,
     describe_effect,
-    name_by_evidence,
+    list_tied_sets,
     name_claim,
     read_certainty,
+    read_verdict,
     to_features,
     to_grade,
     to_probability,
     weigh_claims,
 )
+from greybox.discovery.decision import Conclusion, Grade, Verdict
 from greybox.discovery.surrogate_effects import CURVE
 from greybox.discovery.table import BlockSums, Draws, FittedSet
 from models.micro_actuator import micro_actuator
@@ -178,8 +180,44 @@ def claim(name="coulomb_friction", depth=Depth.NAME):
     )
 
 
-def test_a_name_is_certain_only_by_its_evidence():
-    claims = (claim("", Depth.PLACE), claim(), claim("quadratic_damping"))
-    grades = [c.grade for c in name_by_evidence(claims, {"coulomb_friction"})]
-    assert grades == [Grade.ESTABLISHED, Grade.ESTABLISHED, Grade.PROBABLE]
-    assert deepest_established(name_by_evidence(claims, ())).depth is Depth.PLACE
+def test_what_does_the_same_in_the_place_of_an_effect_is_its_equal():
+    both = draws(
+        (fitted("coulomb_friction"), 10), (fitted("quadratic_damping"), 0), (fitted("cubic_stiffness"), 0), PLAIN
+    )
+    good = np.zeros_like(both.good)
+    good[:, 0], good[:6, 1], good[:4, 2] = True, True, True
+    claims = weigh_claims(Draws(both.sets, both.errors, good, both.winner), (), (), 0.0)
+    assert name_claim(claims, "coulomb_friction").equals == ("quadratic_damping",)
+    assert list_tied_sets(claims, ["coulomb_friction"]) == [("quadratic_damping",)]
+
+
+NAMED = Conclusion(Verdict.NAMED, ())
+
+
+@pytest.mark.parametrize(
+    ("decided", "first", "second", "expected"),
+    [
+        (Verdict.NAMED, {}, {}, Verdict.NAMED),
+        (Verdict.NAMED, {}, {"probability": 0.6}, Verdict.PARTLY),
+        (Verdict.NAMED, {"probability": 0.6}, {"probability": 0.6}, Verdict.UNKNOWN),
+        (Verdict.NAMED, {}, {"probability": 0.6, "equals": ("other",), "joint": 0.9}, Verdict.AMBIGUOUS),
+        (Verdict.UNKNOWN, {}, {"probability": 0.1}, Verdict.PARTLY),
+        (Verdict.AMBIGUOUS, {}, {"joint": 0.2}, Verdict.PARTLY),
+        (Verdict.AMBIGUOUS, {"probability": 0.6}, {"joint": 0.2, "probability": 0.2}, Verdict.UNKNOWN),
+        (Verdict.AMBIGUOUS, {"probability": 0.6}, {"probability": 0.6}, Verdict.AMBIGUOUS),
+        (Verdict.COMPLETE, {}, {}, Verdict.COMPLETE),
+    ],
+)
+def test_the_verdict_is_read_off_the_claims(decided, first, second, expected):
+    claims = []
+    for name, changes in (("a", first), ("b", second)):
+        values = {"probability": 0.95, "joint": 0.95, **changes}
+        claims.append(replace(claim(name), grade=to_grade(values["probability"]), **values))
+    assert read_verdict(Conclusion(decided, ()), claims, ["a", "b"]).verdict is expected
+
+
+def test_a_name_that_nobody_claims_is_not_certain():
+    read = read_verdict(NAMED, [claim("a")], ["a", "b"])
+    assert read.verdict is Verdict.PARTLY
+    assert [(c.subject, c.passed) for c in read.checks] == [("a", True), ("b", False)]
+    assert read_verdict(NAMED, [], ["a"]).verdict is Verdict.UNKNOWN

@@ -1,6 +1,5 @@
 """What is proposed for an effect that is not established: an experiment only where the records do not separate it from another one."""
 
-import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,49 +7,35 @@ import numpy as np
 import pytest
 
 from greybox.data.noise.noise_model import BoundDirection
-from greybox.discovery.certainty import Grade
+from greybox.discovery.claims import Claim, Depth
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import measure_remaining_error
-from greybox.discovery.evidence import EffectEvidence
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import MisfitWindow, RankedSite, ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.proposals import explain_doubt, propose_next_steps
-from tests.discovery.test_certainty import CLEAR
-
-
-def evidence(alike=(), rival="quadratic_damping", **measures):
-    measures = CLEAR | measures
-    return EffectEvidence(
-        *("cubic_damping", 0.4, Grade.STAND_IN, "y", "V", 1.0, 0.1, 0.9, (0.8, 0.95), rival, 0.5, tuple(alike)),
-        *(measures["change"], True, True, measures),
-    )
 
 
 @pytest.mark.parametrize(
-    ("weak", "code", "values"),
+    ("equals", "rival", "expected"),
     [
-        (evidence(alike=["drive_lag", "fitted_curve"]), DiscoveryCode.SEPARATE_FROM_RIVAL, {"rival": "drive_lag"}),
-        (evidence(rival_t=2.0), DiscoveryCode.SEPARATE_FROM_RIVAL, {"rival": "quadratic_damping"}),
-        (evidence(change=0.6), DiscoveryCode.FIT_HALVES_ALONE, {"change": 0.6}),
-        (evidence(structure=0.99), None, None),
-        (evidence(change=math.nan), None, None),
-        (evidence(rival="", rival_t=-1.0), None, None),
+        (("drive_lag",), "quadratic_damping", "drive_lag"),
+        ((), "quadratic_damping", "quadratic_damping"),
+        ((), "cubic_damping + fitted_curve", "fitted_curve"),
+        ((), "", None),
+        ((), "cubic_damping", None),
     ],
-    ids=[
-        "others do the same",
-        "a rival within chance",
-        "it changes between the halves",
-        "much is left, and the rival is far behind",
-        "a half could not be fitted",
-        "no rival",
-    ],
+    ids=["another does the same", "a rival wins at times", "a curve beside it", "no rival", "a rival that is itself"],
 )
-def test_an_experiment_is_asked_for_only_where_the_records_do_not_separate(weak, code, values):
-    step = explain_doubt(weak)
-    assert (step.code, step.subject, dict(step.values)) == (code, "cubic_damping", values) if code else step is None
+def test_an_experiment_is_asked_for_only_where_the_records_do_not_separate(equals, rival, expected):
+    step = explain_doubt(Claim(Depth.NAME, "y", name="cubic_damping", equals=equals, rival=rival))
+    if expected is None:
+        assert step is None
+    else:
+        assert (step.code, step.subject) == (DiscoveryCode.SEPARATE_FROM_RIVAL, "cubic_damping")
+        assert dict(step.values) == {"rival": expected}
 
 
 NONE = np.zeros(0)

@@ -15,8 +15,7 @@ import numpy as np
 
 from greybox.base.findings import Check, Finding
 from greybox.base.values import ReadOnly
-from greybox.discovery.certainty import Grade
-from greybox.discovery.decision import clean_cost_limit, make_check
+from greybox.discovery.decision import Grade, clean_cost_limit, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate

@@ -12,7 +12,7 @@ from greybox.base.findings import Check, Finding
 from greybox.base.json_file import StoredResult, read_json
 from greybox.base.json_shape import FileKind, Interval
 from greybox.base.values import Printable
-from greybox.discovery.certainty import Grade
+from greybox.discovery.decision import Grade
 from greybox.discovery.result import Discovery
 from greybox.estimation.result import Fit
 

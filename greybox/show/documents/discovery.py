@@ -19,9 +19,8 @@ from greybox.base.document import (
     Tone,
 )
 from greybox.base.json_shape import to_values
-from greybox.discovery.certainty import Grade
-from greybox.discovery.claims import Depth
-from greybox.discovery.decision import Verdict
+from greybox.discovery.claims import Depth, name_claim
+from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS
@@ -50,6 +49,7 @@ from greybox.show.sentences.discovery import (
     GRADES,
     claim_text,
     constant_text,
+    name_text,
     probability_text,
     refinement_text,
     rival_text,
@@ -116,13 +116,13 @@ def _brief(d: Discovery) -> Iterator[Block]:
 
 def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str], str] = str) -> Iterator[str]:
     """Each effect with where it acts and its constants, and what speaks for it."""
-    evidence = {e.effect: e for e in discovery.evidence}
     for effect in discovery.effects:
         constants = [constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()]
         equation = f"{effect['equation']}, " if "equation" in effect else ""
         yield f"{effect['name']} -> {effect['site']}: {equation}{', '.join(constants)}"
-        if effect["name"] in evidence:
-            yield f"{indent}{evidence[effect['name']]}"
+        claim = name_claim(discovery.claims, effect["name"])
+        if claim is not None:
+            yield f"{indent}{name_text(claim)}"
 
 
 def holdout_lines(discovery: Discovery) -> list[str]:

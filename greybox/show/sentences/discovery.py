@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +9,9 @@ from greybox.base.findings import Check, Finding
 from greybox.base.json_shape import to_values
 from greybox.base.units import format_unit
 from greybox.data.signals import InputKind
-from greybox.discovery.certainty import Grade
 from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
+from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
@@ -21,9 +20,9 @@ from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import MOST_PERCENT, change_text, join_names, quantity_text, value_with_unit
 
 if TYPE_CHECKING:
+    from greybox.discovery.claims import Claim
     from greybox.discovery.curve_shape import Dependence
     from greybox.discovery.effect_test import EffectTest
-    from greybox.discovery.evidence import EffectEvidence
     from greybox.discovery.holdout import HoldoutError
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
     from greybox.discovery.refinement import Refinement, RefinementStep
@@ -257,32 +256,18 @@ def effect_title(name: str) -> str:
 GRADES = {Grade.ESTABLISHED: "established", Grade.PROBABLE: "probable", Grade.STAND_IN: "a stand-in"}
 
 
-@renders("EffectEvidence")
-def _evidence(e: EffectEvidence) -> str:
-    text = f"{GRADES[e.grade]} ({probability_text(e.probability)})"
-    if e.share > 0:
-        low, high = e.share_interval
-        interval = f" ({100 * low:.0f} to {100 * high:.0f} %)" if math.isfinite(low) and math.isfinite(high) else ""
-        text += f", takes {100 * e.share:.0f} %{interval} of the error in {e.output} that the model has without it"
+def name_text(claim: Claim) -> str:
+    """How certain an effect of the answer is, what it takes, and what would do the same or nearly so in its place."""
+    text = f"{GRADES[claim.grade]} ({probability_text(claim.probability)})"
+    if claim.share > 0:
+        text += f", takes {100 * claim.share:.0f} % of the error in {claim.output} that the model has without it"
     else:
-        text += f", takes nothing of the error in {e.output}"
-    if e.alike:
-        text += f"; {join_names([effect_title(name) for name in e.alike])} in its place would do the same"
-    if e.rival and math.isfinite(e.rival_error):
-        rest, with_rival = (quantity_text(v, e.unit, beside=e.without) for v in (e.error, e.rival_error))
-        # The outputs decide together, and this one need not tell the two apart.
-        is_same = rest == with_rival
-        text += f"; {effect_title(e.rival)} in its place leaves " + (
-            f"as much in {e.output}; all outputs together tell the two apart"
-            if is_same
-            else f"{with_rival} instead of {rest}"
-        )
-    doubts = [
-        *([] if e.survives_start else ["another start ends elsewhere"]),
-        *([] if e.survives_records else ["it does not help on every validation record"]),
-        *([f"its value changes by {100 * e.change:.0f} % between the halves of the records"] if e.change > 0.5 else []),
-    ]
-    return f"{text}; {'; '.join(doubts)}" if doubts else text
+        text += f", takes nothing of the error in {claim.output}"
+    if claim.equals:
+        text += f"; {join_names([effect_title(name) for name in claim.equals])} in its place would do the same"
+    elif claim.rival:
+        text += f"; its best rival is {rival_text(claim.rival)}"
+    return text
 
 
 def probability_text(probability: float) -> str:

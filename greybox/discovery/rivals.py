@@ -1,0 +1,178 @@
+"""Every objection to an answer is a rival model: refitted, it stands on the table beside the answer and has to be beaten there.
+
+A model that fits better shows that something was missing, not that it has the right name. So each effect of the answer is held against
+the model without it, against the best effects of other families in its place, against something simpler in its place, against itself with
+a curve (or a second branch) beside it, and against a free curve wherever the records would have one. Nothing is decided here: every refit
+is kept with the problem (`DiscoveryProblem.fitted`), and `greybox.discovery.table` says which of them wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from greybox.discovery.candidates import family_of
+from greybox.discovery.effect_signal import EffectSignal
+from greybox.discovery.execution import SearchStage
+from greybox.discovery.localisation import localise_residual
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.residual_noise import (
+    has_memory,
+    is_shape_correction,
+    list_shape_corrections,
+    prepare_curve,
+    prepare_power,
+)
+from greybox.discovery.selection import list_extension_starts, rank_extensions
+from greybox.discovery.surrogate import QUICK_ITERATIONS, refit_free_curves
+from greybox.model.effect import Effect
+from greybox.model.effects.scales import Scales
+
+
+@dataclass(frozen=True)
+class RivalSearch:
+    """What the rivals of an answer are fitted from.
+
+    Parameters
+    ----------
+    problem, scales, candidates
+        The records, their peaks and times, and all effects that are candidates.
+    selected, baseline
+        The answer and the plain model.
+    known
+        Fits of other sets of effects.
+    signals
+        The signal of each effect of the answer, from the data and from the model.
+    policy
+        The decision numbers.
+    """
+
+    problem: DiscoveryProblem
+    scales: Scales
+    candidates: Sequence[Effect]
+    selected: FittedCandidate
+    baseline: FittedCandidate
+    known: Mapping[frozenset[str], FittedCandidate]
+    signals: Sequence[EffectSignal]
+    policy: DiscoveryPolicy
+
+    def attempt(self, run: partial[FittedCandidate | None]) -> FittedCandidate | None:
+        """A refit; None where it fails, with the reason kept."""
+        return self.problem.failures.attempt(SearchStage.EVIDENCE, self.selected.effects, run, None)
+
+
+def refit_rivals(search: RivalSearch) -> dict[str, FittedCandidate]:
+    """The rivals of each effect of the answer; by effect, the answer without it, where that can be fitted."""
+    problem, selected = search.problem, search.selected
+    listing = partial(list_shape_corrections, problem, selected, search.scales)
+    jobs = problem.failures.attempt(SearchStage.SHAPE_CORRECTION, selected.effects, listing, [])
+    problem.refit_all([job for _, job in jobs])
+    without: dict[str, FittedCandidate] = {}
+    for effect in selected.model.effects:
+        if effect.name not in selected.effects or is_shape_correction(effect.name):
+            continue
+        rest = _refit_without(search, effect.name)
+        if rest is not None:
+            without[effect.name] = rest
+            _refit_others(search, effect.name, rest)
+            _refit_simpler(search, effect, rest)
+    return without
+
+
+def refit_curves_in_place(search: RivalSearch, rest: FittedCandidate) -> None:
+    """Smooth curves in the place of an effect, wherever the records would have one; ``rest`` is the answer without the effect.
+
+    The most that anything without memory could do there, and the dearest rivals: for an effect that all others have left standing.
+    """
+
+    def refit() -> None:
+        location = localise_residual(rest, selection=search.policy.selection)
+        refit_free_curves(search.problem, rest, location, search.policy, search.selected.cost)
+
+    search.problem.failures.attempt(SearchStage.EVIDENCE, rest.effects, refit, None)
+
+
+# Iterations of these refits; they start near where they end.
+RIVAL_ITERATIONS = 30
+
+
+def _refit_without(search: RivalSearch, name: str) -> FittedCandidate | None:
+    """The selected model without one effect, everything else refitted."""
+    selected = search.selected
+    if len(selected.effects) == 1:
+        return search.baseline
+    known = search.known.get(frozenset(selected.effects) - {name})
+    model = selected.model.without(name)
+    values = {n: value for n, value in selected.model.values.items() if n in model.values}
+    iterations = RIVAL_ITERATIONS
+    again = search.attempt(partial(search.problem.refit_best, model, [values], 1, iterations, selected, refines=False))
+    if again is not None and _is_hopeful(search, again):
+        again = _converge(search, again)
+    return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)
+
+
+# Effects of other families that are fitted in the place of each effect.
+MOST_RIVALS = 4
+# A rival may still come near if after a short refit its cost is at most so many times that of the answer: five times the rms error. Where
+# an effect is left out that takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that
+# it is no rival.
+HOPELESS_COST = 25.0
+
+
+def _refit_others(search: RivalSearch, name: str, rest: FittedCandidate) -> None:
+    """The best effects of other families in the place of one, to the end where they may still come near."""
+    selected = search.selected
+    kept, family = frozenset(selected.effects) - {name}, set(family_of(name, search.candidates))
+    sets = {
+        key: fit for key, fit in search.known.items() if len(key) == len(kept) + 1 and kept < key and name not in key
+    }
+    near = sorted((fit for key, fit in sets.items() if not key - kept & family), key=lambda fit: fit.cost)[:MOST_RIVALS]
+    if len(near) < MOST_RIVALS:
+        others = [e for e in search.candidates if e.name not in family | set(selected.effects)]
+        for e in rank_extensions(search.problem, rest, others, search.scales, MOST_RIVALS):
+            starts = list_extension_starts(rest, e, search.scales)
+            refit = partial(search.problem.refit_best, rest.model + e, starts, 1, QUICK_ITERATIONS, rest, refines=False)
+            near += [fit for fit in [search.attempt(refit)] if fit is not None]
+    for fit in near:
+        if _is_hopeful(search, fit):
+            _converge(search, fit)
+
+
+def _is_hopeful(search: RivalSearch, fit: FittedCandidate) -> bool:
+    """Whether a model that was fitted with the step it started with may still come near the answer."""
+    return fit.cost <= HOPELESS_COST * search.selected.cost
+
+
+# Constants from which an effect without memory is held against a power of its variable: so many imitate other simple laws.
+MANY_CONSTANTS = 3
+
+
+def _refit_simpler(search: RivalSearch, effect: Effect, rest: FittedCandidate) -> None:
+    """Something simpler in the place of an effect: where that does as well, the records do not show what the effect has beyond it.
+
+    For an effect with memory a smooth curve without one, for one of many constants a power of its variable; nothing for all others.
+    """
+    signal = next((s for s in search.signals if s.effect == effect.name), None)
+    if signal is None:
+        return
+    if has_memory(effect):
+        prepare = partial(prepare_curve, rest, signal)
+    elif _count_free(search.selected, effect) >= MANY_CONSTANTS:
+        prepare = partial(prepare_power, search.selected, rest, signal)
+    else:
+        return
+    job = search.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, search.selected.effects, prepare, None)
+    search.problem.refit_all([] if job is None else [job])
+
+
+def _converge(search: RivalSearch, fit: FittedCandidate) -> FittedCandidate:
+    again = search.attempt(partial(search.problem.refit_best, fit.model, [fit.model.values], 1, RIVAL_ITERATIONS, fit))
+    return again if again is not None and again.cost < fit.cost else fit
+
+
+def _count_free(candidate: FittedCandidate, effect: Effect) -> int:
+    """How many constants of an effect are not fixed."""
+    names = candidate.model.names_of(effect.name)
+    return sum(not candidate.model.parameter(names[q.name]).fixed for q in effect.parameters)
