@@ -16,13 +16,21 @@ from functools import partial
 import numpy as np
 
 from greybox.base.numerics import SAME_ERROR, TINY
+from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutScores
+from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.residual_noise import is_shape_correction
 
-# Blocks into which the records that were fitted, and those that judge, are divided: so many are long beside the memory of a residual and
-# still enough to draw from.
-BLOCKS = 24
+# Blocks into which the records that were fitted, and those that judge, are divided: so many at least, so that there is something to
+# draw from...
+LEAST_BLOCKS = 24
+# ...and at most: an effect that acts in a tenth of them is then seen in three resamples of four, and more say no more.
+MOST_BLOCKS = 96
+# Length of a block over the memory of what the best set leaves: blocks are drawn as if they were independent (H. R. Kuensch 1989, The
+# jackknife and the bootstrap for general stationary observations, Ann. Statist. 17).
+BLOCK_MEMORIES = 10.0
 # Fewest rows of a block.
 LEAST_BLOCK_ROWS = 2
 # Draws: a frequency is known to 3 %.
@@ -30,6 +38,9 @@ RESAMPLES = 200
 # Standard errors, over the blocks that were not drawn, within which a set does as well as the best of a resample: of many sets the best
 # is partly lucky.
 GOOD_DEVIATIONS = 2.0
+# What a set may leave more than the best one, over what the effects of the best take, in rms: no real effect is as exact as its name. A
+# richer form that does better by less is no doubt about the simple one; of a further effect, which has a name, the same would be unheard.
+SAME_FORM = 0.04
 # Mean square error over the noise, and difference relative to what the best leaves, beyond which more of it says nothing more.
 ASTRAY, FAR_BEHIND = 1e100, 1e6
 # Seed of the draws: the same records give the same answer.
@@ -152,6 +163,7 @@ class FitTable:
     scores: HoldoutScores
     _sets: dict[SetKey, FittedCandidate] = field(init=False, default_factory=dict)
     _sums: dict[int, tuple[FittedCandidate, BlockSums | None]] = field(init=False, default_factory=dict)
+    _blocks: int = field(init=False, default=0)
 
     def add(self, *candidates: FittedCandidate | None) -> None:
         """Put sets on the table; of two fits of the same set the one that leaves less stays, whatever noise they were weighed with."""
@@ -189,8 +201,10 @@ class FitTable:
 
     def sums(self, candidate: FittedCandidate) -> BlockSums | None:
         """The sums of a candidate by block; None where it cannot be run."""
+        if not self._blocks:
+            self._blocks = _count_blocks(self.candidates[0])
         if id(candidate) not in self._sums:
-            compute = partial(_sum_blocks, self.scores, candidate)
+            compute = partial(_sum_blocks, self.scores, candidate, self._blocks)
             sums = self.scores.problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, compute, None)
             self._sums[id(candidate)] = candidate, sums
         return self._sums[id(candidate)][1]
@@ -247,6 +261,11 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     good = np.ones(errors.shape, bool)
     for behind in (relative, logarithm):
         good &= (_standard_errors(behind, left) <= GOOD_DEVIATIONS).T
+    # ...or of the same form: as many effects with a name, and hardly more error beside what they take.
+    named = np.array([sum(not is_shape_correction(name) for name in s.candidate.effects) for s in sets])
+    average = (relative * left[None]).sum(axis=2) / np.maximum(left.sum(axis=1), 1)  # (S, R)
+    taken = np.where(named[best] > named.min(), average[named.argmin()], 0.0)
+    good |= ((average <= SAME_FORM**2 * taken) & (named[:, None] >= named[best])).T
     good[rounds, best] = True
     free = np.array([s.candidate.free for s in sets], float)
     # Fewest constants; of as many, the one that leaves least.
@@ -262,7 +281,20 @@ def _standard_errors(behind: np.ndarray, left: np.ndarray) -> np.ndarray:
     return np.asarray(average / np.maximum(spread / np.sqrt(blocks), SAME_ERROR))
 
 
-def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate) -> BlockSums | None:
+def _count_blocks(best: FittedCandidate) -> int:
+    """Into how many blocks the records are divided: each long beside the memory of what the best set leaves."""
+    residuals = normalised_residuals(best)
+    rows = sum(len(r) for r in residuals)
+    memory = 1.0
+    for j in range(residuals[0].shape[1]):
+        # Of a series with correlations rho_k so many samples count as one: 1 + 2 sum_k rho_k.
+        series = join_series(r[:, j] for r in residuals)
+        correlation = fit_autoregression(series).autocorrelation(rows // LEAST_BLOCKS)
+        memory = max(memory, 1 + 2 * float(correlation[1:].sum()))
+    return int(np.clip(rows / (BLOCK_MEMORIES * memory), LEAST_BLOCKS, MOST_BLOCKS))
+
+
+def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) -> BlockSums | None:
     """Residuals and their slopes on all records, summed by block."""
     run = scores.run(candidate)
     if run is None:
@@ -289,7 +321,7 @@ def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate) -> BlockSums 
             return None
         residual = np.where(present, residual, 0.0)
         jacobian = np.where(present[:, :, None], jacobian, 0.0)
-        length = max(math.ceil(rows[is_judging] / BLOCKS), LEAST_BLOCK_ROWS)
+        length = max(math.ceil(rows[is_judging] / blocks), LEAST_BLOCK_ROWS)
         pieces = max(round((len(residual) - first) / length), 1)
         columns = variables.columns(e)
         for part in np.array_split(np.arange(first, len(residual)), pieces):
