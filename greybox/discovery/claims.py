@@ -131,6 +131,8 @@ LEAST_SHARE = 0.05
 SAME_LOG_ERROR = 1e-3
 # Share of the resamples, of those in which a set is good, from which another one that is good too does the same.
 EQUAL_FREQUENCY = 0.5
+# The name of the plain model as a rival.
+PLAIN = "plain_model"
 # Forms of a claim.
 STATIC, WITH_MEMORY, TIMING = "static", "with memory", "timing"
 # Share of the resamples in which the form must be the same for a claim to say it.
@@ -416,8 +418,8 @@ def _judged_rms(fitted: FittedSet) -> np.ndarray:
 
 
 def _title(forms: Sequence[EffectForm]) -> str:
-    """The effects of a rival, in words that a text can use: names, and ``fitted_curve`` for a curve."""
-    return " + ".join(f.name or CURVE for f in forms)
+    """The effects of a rival: names, ``fitted_curve`` for a curve, and `PLAIN` where it has none."""
+    return " + ".join(f.name or CURVE for f in forms) or PLAIN
 
 
 # From the raw weight to a probability

@@ -80,7 +80,6 @@ class DiscoveryCode(StrEnum):
     CANDIDATE_NOT_SIMULATED = "candidate_not_simulated"
     # What to do next.
     SEPARATE_FROM_RIVAL = "separate_from_rival"
-    FIT_HALVES_ALONE = "fit_halves_alone"
     QUOTE_THIRD_RECORD = "quote_third_record"
     CONFIRM_ON_ANOTHER_RECORD = "confirm_on_another_record"
     CONTINUE_WITH_LOOK_ALIKE = "continue_with_look_alike"

@@ -711,8 +711,11 @@ def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocal
         # The certain answer is the model that is handed over: a name that it does not hold is no more than probable.
         return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
 
-    without = refit_rivals(rivals)
+    fit_rivals = partial(refit_rivals, rivals)
+    without = selection.problem.failures.attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
     claims = weigh()
+    if without is None:  # a name that was held against no rival is not certain; the place may be
+        return tuple(lower_grade(c) if c.name else c for c in claims)
     standing = [
         rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
     ]

@@ -46,9 +46,9 @@ def fail(*_, **__):
     ("place", "stage"),
     [
         ("pipeline.localise_residual", SearchStage.LOCALISATION),
-        ("pipeline.gather_evidence", SearchStage.EVIDENCE),
+        ("pipeline.refit_rivals", SearchStage.EVIDENCE),
         ("pipeline.estimate_effect_signals", SearchStage.EVIDENCE),
-        ("evidence.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
+        ("rivals.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
     ],
 )
 def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, stage):
@@ -56,8 +56,8 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
     found = answer(rig)
     assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
     assert (stage, "on purpose") in {(failure.stage, failure.reason) for failure in found.failures}
-    if place == "pipeline.gather_evidence":
-        assert found.verdict == "partly"  # no name is certain without evidence, the place is
+    if place == "pipeline.refit_rivals":
+        assert found.verdict == "partly"  # no name is certain that was held against no rival; the place is
         assert not any(e["grade"] == "established" for e in found.effects)
         assert deepest_established(found.claims).name == ""
 

@@ -129,7 +129,7 @@ def test_an_effect_of_the_estimation_record_alone_is_no_answer():
         effects=[gb.effect("sensor_drift"), gb.effect("input_offset")],
     )
     assert found.verdict is Verdict.UNKNOWN
-    assert found.effects == [] and found.evidence == ()
+    assert found.effects == [] and found.claims == ()
     assert found.best.parameters["gain"].value == found.base.parameters["gain"].value
     error = found.holdout["y"]
     assert error.after == error.before

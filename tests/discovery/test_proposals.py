@@ -25,9 +25,17 @@ from greybox.discovery.proposals import explain_doubt, propose_next_steps
         ((), "quadratic_damping", "quadratic_damping"),
         ((), "cubic_damping + fitted_curve", "fitted_curve"),
         ((), "", None),
+        ((), "plain_model", None),
         ((), "cubic_damping", None),
     ],
-    ids=["another does the same", "a rival wins at times", "a curve beside it", "no rival", "a rival that is itself"],
+    ids=[
+        "another does the same",
+        "a rival wins at times",
+        "a curve beside it",
+        "no rival",
+        "the plain model",
+        "a rival that is itself",
+    ],
 )
 def test_an_experiment_is_asked_for_only_where_the_records_do_not_separate(equals, rival, expected):
     step = explain_doubt(Claim(Depth.NAME, "y", name="cubic_damping", equals=equals, rival=rival))

@@ -245,6 +245,7 @@ EFFECT_TITLES = {
     "band_limited_input": "band-limited input",
     "bouc_wen_hysteresis": "Bouc-Wen hysteresis",
     "fitted_curve": "a fitted curve",
+    "plain_model": "the plain model",
 }
 
 
@@ -613,10 +614,6 @@ register(
         DiscoveryCode.SEPARATE_FROM_RIVAL: lambda f: (
             f"record an experiment in which {effect_title(f.subject)} and {effect_title(f.values['rival'])} differ (another amplitude,"
             " speed or direction): these records do not separate them"
-        ),
-        DiscoveryCode.FIT_HALVES_ALONE: lambda f: (
-            f"fit {effect_title(f.subject)} to each half of the records alone: its constants differ by {_percent(f.values['change'], 2)}"
-            " between them, so it has another form or the plant changes"
         ),
         DiscoveryCode.QUOTE_THIRD_RECORD: "quote the error on a third record: the validation records chose some of these effects",
         DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD: "continue with the extended model, and confirm it on a record with another amplitude or"
