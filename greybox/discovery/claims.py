@@ -3,10 +3,9 @@
 Every resample of the records has a winner on the table of fitted sets (`greybox.discovery.table`). A claim holds in a resample if it holds
 in the winner, so its raw weight is how often it would be made again if the records were drawn again; sets that win by nothing share
 the resample. A curve in the winner beside an effect at the same place says that the effect has not the right form: it supports the
-place and the variable, and denies the name. A map of six numbers a depth, fitted to a study of cases with known answers, turns that
-weight, the share of the error that is claimed, what is left, whether only sensors are accused and whether a lag is, into a
-probability (`certainty.json`): a sensor can imitate whatever the plant does, and a lag a delay, so where the true effect is not in the
-catalogue these are accused in vain.
+place and the variable, and denies the name. A map of four numbers a depth, fitted to a study of cases with known answers, turns that
+weight, what is left, and whether only sensors are accused of it, into a probability (`certainty.json`): where the true effect is not in
+the catalogue more than noise is left, and a sensor can imitate whatever the plant does.
 """
 
 from __future__ import annotations
@@ -87,7 +86,7 @@ class Claim(ReadOnly):
     joint
         Of a name: how probable it is that it or one of its equals is right.
     frequency, left
-        What the probability was computed from, beside the share, the sites and the form: the share of the resamples in which the claim
+        What the probability was computed from, beside the sites: the share of the resamples in which the claim
         holds; and of the set that won most often, the share of the rms error that is no noise.
     """
 
@@ -449,27 +448,16 @@ class Features(NamedTuple):
     left: float
     """Root of the share of the rms error that is no noise, 0 to 1."""
 
-    share: float
-    """Share of the error that is claimed."""
-
     sensors: float
-    """Whether the claim is about sensors alone."""
-
-    timing: float
-    """Whether it is about a lag or a delay."""
+    """The same of a claim about sensors alone, 0 of any other: where something is left, a sensor imitates it best."""
 
 
 def to_features(claim: Claim) -> Features:
     """The features of a claim."""
     weight = min(max(claim.frequency, LEAST_WEIGHT), 1 - LEAST_WEIGHT)
-    sensor = site_label(SiteKind.SENSOR, "")
-    return Features(
-        math.log(weight / (1 - weight)),
-        math.sqrt(min(max(claim.left, 0.0), 1.0)),
-        claim.share,
-        float(bool(claim.sites) and all(label.startswith(sensor) for label in claim.sites)),
-        float(claim.form == TIMING),
-    )
+    left, sensor = math.sqrt(min(max(claim.left, 0.0), 1.0)), site_label(SiteKind.SENSOR, "")
+    is_of_sensors = bool(claim.sites) and all(label.startswith(sensor) for label in claim.sites)
+    return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors)
 
 
 def to_probability(depth: Depth, features: Features) -> float:

@@ -157,16 +157,18 @@ def test_sets_that_differ_by_nothing_win_together():
 def test_a_probability_rises_with_the_weight_and_falls_with_what_is_left(depth):
     assert set(read_certainty()) == {int(d) for d in Depth}
 
-    def probability(frequency=0.9, left=0.0, sites=("balance force",), form="static", share=0.9):
-        made = Claim(depth, "x", sites, form=form, share=share, frequency=frequency, left=left)
+    def probability(frequency=0.9, left=0.0, sites=("balance force",)):
+        made = Claim(depth, "x", sites, frequency=frequency, left=left)
         return to_probability(depth, to_features(made))
 
     weights = [probability(frequency=f) for f in (0.2, 0.5, 0.9, 1.0)]
     assert weights == sorted(weights)
-    doubtful = {"left": 0.8, "sites": ("sensor of x", "sensor of i"), "form": "timing", "share": 0.1}
-    assert all(probability(**{name: value}) <= probability() for name, value in doubtful.items())
-    # A place in the plant that is one of several keeps its odds.
-    assert probability(sites=("balance force", "sensor of x")) == probability()
+    assert probability(left=0.8) <= probability()
+    # A sensor is doubted for what is left; a place in the plant that is one of several keeps its odds.
+    sensors = ("sensor of x", "sensor of i")
+    assert probability(left=0.8, sites=sensors) <= probability(left=0.8)
+    assert probability(sites=sensors) == probability()
+    assert probability(left=0.8, sites=("balance force", "sensor of x")) == probability(left=0.8)
 
 
 def test_grades_follow_the_probability():

@@ -484,12 +484,6 @@ FINDINGS = [
         " separate them",
     ),
     (
-        Code.FIT_HALVES_ALONE,
-        *("viscoelastic_creep", {"change": 0.588}),
-        "fit viscoelastic creep to each half of the records alone: its constants differ by 59 % between them, so it has another form or"
-        " the plant changes",
-    ),
-    (
         Code.ERROR_REDUCED,
         *(
             "y",
