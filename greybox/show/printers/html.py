@@ -160,13 +160,22 @@ def label(text: Text) -> str:
 UNBROKEN = re.compile(r" (?=[±×])|(?<=[±×]) |(?<=\d) (?=\S{1,8}$)")
 
 
+# A unit behind a number at the end of a cell.
+UNIT_AT_END = re.compile(r"(?<=[\d⁰-⁹¹²³]) ((?:1/)?[^\W\d_][\w^*/()]*)$")
+
+
 def cell(text: str, head: str = "") -> str:
     """A cell of a table below ``head``, with numbers and units as print has them; a value is not torn from its unit or its uncertainty."""
     if isinstance(text, FileLink):
         return Markup('<a href="{}">{}</a>').format(quote(text), text)
     if head == "unit":
         return raise_powers(text)
-    return UNBROKEN.sub("\N{NO-BREAK SPACE}", typeset_number(text)) if text != "-" else "–"
+    if text == "-":
+        return "–"
+    number = UNIT_AT_END.sub(
+        lambda match: raise_powers(match[0]).replace(" ", "\N{NO-BREAK SPACE}"), typeset_number(text)
+    )
+    return UNBROKEN.sub("\N{NO-BREAK SPACE}", number)
 
 
 def page_style() -> Markup:

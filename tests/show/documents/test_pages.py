@@ -30,7 +30,7 @@ from greybox.shell.commands import app
 from greybox.show.describe import describe_page
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
-from greybox.show.printers.html import LARGEST_PAGE, label, render_page, say, write_page
+from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
 from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 
@@ -327,3 +327,17 @@ def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: py
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.csv", "out", "run.csv", "run.html"]
     CliRunner().invoke(app, ["simulate", "micro_actuator", *pace, "--noise", "x=2e-7", "--output", "run.csv"])
     assert "x 2·10⁻⁷ m" in Path("run.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("written", "shown"),
+    [
+        ("0.5 N*s/m^2", "0.5 N s/m²"),
+        ("-3e-4 +- 1e-5 rad/s^2", "−3·10⁻⁴ ± 1·10⁻⁵ rad/s²"),
+        ("3 ohm", "3 Ω"),
+        ("x*y^2", "x*y^2"),  # no number before it: a name
+        ("5 of 10 rows", "5 of 10 rows"),
+    ],
+)
+def test_a_unit_behind_a_number_of_a_cell_is_typeset(written, shown):
+    assert cell(written).replace("\N{NO-BREAK SPACE}", " ") == shown
