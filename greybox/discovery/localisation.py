@@ -477,7 +477,7 @@ def _to_signal(
         line.time[rows],
         smoothed.value,
         smoothed.std,
-        dict(zip(names, values.T, strict=True)),
+        {name: column for name, column in zip(names, values.T, strict=True) if name not in model.auxiliary},
         signal_units(model),
     )
 

@@ -67,6 +67,7 @@ from greybox.discovery.holdout import (
 )
 from greybox.discovery.laws.search import LawSearch, search_laws
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
 from greybox.discovery.proposals import (
@@ -103,6 +104,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.effects.scales import Scales
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Records = Experiment | Sequence[Experiment]
 
@@ -173,7 +175,7 @@ SEARCH_SHARE = 0.6
 
 
 def discover(
-    model: Model,
+    model: Model | Plant,
     estimation: Records,
     *,
     validation: Records,
@@ -205,7 +207,7 @@ def discover(
     Parameters
     ----------
     model
-        The plain model.
+        The plain model; or a plant that is run from outside, of which effects at its inputs and outputs are looked for.
     estimation
         Records to fit to.
     validation
@@ -269,7 +271,6 @@ def discover(
     """
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
-    model.require_equations("a discovery")
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
@@ -285,6 +286,40 @@ def discover(
         raise DataError(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
+        )
+    if isinstance(model := as_model(model), PlantModel):
+        if laws:
+            raise ModelError(
+                f"{model.title} is run from outside: the equation that a balance lacks needs equations; leave out laws"
+            )
+        return search_plant(
+            model,
+            estimation,
+            partial(
+                discover,
+                skip=skip,
+                beginning=beginning,
+                noise=noise,
+                without=without,
+                policy=policy,
+                on_message=on_message,
+                executor=executor,
+                workers=workers,
+                journal=journal,
+                on_refit=on_refit,
+                further=further,
+                time_limit=time_limit,
+                beside=beside,
+            ),
+            effects=effects,
+            options=options,
+            fitting={
+                "validation": validation_set.records,
+                "noise": noise,
+                "quiet": _as_tuple(quiet),
+                "skip": skip,
+                "beginning": beginning,
+            },
         )
     refit_journal = RefitJournal(Path(journal)) if journal else None
     for finding in refit_journal.findings if refit_journal else ():

@@ -27,11 +27,13 @@ def build_model(study: Study) -> Model:
     """The model of a study: with its schedules, effects and process noise, parameters freed, started and fixed; without
     priors and ties. Raises GreyboxError.
     """
+    from greybox.shell.plants import plant_kind
     from greybox.shell.project import find_model
 
+    kind = plant_kind(study)
     model = _apply_schedules(find_model(study.model), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
-    return set_parameters(model, study)
+    return kind.set_parameters(model, study) if kind else set_parameters(model, study)
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:

@@ -319,7 +319,7 @@ def recommend_after_fit(fit: Fit) -> tuple[Finding, ...]:
     ['measure_output', 'fix_constants']
     """
     undetermined = [n for n, e in fit.parameters.items() if not e.fixed and e.std is None and not e.at_bound]
-    if not (fit.success and undetermined):
+    if not (fit.success and undetermined and fit.model.has_equations):
         return ()
     try:
         at_rest = bool(fit.provenance.options.get("at_rest", False))

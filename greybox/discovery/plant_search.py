@@ -1,0 +1,236 @@
+"""A search at a plant that is run from outside: effects at its inputs and outputs, found on a model about its run, fitted with itself.
+
+The plant is fitted and run; about that run a model stands for it (`greybox.simulation.local_model`), exact there and of first order
+around it, which is searched as any other. What is found is fitted with the plant, so that its constants and errors are those of the plant.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.base.errors import DataError, ModelError
+from greybox.base.findings import Finding, Severity
+from greybox.comparison.input_response import estimate_linear_response
+from greybox.data.experiment import Experiment, stack_signals
+from greybox.discovery.decision import Verdict
+from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.holdout import compare_holdout_errors
+from greybox.discovery.result import Discovery
+from greybox.estimation.fit import fit
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import Trace
+from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import applicable_effects
+from greybox.model.model import Model
+from greybox.simulation.local_model import LocalModel, build_local_model, extend_record
+from greybox.simulation.plant import PlantModel
+from greybox.simulation.plant_kernel import PlantKernel
+
+
+@dataclass(frozen=True, eq=False)
+class PlantView:
+    """A fitted plant as a search sees it.
+
+    Parameters
+    ----------
+    local
+        The model about its run.
+    estimation, validation
+        The records with what that model takes from runs of the plant.
+    runs
+        Runs of one record that this took.
+    """
+
+    local: LocalModel
+    estimation: tuple[Experiment, ...]
+    validation: tuple[Experiment, ...]
+    runs: int
+
+    @property
+    def explained(self) -> float:
+        """Least share of the answer to the inputs that the linear system follows, over the outputs; NaN without one."""
+        return min(self.local.response.explained.values()) if self.local.response else math.nan
+
+
+def view_plant(result: Fit) -> PlantView:
+    """A fitted plant with its records as a search sees it; of effects that it has, the run is one with them.
+
+    Raises
+    ------
+    PlantRunError
+        Where the plant does not run over a record.
+    """
+    model = result.model
+    assert isinstance(model, PlantModel)
+    bare = replace(model, effects=())
+    assert isinstance(bare, PlantModel)
+    kernel, behind = PlantKernel(bare), PlantKernel(model)
+    traces, others = result.traces, result.validation.traces
+    longest = behind.drive_experiment(max(traces, key=lambda t: len(t.time)).experiment)
+    local = build_local_model(bare, traces[0].hold, estimate_linear_response(kernel, longest))
+
+    def extend(trace: Trace) -> Experiment:
+        """The record with the run of the plant over the inputs as they reached it."""
+        driven, known = behind.drive_experiment(trace.experiment), None
+        # Between the rows of the record there may be finer ones.
+        rows = slice(None, None, (driven.rows - 1) // (len(trace.time) - 1))
+        run = {name: y[rows] for name, y in kernel.run_experiment(driven, trace.initial_state).items()}
+        slopes = kernel.differentiate_experiment(driven, trace.initial_state)[rows]
+        if local.response is not None:
+            applied = stack_signals([driven.inputs[i.name] for i in bare.inputs], driven.rows)
+            known = local.response.run(driven.time, applied, driven.hold)[rows]
+        return extend_record(trace.experiment, local, run, slopes, known)
+
+    return PlantView(local, tuple(map(extend, traces)), tuple(map(extend, others)), kernel.runs)
+
+
+# Relative difference of two errors below which the plant errs as its local model does.
+AGREEMENT = 0.01
+
+
+def search_plant(
+    model: PlantModel,
+    estimation: Experiment | Sequence[Experiment],
+    search: Callable[..., Discovery],
+    *,
+    effects: Sequence[Effect] | None,
+    options: FitOptions,
+    fitting: Mapping[str, Any],
+) -> Discovery:
+    """Find which effect a plant lacks at its inputs and outputs.
+
+    Parameters
+    ----------
+    model
+        The plant.
+    estimation
+        Records to fit to.
+    search
+        ``search(model, estimation, **options)``: `greybox.discover` of a model with equations.
+    effects
+        The only candidates, instead of the catalogue.
+    options
+        Of every fit.
+    fitting
+        Further arguments of `greybox.fit`: the validation records, the noise.
+
+    Returns
+    -------
+    Discovery
+        The answer, its fits those of the plant.
+
+    Raises
+    ------
+    DataError
+        Where the plant does not run over the records.
+    """
+    if model.equations is not None:
+        raise ModelError(f"{model.title} rests on equations: search its model with records over time")
+    base = fit(model, estimation, options=options, **fitting)
+    if not base.traces or not np.isfinite(base.solver.cost):
+        raise DataError(f"{model.title} does not run over these records: {base.solver.status_message}")
+
+    def look(view: PlantView) -> tuple[Discovery, Fit]:
+        """The answer about a run, and the plant with the effects of that."""
+        seen = {o.name for o in model.outputs}
+        seen |= {i.name for i in model.inputs} if view.local.response is not None else set()
+        plain = view.local.model
+        for effect in model.effects:
+            plain = plain + effect
+        bound = {b.effect.name: b.model_names for b in plain.bound_effects}
+        given = {
+            name: base.model.values[there] for e, names in bound.items() for name, there in _pair(base.model, e, names)
+        }
+        plain = plain.start(**given)
+        listed = [e for e in applicable_effects(model) if (model + e).bound_effects[-1].site in seen and not e.hold]
+        answer = search(
+            plain,
+            view.estimation,
+            validation=view.validation,
+            effects=listed if effects is None else effects,
+            options=replace(options, at_rest=True),
+        )
+        return answer, _fit_with_plant(base, answer, estimation, options, fitting)
+
+    view = view_plant(base)
+    answer, best = look(view)
+    runs = _count(base) + view.runs + (_count(best) if best is not base else 0)
+    if best is not base and answer.verdict is not Verdict.NAMED and not _agrees(answer.best, best):
+        # About the constants of the plant alone the local model was not exact enough to tell what is left.
+        view = view_plant(best)
+        again, better = look(view)
+        runs += view.runs + (_count(better) if better is not base else 0)
+        if better is not base:
+            answer, best = again, better
+    findings = [*answer.findings, *_remarks(model, view, answer, best, runs)]
+    refinement = None if answer.refinement is None else replace(answer.refinement, fit=best)
+    holdout = compare_holdout_errors(base, best)
+    return replace(
+        answer, base=base, best=best, holdout=holdout, refinement=refinement, surrogate=None, findings=tuple(findings)
+    )
+
+
+def _pair(model: Model, effect: str, names: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Names of the constants of an effect in one model (``names``, by the effect's own) beside those in another."""
+    there = model.names_of(effect)
+    return [(name, there[own]) for own, name in names.items() if there[own] in model.values]
+
+
+def _fit_with_plant(
+    base: Fit,
+    answer: Discovery,
+    estimation: Experiment | Sequence[Experiment],
+    options: FitOptions,
+    fitting: Mapping[str, Any],
+) -> Fit:
+    """The plant with the effects of an answer, from their constants there on; the plant alone where there are none, or it does not run."""
+    known, found = set(base.model.effect_names), answer.best.model
+    extended = base.model
+    for effect in found.effects:
+        extended = extended if effect.name in known else extended + effect
+    if extended is base.model:
+        return base
+    start = {
+        there: found.values[name]
+        for effect in extended.effect_names
+        for there, name in _pair(found, effect, extended.names_of(effect))
+        if there in extended.values
+    }
+    same = {q.name: found.values[q.name] for q in base.model.free_parameters if q.name in found.values}
+    # It begins near: no part of the records comes before the whole.
+    options = replace(options, progressive=False)
+    result = fit(extended.start(**same, **start), estimation, options=options, **fitting)
+    return result if result.traces and np.isfinite(result.solver.cost) else base
+
+
+def _agrees(local: Fit, plant: Fit) -> bool:
+    """Whether the plant errs as the local model says."""
+    return all(
+        abs(m.rmse - local.misfit[name].rmse) <= AGREEMENT * local.misfit[name].rmse
+        for name, m in plant.misfit.items()
+        if name in local.misfit
+    )
+
+
+def _count(result: Fit) -> int:
+    return int(result.solver.statistics.get("runs", 0))
+
+
+def _remarks(model: PlantModel, view: PlantView, answer: Discovery, best: Fit, runs: int) -> list[Finding]:
+    """How the effects were seen, whether the plant errs as was expected, and what it took."""
+    findings = []
+    if model.inputs and view.local.response is None:
+        findings.append(Finding(DiscoveryCode.NO_INPUT_RESPONSE, Severity.WARNING, model.title))
+    elif model.inputs:
+        values = {"share": view.explained}
+        findings.append(Finding(DiscoveryCode.SEEN_THROUGH_RESPONSE, subject=model.title, values=values))
+    if answer.best.model.effects and not _agrees(answer.best, best):
+        errors = {n: m.rmse / answer.best.misfit[n].rmse for n, m in best.misfit.items() if n in answer.best.misfit}
+        findings.append(Finding(DiscoveryCode.PLANT_DISAGREES, Severity.WARNING, best.model.title, {"ratios": errors}))
+    return [*findings, Finding(DiscoveryCode.PLANT_RUNS, subject=model.title, values={"runs": runs})]
