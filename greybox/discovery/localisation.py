@@ -346,6 +346,7 @@ def localise_residual(
     >>> gb.discovery.localise_residual(fit).likeliest  # doctest: +SKIP
     ('balance force',)
     """
+    fit.model.require_equations("a localisation of the residual")
     candidate = to_candidate_fit(fit) if isinstance(fit, Fit) else fit
     selection = selection or SelectionPolicy()
     residuals = normalised_residuals(candidate)

@@ -6,7 +6,6 @@ around it, which is searched as any other. What is found is fitted with the plan
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -28,8 +27,8 @@ from greybox.estimation.result_parts import Trace
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.model import Model
-from greybox.simulation.local_model import LocalModel, build_local_model, extend_record
-from greybox.simulation.plant import PlantModel
+from greybox.simulation.local_model import build_local_model, extend_record
+from greybox.simulation.plant import LinearResponse, PlantModel
 from greybox.simulation.plant_kernel import PlantKernel
 
 
@@ -39,27 +38,38 @@ class PlantView:
 
     Parameters
     ----------
-    local
-        The model about its run.
+    model
+        What stands for it, with the effects that are its user's.
+    response
+        The linear answer to its inputs in that; None where effects at inputs cannot be seen through one.
     estimation, validation
-        The records with what that model takes from runs of the plant.
+        The records with what the model takes from runs of the plant.
     runs
         Runs of one record that this took.
     """
 
-    local: LocalModel
+    model: Model
+    response: LinearResponse | None
     estimation: tuple[Experiment, ...]
     validation: tuple[Experiment, ...]
     runs: int
 
     @property
-    def explained(self) -> float:
-        """Least share of the answer to the inputs that the linear system follows, over the outputs; NaN without one."""
-        return min(self.local.response.explained.values()) if self.local.response else math.nan
+    def seen(self) -> frozenset[str]:
+        """Inputs and outputs of the plant at which effects can be seen."""
+        inputs = {i.name for i in self.model.inputs} - self.model.auxiliary if self.response is not None else set()
+        return frozenset(inputs | {o.name for o in self.model.outputs})
 
 
-def view_plant(result: Fit) -> PlantView:
+def view_plant(result: Fit, effects: Sequence[str] | None = None) -> PlantView:
     """A fitted plant with its records as a search sees it; of effects that it has, the run is one with them.
+
+    Parameters
+    ----------
+    result
+        A fit of a plant without equations.
+    effects
+        Those of its effects that the model has, too; None for all.
 
     Raises
     ------
@@ -87,7 +97,46 @@ def view_plant(result: Fit) -> PlantView:
             known = local.response.run(driven.time, applied, driven.hold)[rows]
         return extend_record(trace.experiment, local, run, slopes, known)
 
-    return PlantView(local, tuple(map(extend, traces)), tuple(map(extend, others)), kernel.runs)
+    about = local.model
+    for effect in model.effects:
+        about = about + effect if effects is None or effect.name in effects else about
+    about = about.start(**_translate(model, about))
+    return PlantView(about, local.response, tuple(map(extend, traces)), tuple(map(extend, others)), kernel.runs)
+
+
+def _translate(model: Model, other: Model) -> dict[str, float]:
+    """The constants that two models share, as they are in ``model``, by their names in ``other``: effects may name theirs otherwise."""
+    shared = {q.name: model.values[q.name] for q in other.parameters if q.name in model.values and not q.fixed}
+    for name in other.effect_names:
+        if name in model.effect_names:
+            here, there = model.names_of(name), other.names_of(name)
+            shared |= {there[n]: model.values[here[n]] for n in here if here[n] in model.values}
+    return {name: value for name, value in shared.items() if name in other.values}
+
+
+def fit_with_plant(
+    base: Fit, found: Model, estimation: Experiment | Sequence[Experiment], options: FitOptions, **fitting: Any
+) -> Fit:
+    """The plant of a fit with the effects of a model that stood for it, from their constants there on.
+
+    Parameters
+    ----------
+    base
+        The fit of the plant without them; it is what comes back where there are none, or the plant does not run with them.
+    found
+        The model about its run, fitted.
+    estimation, options, fitting
+        As of `greybox.fit`.
+    """
+    extended = base.model
+    for effect in found.effects:
+        extended = extended if effect.name in base.model.effect_names else extended + effect
+    if extended is base.model:
+        return base
+    start = {n: v for n, v in _translate(found, extended).items() if not extended.parameter(n).fixed}
+    # It begins near: no part of the records comes before the whole.
+    result = fit(extended.start(**start), estimation, options=replace(options, progressive=False), **fitting)
+    return result if result.traces and np.isfinite(result.solver.cost) else base
 
 
 # Relative difference of two errors below which the plant errs as its local model does.
@@ -138,32 +187,22 @@ def search_plant(
 
     def look(view: PlantView) -> tuple[Discovery, Fit]:
         """The answer about a run, and the plant with the effects of that."""
-        seen = {o.name for o in model.outputs}
-        seen |= {i.name for i in model.inputs} if view.local.response is not None else set()
-        plain = view.local.model
-        for effect in model.effects:
-            plain = plain + effect
-        bound = {b.effect.name: b.model_names for b in plain.bound_effects}
-        given = {
-            name: base.model.values[there] for e, names in bound.items() for name, there in _pair(base.model, e, names)
-        }
-        plain = plain.start(**given)
-        listed = [e for e in applicable_effects(model) if (model + e).bound_effects[-1].site in seen and not e.hold]
+        listed = [e for e in applicable_effects(model) if (model + e).bound_effects[-1].site in view.seen]
         answer = search(
-            plain,
+            view.model,
             view.estimation,
             validation=view.validation,
             effects=listed if effects is None else effects,
             options=replace(options, at_rest=True),
         )
-        return answer, _fit_with_plant(base, answer, estimation, options, fitting)
+        return answer, fit_with_plant(base, answer.best.model, estimation, options, **fitting)
 
     view = view_plant(base)
     answer, best = look(view)
     runs = _count(base) + view.runs + (_count(best) if best is not base else 0)
     if best is not base and answer.verdict is not Verdict.NAMED and not _agrees(answer.best, best):
         # About the constants of the plant alone the local model was not exact enough to tell what is left.
-        view = view_plant(best)
+        view = view_plant(best, base.model.effect_names)
         again, better = look(view)
         runs += view.runs + (_count(better) if better is not base else 0)
         if better is not base:
@@ -174,39 +213,6 @@ def search_plant(
     return replace(
         answer, base=base, best=best, holdout=holdout, refinement=refinement, surrogate=None, findings=tuple(findings)
     )
-
-
-def _pair(model: Model, effect: str, names: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Names of the constants of an effect in one model (``names``, by the effect's own) beside those in another."""
-    there = model.names_of(effect)
-    return [(name, there[own]) for own, name in names.items() if there[own] in model.values]
-
-
-def _fit_with_plant(
-    base: Fit,
-    answer: Discovery,
-    estimation: Experiment | Sequence[Experiment],
-    options: FitOptions,
-    fitting: Mapping[str, Any],
-) -> Fit:
-    """The plant with the effects of an answer, from their constants there on; the plant alone where there are none, or it does not run."""
-    known, found = set(base.model.effect_names), answer.best.model
-    extended = base.model
-    for effect in found.effects:
-        extended = extended if effect.name in known else extended + effect
-    if extended is base.model:
-        return base
-    start = {
-        there: found.values[name]
-        for effect in extended.effect_names
-        for there, name in _pair(found, effect, extended.names_of(effect))
-        if there in extended.values
-    }
-    same = {q.name: found.values[q.name] for q in base.model.free_parameters if q.name in found.values}
-    # It begins near: no part of the records comes before the whole.
-    options = replace(options, progressive=False)
-    result = fit(extended.start(**same, **start), estimation, options=options, **fitting)
-    return result if result.traces and np.isfinite(result.solver.cost) else base
 
 
 def _agrees(local: Fit, plant: Fit) -> bool:
@@ -225,10 +231,10 @@ def _count(result: Fit) -> int:
 def _remarks(model: PlantModel, view: PlantView, answer: Discovery, best: Fit, runs: int) -> list[Finding]:
     """How the effects were seen, whether the plant errs as was expected, and what it took."""
     findings = []
-    if model.inputs and view.local.response is None:
+    if model.inputs and view.response is None:
         findings.append(Finding(DiscoveryCode.NO_INPUT_RESPONSE, Severity.WARNING, model.title))
-    elif model.inputs:
-        values = {"share": view.explained}
+    elif view.response is not None:
+        values = {"share": min(view.response.explained.values())}
         findings.append(Finding(DiscoveryCode.SEEN_THROUGH_RESPONSE, subject=model.title, values=values))
     if answer.best.model.effects and not _agrees(answer.best, best):
         errors = {n: m.rmse / answer.best.misfit[n].rmse for n, m in best.misfit.items() if n in answer.best.misfit}

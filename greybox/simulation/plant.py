@@ -212,6 +212,14 @@ class PlantModel(Model):
             )
         return replace(self, effects=(*self.effects, effect))
 
+    def require_equations(self, purpose: str) -> None:
+        """Refuse ``purpose``, which begins the reason. Raises ModelError."""
+        if self.equations is not None:
+            raise ModelError(
+                f"{self.title}: {purpose} takes the model behind this plant (``equations``), and not the plant"
+            )
+        super().require_equations(purpose)
+
     @property
     def is_cheap(self) -> bool:
         """Whether a run takes no time to speak of."""

@@ -449,6 +449,30 @@ def test_an_effect_at_an_output_is_one_more_constant(case):
         assert abs(result.parameters[name].value - true) < 4 * result.parameters[name].std
 
 
+def test_an_effect_at_an_output_is_found(case):
+    """By the same search, with the same answer, whatever the plant is."""
+    if case.name in ("model", "filter", "frequency"):
+        pytest.skip("searched in its equations")
+    first, scale = case.model.outputs[0].name, 0.0
+    drifted = []
+    for record in case.records:
+        scale = scale or 40 * case.noise[first] / (record.time[-1] - record.time[0])
+        y = record.outputs[first] + scale * (record.time - record.time[0])
+        drifted.append(record.with_outputs({**record.outputs, first: y}))
+    candidates = [gb.effect("sensor_drift"), gb.effect("sensor_lag")]
+    found = gb.discover(case.plant, drifted[0], validation=drifted[1], noise=case.noise, effects=candidates, workers=1)
+    # A pendulum over four seconds does not tell its torque from its sensor.
+    assert found.verdict in ("named", "partly") and [e["name"] for e in found.effects] == ["sensor_drift"]
+    rate = found.best.parameters["rate"]
+    assert abs(rate.value - scale) < 4 * rate.std and found.best.model.name == case.model.name
+    assert gb.discovery.try_effect(found.base, "sensor_drift", validation=drifted[1]).is_needed
+
+
+def test_each_record_is_fitted_by_itself(case):
+    fleet = gb.fit_each(case.plant, case.records, noise=case.noise)
+    assert len(fleet.records) == 2 and all(set(case.truth) <= set(r.parameters) for r in fleet.records)
+
+
 def test_what_a_run_costs_is_told_where_it_has_a_price(fitted):
     case, result = fitted
     cost = result.solver.statistics
@@ -458,7 +482,8 @@ def test_what_a_run_costs_is_told_where_it_has_a_price(fitted):
         assert cost["runs"] > 0 and cost["failed_runs"] >= 0 and cost["simulation_equivalents"] > 0
 
 
-def test_what_needs_equations_says_so(case):
+def test_what_needs_equations_says_so(case, tmp_path):
+    of_laws = case.plant, case.records[0]
     if "equations" in case.abilities:
         assert gb.linearise(free_run(case)).A.shape == (2, 2)
         return
@@ -474,10 +499,13 @@ def test_what_needs_equations_says_so(case):
         lambda: gb.predict(gb.fit(case.plant, case.records[0], noise=case.noise), case.records[0]),
         lambda: gb.smooth(case.model, case.records[0], noise=case.noise),
         lambda: gb.design(case.model, limits={}, duration=1.0),
+        lambda: gb.design(gb.fit(case.plant, case.records[0], noise=case.noise), duration=1.0),
+        lambda: gb.discovery.localise_residual(gb.fit(case.plant, case.records[0], noise=case.noise)),
+        lambda: gb.identifiability.analyse_structural_identifiability(case.model),
+        *([] if case.name == "frequency" else [lambda: gb.export.to_python(case.model, tmp_path / "model.py")]),
+        *([] if case.name == "frequency" else [lambda: gb.discover(*of_laws, validation=case.records[-1], laws=True)]),
     ):
-        with pytest.raises(
-            ModelError, match=rf"{case.model.name}: .* needs equations, and this plant is run from outside"
-        ):
+        with pytest.raises(ModelError, match=rf"{case.model.name}[: ].*(run from outside|the model behind this plant)"):
             refused()
 
 

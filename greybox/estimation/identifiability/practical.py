@@ -148,7 +148,7 @@ def analyse_practical_identifiability(
     ('La',)
     """
     problem = prepare_problem(model, experiments, noise, FitOptions(at_rest=at_rest, method=method, substeps=substeps))
-    if structure is None:
+    if structure is None and model.has_equations:
         measured = list_measured_outputs(problem)
         structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
     return analyse_problem(problem, structure)
