@@ -94,7 +94,7 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
     is_shape_correction,
 )
-from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
 from greybox.discovery.table import FitTable
@@ -313,6 +313,7 @@ def discover(
             ),
             effects=effects,
             options=options,
+            test=test_set,
             fitting={
                 "validation": validation_set.records,
                 "noise": noise,
@@ -879,18 +880,7 @@ def _quote_test_error(result: Discovery, problem: DiscoveryProblem, test: Valida
     """A discovery with its error on the test records, beside that of the plain model; as it is without them."""
     plain = _run_on_test(problem, result.base, test)
     answer = plain if result.extended is result.base else _run_on_test(problem, result.extended, test)
-    if plain is None or answer is None:
-        return result
-    errors = compare_holdout_errors(plain, answer)
-    findings = tuple(
-        Finding(
-            DiscoveryCode.TEST_ERROR,
-            subject=output,
-            values={"before": e.before, "after": e.after, "unit": e.unit, "is_plain": answer is plain},
-        )
-        for output, e in errors.items()
-    )
-    return replace(result, test=errors, findings=(*findings, *result.findings))
+    return result if plain is None or answer is None else quote_test_error(result, plain, answer)
 
 
 def _sum_up(holdout: Mapping[str, HoldoutError]) -> tuple[float, float]:

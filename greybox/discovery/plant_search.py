@@ -18,8 +18,8 @@ from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
-from greybox.discovery.holdout import compare_holdout_errors
-from greybox.discovery.result import Discovery
+from greybox.discovery.holdout import ValidationSet, compare_holdout_errors
+from greybox.discovery.result import Discovery, quote_test_error
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -42,7 +42,7 @@ class PlantView:
         What stands for it, with the effects that are its user's.
     response
         The linear answer to its inputs in that; None where effects at inputs cannot be seen through one.
-    estimation, validation
+    estimation, validation, test
         The records with what the model takes from runs of the plant.
     runs
         Runs of one record that this took.
@@ -52,6 +52,7 @@ class PlantView:
     response: LinearResponse | None
     estimation: tuple[Experiment, ...]
     validation: tuple[Experiment, ...]
+    test: tuple[Experiment, ...]
     runs: int
 
     @property
@@ -61,7 +62,7 @@ class PlantView:
         return frozenset(inputs | {o.name for o in self.model.outputs})
 
 
-def view_plant(result: Fit, effects: Sequence[str] | None = None) -> PlantView:
+def view_plant(result: Fit, effects: Sequence[str] | None = None, test: Sequence[Trace] = ()) -> PlantView:
     """A fitted plant with its records as a search sees it; of effects that it has, the run is one with them.
 
     Parameters
@@ -70,6 +71,8 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None) -> PlantView:
         A fit of a plant without equations.
     effects
         Those of its effects that the model has, too; None for all.
+    test
+        Runs over records that take no part in a search.
 
     Raises
     ------
@@ -101,7 +104,8 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None) -> PlantView:
     for effect in model.effects:
         about = about + effect if effects is None or effect.name in effects else about
     about = about.start(**_translate(model, about))
-    return PlantView(about, local.response, tuple(map(extend, traces)), tuple(map(extend, others)), kernel.runs)
+    estimation, validation, tests = (tuple(map(extend, group)) for group in (traces, others, test))
+    return PlantView(about, local.response, estimation, validation, tests, kernel.runs)
 
 
 def _translate(model: Model, other: Model) -> dict[str, float]:
@@ -150,6 +154,7 @@ def search_plant(
     *,
     effects: Sequence[Effect] | None,
     options: FitOptions,
+    test: ValidationSet,
     fitting: Mapping[str, Any],
 ) -> Discovery:
     """Find which effect a plant lacks at its inputs and outputs.
@@ -166,6 +171,8 @@ def search_plant(
         The only candidates, instead of the catalogue.
     options
         Of every fit.
+    test
+        Records that take no part in the search.
     fitting
         Further arguments of `greybox.fit`: the validation records, the noise.
 
@@ -192,27 +199,36 @@ def search_plant(
             view.model,
             view.estimation,
             validation=view.validation,
+            test=view.test,
             effects=listed if effects is None else effects,
             options=replace(options, at_rest=True),
         )
         return answer, fit_with_plant(base, answer.best.model, estimation, options, **fitting)
 
-    view = view_plant(base)
+    def run_test(result: Fit) -> Fit:
+        """A fit with its runs over the test records in the place of those over the validation records."""
+        return replace(result, validation=test.run(result.model, result.noise.std, options)) if test else result
+
+    tested = run_test(base)
+    view = view_plant(base, test=tested.validation.traces if test else ())
     answer, best = look(view)
     runs = _count(base) + view.runs + (_count(best) if best is not base else 0)
     if best is not base and answer.verdict is not Verdict.NAMED and not _agrees(answer.best, best):
         # About the constants of the plant alone the local model was not exact enough to tell what is left.
-        view = view_plant(best, base.model.effect_names)
+        view = view_plant(best, base.model.effect_names, run_test(best).validation.traces if test else ())
         again, better = look(view)
         runs += view.runs + (_count(better) if better is not base else 0)
         if better is not base:
             answer, best = again, better
-    findings = [*answer.findings, *_remarks(model, view, answer, best, runs)]
+    # The error on the test records is that of the plant.
+    kept = [f for f in answer.findings if f.code != DiscoveryCode.TEST_ERROR]
+    findings = [*kept, *_remarks(model, view, answer, best, runs)]
     refinement = None if answer.refinement is None else replace(answer.refinement, fit=best)
     holdout = compare_holdout_errors(base, best)
-    return replace(
+    answer = replace(
         answer, base=base, best=best, holdout=holdout, refinement=refinement, surrogate=None, findings=tuple(findings)
     )
+    return quote_test_error(answer, tested, tested if best is base else run_test(best)) if test else answer
 
 
 def _agrees(local: Fit, plant: Fit) -> bool:

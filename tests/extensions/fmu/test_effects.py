@@ -142,7 +142,13 @@ def test_a_discovery_names_the_effect(fitted, records):
     """As any discovery: one value, one text, one file; its places are the ports of the FMU, its fits those of the FMU."""
     names = ("input_dead_zone", "input_offset", "sensor_lag", "drive_lag")
     found = gb.discover(
-        fitted.model, records[0], validation=records[1], noise=NOISE, effects=list(map(gb.effect, names)), workers=1
+        fitted.model,
+        records[0],
+        validation=records[1],
+        test=mass_record(2),
+        noise=NOISE,
+        effects=list(map(gb.effect, names)),
+        workers=1,
     )
     assert type(found) is Discovery and found.verdict is Verdict.NAMED
     assert [e["name"] for e in found.effects] == ["input_dead_zone"]
@@ -151,6 +157,8 @@ def test_a_discovery_names_the_effect(fitted, records):
     assert found.base.parameters["K"].value == pytest.approx(fitted.parameters["K"].value, rel=1e-6)
     assert {s["name"] for s in found.ranked_sites} == {"F", "x", "v"} and found.sites == ("input F",)
     assert [c.name for c in found.claims if c.name] == ["input_dead_zone"]
+    exact = gb.validate(found.best.model, mass_record(2), noise=NOISE).misfit
+    assert {n: e.after for n, e in found.test.items()} == pytest.approx({n: m.rmse for n, m in exact.items()}, rel=1e-6)
     text = str(found)
     assert "linear response" in text and "was run" in text
     assert not any(word in text for word in ("run_x", "response_1"))
