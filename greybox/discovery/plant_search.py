@@ -113,13 +113,13 @@ def _translate(model: Model, other: Model) -> dict[str, float]:
     shared = {q.name: model.values[q.name] for q in other.parameters if q.name in model.values and not q.fixed}
     for name in other.effect_names:
         if name in model.effect_names:
-            here, there = model.names_of(name), other.names_of(name)
-            shared |= {there[n]: model.values[here[n]] for n in here if here[n] in model.values}
+            names, others = model.names_of(name), other.names_of(name)
+            shared |= {others[n]: model.values[names[n]] for n in names if names[n] in model.values}
     return {name: value for name, value in shared.items() if name in other.values}
 
 
 def fit_with_plant(
-    base: Fit, found: Model, estimation: Experiment | Sequence[Experiment], options: FitOptions, **fitting: Any
+    base: Fit, about: Model, estimation: Experiment | Sequence[Experiment], options: FitOptions, **fitting: Any
 ) -> Fit:
     """The plant of a fit with the effects of a model that stood for it, from their constants there on.
 
@@ -127,17 +127,17 @@ def fit_with_plant(
     ----------
     base
         The fit of the plant without them; it is what comes back where there are none, or the plant does not run with them.
-    found
+    about
         The model about its run, fitted.
     estimation, options, fitting
         As of `greybox.fit`.
     """
     extended = base.model
-    for effect in found.effects:
+    for effect in about.effects:
         extended = extended if effect.name in base.model.effect_names else extended + effect
     if extended is base.model:
         return base
-    start = {n: v for n, v in _translate(found, extended).items() if not extended.parameter(n).fixed}
+    start = {n: v for n, v in _translate(about, extended).items() if not extended.parameter(n).fixed}
     # It begins near: no part of the records comes before the whole.
     result = fit(extended.start(**start), estimation, options=replace(options, progressive=False), **fitting)
     return result if result.traces and np.isfinite(result.solver.cost) else base

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import GreyboxError
 from greybox.base.extensions import ExtensionKind, load_extensions
-from greybox.shell.study import Idle, Option, Study
+
+if TYPE_CHECKING:
+    from greybox.shell.study import Option, Study
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,3 @@ def find_plant_kind(path: str) -> PlantKind | None:
         return None
     kinds = [kind for kind in load_extensions(ExtensionKind.PLANTS).values() if isinstance(kind, PlantKind)]
     return next((kind for kind in kinds if suffix in kind.suffixes), None)
-
-
-def plant_kind(study: Study) -> PlantKind | None:
-    """The kind of plant that the model of a study is; None for a model of this library.
-
-    Raises GreyboxError for options that change nothing at such a plant.
-    """
-    kind = find_plant_kind(study.model)
-    if kind is not None and (objection := Idle(kind.unused, kind.closed).objection(study)):
-        raise GreyboxError(objection)
-    return kind

@@ -49,9 +49,9 @@ class PlantKernel:
         values = np.array([*(starts[q.name] for q in quantities), *(0.0 for _ in model.all_states)])
         self._names = [*(q.name for q in quantities), *(s.name for s in model.all_states)]
         # Where the plant's own constants and initial states stand among all of them: those of its effects lie behind each.
-        own, beside = len(model.parameters), len(quantities) - len(model.parameters)
-        self._own = np.r_[:own, own + beside : own + beside + len(model.states)]
-        self._of_effects = slice(own, own + beside), slice(own + beside + len(model.states), None)
+        first, states = len(model.parameters), len(quantities)
+        self._own = np.r_[:first, states : states + len(model.states)]
+        self._of_effects = slice(first, states), slice(states + len(model.states), None)
         bounds = np.array([*(q.bounds for q in quantities), *(s.bounds for s in model.all_states)]).reshape(-1, 2)
         self._low, self._high = bounds.T
         self._sizes = choose_sizes(values, bounds)

@@ -69,8 +69,8 @@ class PlantPorts:
         nothing = np.zeros((experiment.rows, len(self._outputs), 0))
         record = to_record(self._model, extend_record(experiment.with_outputs({}), self._local, by_name, nothing))
         # What the run itself moves begins at zero, before the states of the effects.
-        own = np.zeros(len(self._model.states))
-        y, _, _ = run_freely(self._model, record, p, np.concatenate([own, x0]))
+        moved = np.zeros(len(self._model.states))
+        y, _, _ = run_freely(self._model, record, p, np.concatenate([moved, x0]))
         if not np.isfinite(y).all():
             raise PlantRunError(f"{self._title}: an effect is not finite to the end of the record")
         return {o.name: y[:, j] for j, o in enumerate(self._model.outputs)}

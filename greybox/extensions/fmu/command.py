@@ -34,17 +34,17 @@ def read_fmu_model(path: str) -> PlantModel:
 def set_fmu_parameters(model: PlantModel, study: Study) -> PlantModel:
     """The FMU of a study with its start values, by the names of its records or its own, and those of effects. Raises GreyboxError."""
     plant = model.plant
-    own = {name for v in plant.fmu.parameters for name in (v.name, v.label)}
+    known = {name for v in plant.fmu.parameters for name in (v.name, v.label)}
     added = {q.name for q in model.stated_parameters} - {q.name for q in model.parameters}
 
     def divide(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Of the FMU, and of its effects; what neither knows is of the FMU, which says so."""
-        of_effects = {name: value for name, value in given.items() if name in added - own}
+        of_effects = {name: value for name, value in given.items() if name in added - known}
         return {name: value for name, value in given.items() if name not in of_effects}, of_effects
 
     (start, start_beside), (fixed, fixed_beside) = divide(study.start), divide(study.fixed)
-    known, as_declared = ({n: v for n, v in fixed.items() if (v is None) == is_free} for is_free in (False, True))
-    alone = plant.with_values([n for n in study.free if n not in added], start, known).fix(
+    set_to, as_declared = ({n: v for n, v in fixed.items() if (v is None) == is_free} for is_free in (False, True))
+    alone = plant.with_values([n for n in study.free if n not in added], start, set_to).fix(
         *map(plant.find, as_declared)
     )
     for effect in model.effects:
