@@ -142,7 +142,7 @@ def _try_at_plant(
     test = try_effect(local, candidate, policy=policy)
     records = [t.experiment for t in plant.traces]
     larger = fit_with_plant(plant, test.larger.model, records, options, noise=noise, validation=validation)
-    if larger is plant:
+    if larger is None:
         raise DataError(f"{plant.model.title} does not run with {test.name}")
     smaller = plant
     if validation:

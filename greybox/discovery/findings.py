@@ -72,6 +72,7 @@ class DiscoveryCode(StrEnum):
     SEEN_THROUGH_RESPONSE = "seen_through_response"
     NO_INPUT_RESPONSE = "no_input_response"
     PLANT_DISAGREES = "plant_disagrees"
+    PLANT_FAILS = "plant_fails"
     PLANT_RUNS = "plant_runs"
     # Why an effect was not tried.
     NO_PLACE = "no_place"

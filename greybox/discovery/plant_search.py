@@ -120,13 +120,13 @@ def _translate(model: Model, other: Model) -> dict[str, float]:
 
 def fit_with_plant(
     base: Fit, about: Model, estimation: Experiment | Sequence[Experiment], options: FitOptions, **fitting: Any
-) -> Fit:
-    """The plant of a fit with the effects of a model that stood for it, from their constants there on.
+) -> Fit | None:
+    """The plant of a fit with the effects of a model that stood for it, from their constants there on; None where it does not run so.
 
     Parameters
     ----------
     base
-        The fit of the plant without them; it is what comes back where there are none, or the plant does not run with them.
+        The fit of the plant without them; it is what comes back where there are none.
     about
         The model about its run, fitted.
     estimation, options, fitting
@@ -140,7 +140,7 @@ def fit_with_plant(
     start = {n: v for n, v in _translate(about, extended).items() if not extended.parameter(n).fixed}
     # It begins near: no part of the records comes before the whole.
     result = fit(extended.start(**start), estimation, options=replace(options, progressive=False), **fitting)
-    return result if result.traces and np.isfinite(result.solver.cost) else base
+    return result if result.traces and np.isfinite(result.solver.cost) else None
 
 
 # Relative difference of two errors below which the plant errs as its local model does.
@@ -193,7 +193,7 @@ def search_plant(
         raise DataError(f"{model.title} does not run over these records: {base.solver.status_message}")
 
     def look(view: PlantView) -> tuple[Discovery, Fit]:
-        """The answer about a run, and the plant with the effects of that."""
+        """The answer about a run, and the plant with the effects of that; in its place the model about the run where it does not run."""
         listed = [e for e in applicable_effects(model) if (model + e).bound_effects[-1].site in view.seen]
         answer = search(
             view.model,
@@ -203,7 +203,7 @@ def search_plant(
             effects=listed if effects is None else effects,
             options=replace(options, at_rest=True),
         )
-        return answer, fit_with_plant(base, answer.best.model, estimation, options, **fitting)
+        return answer, fit_with_plant(base, answer.best.model, estimation, options, **fitting) or answer.best
 
     def run_test(result: Fit) -> Fit:
         """A fit with its runs over the test records in the place of those over the validation records."""
@@ -213,22 +213,23 @@ def search_plant(
     view = view_plant(base, test=tested.validation.traces if test else ())
     answer, best = look(view)
     runs = _count(base) + view.runs + (_count(best) if best is not base else 0)
-    if best is not base and answer.verdict is not Verdict.NAMED and not _agrees(answer.best, best):
+    is_run = best is not base and best is not answer.best
+    if is_run and answer.verdict is not Verdict.NAMED and not _agrees(answer.best, best):
         # About the constants of the plant alone the local model was not exact enough to tell what is left.
         view = view_plant(best, base.model.effect_names, run_test(best).validation.traces if test else ())
         again, better = look(view)
         runs += view.runs + (_count(better) if better is not base else 0)
-        if better is not base:
+        if better is not base and better is not again.best:
             answer, best = again, better
     # The error on the test records is that of the plant.
     kept = [f for f in answer.findings if f.code != DiscoveryCode.TEST_ERROR]
     findings = [*kept, *_remarks(model, view, answer, best, runs)]
     refinement = None if answer.refinement is None else replace(answer.refinement, fit=best)
     holdout = compare_holdout_errors(base, best)
-    answer = replace(
-        answer, base=base, best=best, holdout=holdout, refinement=refinement, surrogate=None, findings=tuple(findings)
-    )
-    return quote_test_error(answer, tested, tested if best is base else run_test(best)) if test else answer
+    answer = replace(answer, base=base, best=best, holdout=holdout, refinement=refinement, findings=tuple(findings))
+    if not test or not isinstance(best.model, PlantModel):
+        return answer
+    return quote_test_error(answer, tested, tested if best is base else run_test(best))
 
 
 def _agrees(local: Fit, plant: Fit) -> bool:
@@ -252,7 +253,10 @@ def _remarks(model: PlantModel, view: PlantView, answer: Discovery, best: Fit, r
     elif view.response is not None:
         values = {"share": min(view.response.explained.values())}
         findings.append(Finding(DiscoveryCode.SEEN_THROUGH_RESPONSE, subject=model.title, values=values))
-    if answer.best.model.effects and not _agrees(answer.best, best):
+    if best is answer.best:
+        effects = " + ".join(e for e in best.model.effect_names if e not in model.effect_names)
+        findings.append(Finding(DiscoveryCode.PLANT_FAILS, Severity.WARNING, model.title, {"effects": effects}))
+    elif answer.best.model.effects and not _agrees(answer.best, best):
         errors = {n: m.rmse / answer.best.misfit[n].rmse for n, m in best.misfit.items() if n in answer.best.misfit}
         findings.append(Finding(DiscoveryCode.PLANT_DISAGREES, Severity.WARNING, best.model.title, {"ratios": errors}))
     return [*findings, Finding(DiscoveryCode.PLANT_RUNS, subject=model.title, values={"runs": runs})]

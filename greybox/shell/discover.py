@@ -98,7 +98,7 @@ def discover(study: Study) -> Answer:
     if result.best.model.has_equations:
         further = write_model(result.extended, folder / "model.py")
     else:
-        further = result.extended.save(folder / "fit.json")
+        further = result.best.save(folder / "fit.json")
     return _answer(result, [saved, further])
 
 

@@ -613,6 +613,8 @@ register(
             f"{f.subject} itself errs otherwise than the model about its run, on which the effects were found: "
             + join_names([f"{ratio:.3g} times as much in {name}" for name, ratio in f.values["ratios"].items()])
         ),
+        DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model"
+        " about its run",
         DiscoveryCode.PLANT_RUNS: "{subject} was run {runs} times over a record",
         DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
         DiscoveryCode.TEST_ERROR: _test_error,
