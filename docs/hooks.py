@@ -273,7 +273,6 @@ def result_files() -> str:
     from greybox.extensions.design.problem import Design
     from greybox.extensions.export.linear_files import LinearFile
     from greybox.extensions.fleet.result import FleetResult
-    from greybox.extensions.fmu.effects import FmuWithEffects
     from greybox.shell.answers import FitAnswer
     from greybox.shell.printed import ComparisonAnswer
 
@@ -287,7 +286,7 @@ def result_files() -> str:
         Campaign,
         ChangeDetection,
     )
-    kinds += (ModelCheck, LinearFile, FmuWithEffects, FleetResult, RefitEntry)
+    kinds += (ModelCheck, LinearFile, FleetResult, RefitEntry)
     titles = {definition_name(kind): vars(kind)["FILE"].title.capitalize() for kind in kinds}
     definitions = make_definitions(*kinds)[1]
     sections = []

@@ -81,13 +81,17 @@ class LinearisedRun:
 
 def list_disturbance_sites(model: Model, measured: Sequence[str]) -> list[DisturbanceSite]:
     """Every balance of the plant in which something can be missing, every input, and the sensor of every output in ``measured``."""
-    system, plant = model.system, {s.name for s in model.states}
+    system, plant = model.system, {s.name for s in model.states} - model.auxiliary
     sites = [
         DisturbanceSite(b.name, SiteKind.BALANCE, b.unit, system.state_names.index(b.state))
         for b in system.balances
         if b.state in plant and not _is_definition(system, b.state)
     ]
-    sites += [DisturbanceSite(i.name, SiteKind.INPUT, i.unit, k) for k, i in enumerate(model.inputs)]
+    sites += [
+        DisturbanceSite(i.name, SiteKind.INPUT, i.unit, k)
+        for k, i in enumerate(model.inputs)
+        if i.name not in model.auxiliary
+    ]
     return sites + [
         DisturbanceSite(o.name, SiteKind.SENSOR, o.unit, k) for k, o in enumerate(model.outputs) if o.name in measured
     ]

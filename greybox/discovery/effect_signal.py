@@ -259,7 +259,8 @@ def _estimate(
     states = shooting.simulate(zero)[record][1]
     along_run = _states_and_inputs(candidate, without, states[stretch], line)[from_data.rows]
     units = signal_units(without.model)
-    variables = {name: (values, units[name]) for name, values in zip(names, along_run.T, strict=True)}
+    along = zip(names, along_run.T, strict=True)
+    variables = {name: (values, units[name]) for name, values in along if name not in without.model.auxiliary}
     time = line.time[from_data.rows]
     ranked = [d for d in rank_dependences(time, from_data.value, variables) if d.tone is None]
     if not ranked:

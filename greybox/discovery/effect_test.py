@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from greybox.base.errors import DataError
 from greybox.base.findings import Check
@@ -12,9 +12,13 @@ from greybox.data.experiment import Experiment, as_records
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.decision import criterion_gain, excess_cost, judge_effect
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, validate_candidate
+from greybox.discovery.plant_search import fit_with_plant, view_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.estimation.fit import fit as fit_model
+from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
+from greybox.estimation.validate import validate
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
@@ -106,6 +110,8 @@ def try_effect(
     True
     """
     policy = policy or DiscoveryPolicy()
+    if not fit.model.has_equations:
+        return _try_at_plant(fit, candidate, as_records(validation), policy)
     problem = DiscoveryProblem.from_fit(fit, policy.budget)
     without = problem.to_candidate(fit)
     scales = estimate_scales(without)
@@ -124,6 +130,24 @@ def try_effect(
             f"effect {added.name!r}: the extended model overflows from every start; state the effect's bounds"
         )
     return _compare(added.name, problem, without, best, validation, policy)
+
+
+def _try_at_plant(
+    plant: Fit, candidate: Effect | str, validation: tuple[Experiment, ...], policy: DiscoveryPolicy
+) -> EffectTest:
+    """The same at a plant without equations: tried on the model about its run, then fitted with the plant itself."""
+    options, noise = FitOptions.from_data(plant.provenance.options), plant.noise.std
+    view = view_plant(plant)
+    local = fit_model(view.model, view.estimation, noise=noise, options=replace(options, at_rest=True))
+    test = try_effect(local, candidate, policy=policy)
+    records = [t.experiment for t in plant.traces]
+    larger = fit_with_plant(plant, test.larger.model, records, options, noise=noise, validation=validation)
+    if larger is None:
+        raise DataError(f"{plant.model.title} does not run with {test.name}")
+    smaller = plant
+    if validation:
+        smaller = replace(plant, validation=validate(plant.model, validation, noise=noise, options=options))
+    return replace(test, smaller=smaller, larger=larger, holdout=compare_holdout_errors(smaller, larger))
 
 
 def drop_effect(

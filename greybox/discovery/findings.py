@@ -69,6 +69,11 @@ class DiscoveryCode(StrEnum):
     DISCRIMINATING_EXPERIMENT = "discriminating_experiment"
     NO_DISCRIMINATING_EXPERIMENT = "no_discriminating_experiment"
     DETECTION_LIMIT = "detection_limit"
+    SEEN_THROUGH_RESPONSE = "seen_through_response"
+    NO_INPUT_RESPONSE = "no_input_response"
+    PLANT_DISAGREES = "plant_disagrees"
+    PLANT_FAILS = "plant_fails"
+    PLANT_RUNS = "plant_runs"
     # Why an effect was not tried.
     NO_PLACE = "no_place"
     EFFECT_PRESENT = "effect_present"

@@ -346,6 +346,7 @@ def localise_residual(
     >>> gb.discovery.localise_residual(fit).likeliest  # doctest: +SKIP
     ('balance force',)
     """
+    fit.model.require_equations("a localisation of the residual")
     candidate = to_candidate_fit(fit) if isinstance(fit, Fit) else fit
     selection = selection or SelectionPolicy()
     residuals = normalised_residuals(candidate)
@@ -477,7 +478,7 @@ def _to_signal(
         line.time[rows],
         smoothed.value,
         smoothed.std,
-        dict(zip(names, values.T, strict=True)),
+        {name: column for name, column in zip(names, values.T, strict=True) if name not in model.auxiliary},
         signal_units(model),
     )
 

@@ -68,6 +68,7 @@ from greybox.discovery.holdout import (
 )
 from greybox.discovery.laws.search import LawSearch, search_laws
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
 from greybox.discovery.proposals import (
@@ -94,7 +95,7 @@ from greybox.discovery.residual_noise import (
     is_same_noise,
     is_shape_correction,
 )
-from greybox.discovery.result import Discovery, RankedCandidate
+from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
 from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_rivals
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
@@ -105,6 +106,7 @@ from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.model.effects.scales import Scales
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Records = Experiment | Sequence[Experiment]
 
@@ -175,7 +177,7 @@ SEARCH_SHARE = 0.6
 
 
 def discover(
-    model: Model,
+    model: Model | Plant,
     estimation: Records,
     *,
     validation: Records,
@@ -207,7 +209,7 @@ def discover(
     Parameters
     ----------
     model
-        The plain model.
+        The plain model; or a plant that is run from outside, of which effects at its inputs and outputs are looked for.
     estimation
         Records to fit to.
     validation
@@ -271,7 +273,6 @@ def discover(
     """
     began = time.perf_counter()
     options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
-    model.require_equations("a discovery")
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
@@ -287,6 +288,41 @@ def discover(
         raise DataError(
             "no validation record: a discovery needs a record that was not fitted; give at least one, another run or the"
             " end of this one (shell: --validate FILE)"
+        )
+    if isinstance(model := as_model(model), PlantModel):
+        if laws:
+            raise ModelError(
+                f"{model.title} is run from outside: the equation that a balance lacks needs equations; leave out laws"
+            )
+        return search_plant(
+            model,
+            estimation,
+            partial(
+                discover,
+                skip=skip,
+                beginning=beginning,
+                noise=noise,
+                without=without,
+                policy=policy,
+                on_message=on_message,
+                executor=executor,
+                workers=workers,
+                journal=journal,
+                on_refit=on_refit,
+                further=further,
+                time_limit=time_limit,
+                beside=beside,
+            ),
+            effects=effects,
+            options=options,
+            test=test_set,
+            fitting={
+                "validation": validation_set.records,
+                "noise": noise,
+                "quiet": _as_tuple(quiet),
+                "skip": skip,
+                "beginning": beginning,
+            },
         )
     refit_journal = RefitJournal(Path(journal)) if journal else None
     for finding in refit_journal.findings if refit_journal else ():
@@ -854,18 +890,7 @@ def _quote_test_error(result: Discovery, problem: DiscoveryProblem, test: Valida
     """A discovery with its error on the test records, beside that of the plain model; as it is without them."""
     plain = _run_on_test(problem, result.base, test)
     answer = plain if result.extended is result.base else _run_on_test(problem, result.extended, test)
-    if plain is None or answer is None:
-        return result
-    errors = compare_holdout_errors(plain, answer)
-    findings = tuple(
-        Finding(
-            DiscoveryCode.TEST_ERROR,
-            subject=output,
-            values={"before": e.before, "after": e.after, "unit": e.unit, "is_plain": answer is plain},
-        )
-        for output, e in errors.items()
-    )
-    return replace(result, test=errors, findings=(*findings, *result.findings))
+    return result if plain is None or answer is None else quote_test_error(result, plain, answer)
 
 
 def _sum_up(holdout: Mapping[str, HoldoutError]) -> tuple[float, float]:

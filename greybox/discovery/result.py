@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NotRequired, TypedDict
 
@@ -16,7 +16,8 @@ from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.execution import SearchFailure
-from greybox.discovery.holdout import HoldoutError, worst_output
+from greybox.discovery.findings import DiscoveryCode
+from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, worst_output
 from greybox.discovery.laws.search import Law
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
@@ -339,6 +340,20 @@ class Discovery(Printable, StoredResult):
                 }
             )
         return effects
+
+
+def quote_test_error(result: Discovery, plain: Fit, answer: Fit) -> Discovery:
+    """A discovery with the error on records that took no part: of the plain model and the answer, each validated there."""
+    errors = compare_holdout_errors(plain, answer)
+    findings = tuple(
+        Finding(
+            DiscoveryCode.TEST_ERROR,
+            subject=output,
+            values={"before": e.before, "after": e.after, "unit": e.unit, "is_plain": answer is plain},
+        )
+        for output, e in errors.items()
+    )
+    return replace(result, test=errors, findings=(*findings, *result.findings))
 
 
 def load_discovery(path: str | Path) -> dict[str, Any]:

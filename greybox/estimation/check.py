@@ -31,6 +31,7 @@ from greybox.model.model import Model
 from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
 from greybox.simulation.kernel.interpreted import InterpretedKernel
+from greybox.simulation.plant import Plant, as_model
 
 
 class CheckedNoise(TypedDict):
@@ -117,7 +118,7 @@ class ModelCheck(Printable, StoredResult):
     excluded
         What is left out of the outputs, and why.
     structure
-        What the measured outputs determine at best; None where the model could not be run, then ``doubt`` says why.
+        What the measured outputs determine at best; None where the model could not be run or has no equations, then ``doubt`` says why.
     practical
         What these records determine.
     placements
@@ -218,7 +219,7 @@ class ModelCheck(Printable, StoredResult):
 
 
 def check(
-    model: Model,
+    model: Model | Plant,
     experiments: Experiment | Sequence[Experiment] = (),
     *,
     noise: Mapping[str, float] | None = None,
@@ -233,7 +234,7 @@ def check(
     Parameters
     ----------
     model
-        The model with its start values.
+        The model with its start values, or a plant, of which no equations are known: then the records alone say what they determine.
     experiments
         The records; without them a simulated record stands in, see `greybox.estimation.identifiability.sensitivity`.
     noise
@@ -258,10 +259,11 @@ def check(
     >>> [str(d) for d in check(micro_actuator).open_directions]  # doctest: +SKIP
     ['M, B, K, Kf scale together']
     """
-    # What outputs could tell at best is read off the equations: without them every constant would seem to have no influence.
-    model.require_equations("a check")
-    options = options or FitOptions()
-    group = as_records(experiments)
+    model, options, group = as_model(model), options or FitOptions(), as_records(experiments)
+    if not (group or model.has_equations):
+        raise DataError(
+            f"{model.title} is run from outside: what it needs of a record is not known; give one to check it with"
+        )
     known = [o.name for o in model.outputs]
     unknown = [name for name in outputs or () if name not in known]
     if unknown:
@@ -281,14 +283,16 @@ def check(
         noise = {name: std for name, std in (noise or {}).items() if name in outputs}
     problem = prepare_problem(model, group, noise, options.integration)
     measured = list_measured_outputs(problem)
-    structure, doubt = None, ""
+    structure, doubt = None, "" if model.has_equations else "not known, as it is run from outside"
     try:
-        structure = analyse_structural_identifiability(model, measured, at_rest=options.at_rest)
+        # What outputs could tell at best is read off the equations: without them every constant would seem to have no influence.
+        if model.has_equations:
+            structure = analyse_structural_identifiability(model, measured, at_rest=options.at_rest)
     except DataError as error:  # of a model that overflows; the records are still looked at
         doubt = str(error)
     return ModelCheck(
         model,
-        model.system.linear,
+        model.has_equations and model.system.linear,
         problem.step.label,
         problem.kernel.description,
         problem.kernel.reason,

@@ -66,7 +66,8 @@ from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.model.equations import equations_text
 from greybox.model.model import Model
-from greybox.simulation.plant import Plant, PlantKernel, as_model
+from greybox.simulation.plant import Plant, as_model
+from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments
 
 # Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at

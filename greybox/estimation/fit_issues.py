@@ -26,7 +26,7 @@ from greybox.estimation.transcription.decision_vector import SHARED, DecisionVec
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model.expressions.text import expression_text
 from greybox.model.model import Model
-from greybox.simulation.plant import PlantKernel
+from greybox.simulation.plant_kernel import PlantKernel
 
 
 class EstimationCode(StrEnum):

@@ -115,9 +115,6 @@ def score(
         runs = run_model(model, judged, steps, correction, known, skip=skip, initial_rows=initial_rows, options=options)
     if stated is not None:
         units = {o.name: o.unit for o in stated.outputs}
-    for run in runs:
-        for k, ahead in run.ahead.items():
-            ahead[:k] = np.nan
     by_output = {name: [r for r in runs if r.output == name] for name in dict.fromkeys(r.output for r in runs)}
     scores = {name: OutputScore.of(each, units.get(name, ""), str(by)) for name, each in by_output.items()}
     return Scores({name: s for name, s in scores.items() if s.samples}, tuple(runs))
@@ -180,7 +177,7 @@ def run_model(
                 # y(k|k-n) = free run + predicted error; of white error nothing is predicted.
                 colour, error = correction.colours.get(name) if correction else None, trace.residual(name)
                 ahead = {k: trace.simulated[name] + (colour.predict(error, k) if colour else 0.0) for k in steps}
-            runs.append(OutputRun(e.name, name, trace.time, y, trace.simulated[name], skip, ahead))
+            runs.append(OutputRun(e.name, name, trace.time, y, trace.simulated[name], skip, _without_history(ahead)))
     return runs
 
 
@@ -198,11 +195,16 @@ def run_by_itself(
             experiment.outputs[name],
             run,
             skip,
-            {k: np.array(each[name]) for k, each in ahead.items()},
+            _without_history({k: each[name] for k, each in ahead.items()}),
         )
         for name, run in free.items()
         if name in experiment.outputs
     ]
+
+
+def _without_history(ahead: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
+    """Predictions (N,) by how many samples ahead they are; the first so many rows have no measurement to go by, and do not count."""
+    return {k: np.concatenate([np.full(min(k, len(y)), np.nan), y[k:]]) for k, y in ahead.items()}
 
 
 def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> None:

@@ -328,7 +328,8 @@ def _start(
     plant = _start_values(dynamic, p)
     # At rest the inputs are zero, and the reading is that of the plant there.
     at_rest = ca.vertcat(plant, ca.SX.zeros(u.numel()))
-    symbols = ca.vertcat(x[: plant.numel()], u)
+    # Of one symbol CasADi takes the first none as a row.
+    symbols = ca.vertcat(*[x[k] for k in range(plant.numel())], u)
     numbers = {s.name: k for k, s in enumerate(dynamic)}
     starts = [plant]
     for placed in effects:

@@ -9,7 +9,7 @@ import casadi as ca
 
 from greybox.base.units import format_unit
 from greybox.model.algebraic import stores_nothing
-from greybox.model.balance import Balance, ClosedBalances
+from greybox.model.balance import Balance
 from greybox.model.expressions.text import expression_text, signed_text
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_unit
@@ -39,9 +39,10 @@ def equations_text(model: Model, width: int = 110) -> str:
     str
         Lines with name, unit and equation.
     """
-    if isinstance(model.balances, ClosedBalances):
+    if not model.has_equations:
+        effects = [f"  {b.effect.name} at {b.site}  {b.effect.equation}" for b in model.bound_effects]
         ties = [f"  tied  {tie}" for tie in model.ties]
-        return "\n".join(["  no equations: it is run from outside", *ties])
+        return "\n".join(["  no equations: it is run from outside", *effects, *ties])
     texts = _TEXTS.setdefault(model.system, {})
     if width not in texts:
         texts[width] = _write_equations(model, width)

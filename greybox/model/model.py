@@ -227,15 +227,24 @@ class Model(Printable):
         """
         check_measured(subject, self.rules, measured, self._present_values)
 
+    @property
+    def auxiliary(self) -> frozenset[str]:
+        """States and inputs that stand for no quantity of the plant: nothing is looked for there, or as a function of them."""
+        return frozenset()
+
+    @property
+    def has_equations(self) -> bool:
+        """Whether there are equations; what is run from outside has none."""
+        return not isinstance(self.balances, ClosedBalances)
+
     def require_equations(self, purpose: str) -> None:
         """Refuse ``purpose``, which begins the reason, where there are no equations. Raises ModelError."""
-        if isinstance(self.balances, ClosedBalances):
+        if not self.has_equations:
             raise ModelError(f"{self.title}: {purpose} needs equations, and this plant is run from outside")
 
     def __add__(self, effect: Effect) -> Model:
         if not isinstance(effect, Effect):
             return NotImplemented
-        self.require_equations(f"the effect {effect.name}")
         return replace(self, effects=(*self.effects, effect))
 
     def without(self, effect: str) -> Model:

@@ -14,7 +14,6 @@ from greybox.shell.inputs import (
     read_records,
     result_folder,
 )
-from greybox.shell.plants import plant_kind
 from greybox.shell.study import (
     ESTIMATING,
     INTEGRATING,
@@ -46,20 +45,17 @@ def check(study: Study) -> Answer:
 
     if is_record(study):
         return look_at_files(study)
-    if kind := plant_kind(study):
-        result, folder = kind.check(study)
-    else:
-        model = constrain(build_model(study), study)
-        check_substeps(study, model)
-        records, _ = read_records(study, model)
-        folder = result_folder(study, model.name)
-        result = check_model(
-            model,
-            records,
-            noise=dict(study.noise),
-            outputs=list(study.outputs) or None,
-            options=fit_options(study),
-        )
+    model = constrain(build_model(study), study)
+    check_substeps(study, model)
+    records, _ = read_records(study, model)
+    folder = result_folder(study, model.name)
+    result = check_model(
+        model,
+        records,
+        noise=dict(study.noise),
+        outputs=list(study.outputs) or None,
+        options=fit_options(study),
+    )
     saved = result.save(folder / "check.json")
     return Answer(
         result, lambda _: format_json(result.as_dict()), [saved], lambda: write_report(result, folder / "report.html")

@@ -22,7 +22,6 @@ from greybox.shell.inputs import (
     result_folder,
     with_delays_of_records,
 )
-from greybox.shell.plants import plant_kind
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.shell.study import (
     FITTING,
@@ -67,9 +66,6 @@ def compare(study: Study) -> Answer:
     from greybox.comparison.black_box_candidates import check_sampling_times
     from greybox.comparison.compare import NamedModel, compare_named
 
-    if kind := plant_kind(study):
-        result, records, validation, folder = kind.compare(study)
-        return _answer(result, folder, records, validation, {})
     plain = build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
     models = [constrain(add_effects(plain, names), study) for names in ((), *extensions)]

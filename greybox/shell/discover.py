@@ -17,7 +17,6 @@ from greybox.shell.inputs import (
     read_test_records,
     result_folder,
 )
-from greybox.shell.plants import PlantKind, plant_kind
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Study
 from greybox.shell.terminal import exit_with_error, write_report
@@ -42,7 +41,8 @@ def discover(study: Study) -> Answer:
     DIR/model.py ... continues with it), and DIR/report.html, a report for the browser. Every finished
     refit is stored in DIR/journal.jsonl: after Ctrl-C the same command continues from there.
 
-    MODEL may be an FMU, plant.fmu: effects at its inputs and outputs are looked for.
+    MODEL may be an FMU, plant.fmu: effects at its inputs and outputs are looked for, and fitted with it (DIR/fit.json in the place of
+    DIR/model.py).
 
     greybox discover study.toml runs a study file; --write-study writes one from these options.
 
@@ -53,8 +53,6 @@ def discover(study: Study) -> Answer:
     from greybox.estimation.options import FitOptions
     from greybox.shell.own_effects import find_effect, find_own_effects
 
-    if kind := plant_kind(study):
-        return _discover_at_plant(kind, study)
     model = constrain(build_model(study), study)
     folder = result_folder(study, model.name)
     # Asked for before the search: an answer of minutes must not fail at its last file.
@@ -96,28 +94,12 @@ def discover(study: Study) -> Answer:
         kept = f"; finished refits are in {journal}, the same command continues from there" if journal.exists() else ""
         exit_with_error(f"interrupted{kept}", ExitCode.INTERRUPTED)
     saved = result.save(folder / "discovery.json")
-    return _answer(result, result, [saved, write_model(result.extended, folder / "model.py")])
-
-
-def _discover_at_plant(kind: PlantKind, study: Study) -> Answer:
-    """The same at a plant that is no model file: the answer, and the fit of the plant with the effects of the answer."""
-    from greybox.base.parallel.jobs import open_workers
-
-    try:
-        with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
-            answer = kind.discover(
-                study,
-                _left_out(study),
-                on_message=say,
-                on_refit=report,
-                executor=executor,
-                workers=study.workers,
-                time_limit=study.seconds,
-            )
-    except KeyboardInterrupt:
-        exit_with_error("interrupted", ExitCode.INTERRUPTED)
-    saved = answer.discovery.save(answer.folder / "discovery.json")
-    return _answer(answer.discovery, answer.text, [saved, answer.save()])
+    # What is run from outside is no model file: what is gone on with is its fit.
+    if result.best.model.has_equations:
+        further = write_model(result.extended, folder / "model.py")
+    else:
+        further = result.best.save(folder / "fit.json")
+    return _answer(result, [saved, further])
 
 
 def _left_out(study: Study) -> tuple[str, ...]:
@@ -129,10 +111,10 @@ def _left_out(study: Study) -> tuple[str, ...]:
     return (*study.without, *relatives)
 
 
-def _answer(result: Discovery, text: object, files: list[Path]) -> Answer:
+def _answer(result: Discovery, files: list[Path]) -> Answer:
     saved = files[0]
     return Answer(
-        text,
+        result,
         lambda _: saved.read_text(encoding="utf-8"),
         files,
         page=lambda: write_report(result, saved.parent / "report.html"),

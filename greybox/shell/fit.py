@@ -23,7 +23,6 @@ from greybox.shell.inputs import (
     result_folder,
     with_delays_of_records,
 )
-from greybox.shell.plants import plant_kind
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import (
     FITTING,
@@ -64,15 +63,12 @@ def fit(study: Study) -> Answer:
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    kind = plant_kind(study)
-    if kind and study.effects:
-        return kind.fit_effects(study)
     from greybox.base.json_file import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart
 
-    model = constrain(kind.model(study) if kind else build_model(study), study)
+    model = constrain(build_model(study), study)
     check_substeps(study, model)
     folder = result_folder(study, model.name)
     records, validation = read_records(study, model)

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError, nearest
 from greybox.base.findings import Finding, Severity
-from greybox.shell.study import Study
+from greybox.shell.plants import find_plant_kind
+from greybox.shell.study import Idle, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
 
 if TYPE_CHECKING:
@@ -29,9 +30,12 @@ def build_model(study: Study) -> Model:
     """
     from greybox.shell.project import find_model
 
+    kind = find_plant_kind(study.model)
+    if kind is not None and (objection := Idle(kind.unused, kind.closed).objection(study)):
+        raise GreyboxError(objection)
     model = _apply_schedules(find_model(study.model), study)
     model = _apply_process_noise(add_effects(model, study.effects), study.process_noise)
-    return set_parameters(model, study)
+    return kind.set_parameters(model, study) if kind else set_parameters(model, study)
 
 
 def add_effects(model: Model, names: Iterable[str]) -> Model:

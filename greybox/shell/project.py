@@ -20,6 +20,7 @@ from greybox.base.extensions import ExtensionKind, load_extensions
 from greybox.base.values import Printable
 from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
+from greybox.shell.plants import find_plant_kind
 from greybox.simulation.plant import as_model, is_plant
 
 # The folder of a project with effects of its own.
@@ -319,6 +320,8 @@ def find_model(name: str, folder: Path | None = None) -> Model:
         raise ModelError(
             f"{name}: a record, not a model file; MODEL comes first, as in MODEL {name} (known models: {names})"
         )
+    if kind := find_plant_kind(name):
+        return as_model(kind.read(name))
     path, colon, wanted = name.rpartition(".py:")
     if colon:
         return _in_file(Path(f"{path}.py"), wanted)

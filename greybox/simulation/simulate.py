@@ -7,7 +7,7 @@ import io
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -24,12 +24,10 @@ from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
 from greybox.model.model import Model
-from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise, follow_step
+from greybox.simulation.free_run import SIMULATION_POLICY, SimulationPolicy, run_freely
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel.interface import Kernel
-from greybox.simulation.kernel.make_kernel import make_kernel
-from greybox.simulation.kernel.record import Record
-from greybox.simulation.plant import Plant, PlantKernel, PlantModel, as_model, make_plant_step
+from greybox.simulation.plant import Plant, PlantModel, as_model, make_plant_step
+from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_record
 
 # The inputs of a file alone, for simulating where nothing was measured.
@@ -86,19 +84,6 @@ def read_inputs(
     return Experiment(file.stem, record.time, record.inputs, {}, hold, source=file.name)
 
 
-@dataclass(frozen=True)
-class SimulationPolicy:
-    """How fine a model is integrated."""
-
-    max_halvings: int = 6
-    """Most halvings; a run that still changes is returned as it is."""
-    discretisation: DiscretisationPolicy = field(default_factory=DiscretisationPolicy)
-    """How the first step is chosen; that of `EstimationPolicy` simulates as a fit does."""
-
-
-SIMULATION_POLICY = SimulationPolicy()
-
-
 @dataclass(frozen=True, eq=False)
 class Simulation:
     """A free run of a model. Values are not finite from where a run overflows.
@@ -152,10 +137,6 @@ class Simulation:
         return self.source.with_outputs(outputs)
 
 
-# The step is halved until that changes no output by more than this share of its movement (rms).
-MAX_CHANGE = 1e-06
-
-
 def simulate(
     model: Model | Plant,
     inputs: Experiment | Mapping[str, ArrayLike],
@@ -207,30 +188,12 @@ def simulate(
             raise DataError(f"inputs have no 'time'; give {{'time': ..., {names}}}")
         values = {name: np.asarray(v, float) for name, v in inputs.items()}
         experiment = Experiment(UNNAMED, values.pop("time"), values, {})
-    record, rules = to_record(model, experiment), policy.discretisation
+    record = to_record(model, experiment)
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     if isinstance(model, PlantModel):
         y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
         return _to_simulation(model, experiment, y, x, make_plant_step(model))
-    step = discretise(model.system, p, x0[None, :], record.lengths, method=method, substeps=substeps, policy=rules)
-    kernel = make_kernel(step, ())
-    y, x = _run(kernel, step, record, p, x0)
-    for _ in range(0 if substeps or step.per_interval else policy.max_halvings):
-        # Some ten states along the run: the first guess saw the start alone, and a mode may become fast on the way.
-        visited = x[np.isfinite(x).all(axis=1)][:: max(1, len(x) // 10)]
-        longest = float(record.lengths.max(initial=0.0))
-        needed = choose_substeps(model.system, p, visited, longest, policy=follow_step(rules, step))
-        # At least halved, so that the difference of the two runs shows the error of the coarser one.
-        more = max(2 * step.substeps, needed)
-        before = y
-        if step.past is None and method != "mixed":
-            step, kernel = replace(step, substeps=more), kernel.with_substeps(more)
-        else:  # a delayed input is cut differently, and more states may have become fast
-            step = discretise(model.system, p, visited, record.lengths, method=method, substeps=more, policy=rules)
-            kernel = make_kernel(step, ())
-        y, x = _run(kernel, step, record, p, x0)
-        if _has_settled(before, y, MAX_CHANGE):
-            break
+    y, x, step = run_freely(model, record, p, x0, method=method, substeps=substeps, policy=policy)
     return _to_simulation(model, experiment, y, x, step)
 
 
@@ -274,24 +237,6 @@ def add_noise(
         if generator is not None and name in noise:
             noisy[name] = outputs[name] + noise[name] * generator.standard_normal(len(outputs[name]))
     return noisy
-
-
-def _run(kernel: Kernel, step: Step, record: Record, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs (N, ny) and states (N, nx)."""
-    q, _ = step.coefficients(p, record.lengths, np.empty(0, int))
-    record = record.read_by(step)
-    y, x = kernel.simulate(record, q, p, x0)
-    return record.samples(y), record.samples(x)
-
-
-def _has_settled(before: np.ndarray, after: np.ndarray, max_change: float) -> bool:
-    """Whether halving the step changed nothing visible: no output (N, ny), and not where the run overflows."""
-    rows = np.isfinite(before).all(axis=1)
-    if not np.array_equal(rows, np.isfinite(after).all(axis=1)):
-        return False
-    # Movement about the first row: an offset must not hide a change.
-    change, movement = after[rows] - before[rows], after[rows] - after[0]
-    return bool(np.all(np.sum(change**2, axis=0) <= max_change**2 * np.sum(movement**2, axis=0)))
 
 
 # A stand-in for a rig: records made by an integrator that shares nothing with the identification.

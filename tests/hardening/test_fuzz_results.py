@@ -20,7 +20,6 @@ import pytest
 import greybox as gb
 from greybox.base.errors import GreyboxError
 from greybox.base.findings import Finding
-from greybox.base.json_file import read_json
 from greybox.comparison.result import load_comparison
 from greybox.data.signals import SignalLimit
 from greybox.discovery.execution import RefitJournal, RefitOutcome
@@ -31,8 +30,6 @@ from greybox.extensions.changes.result import ChangeVerdict, load_changes
 from greybox.extensions.design import campaign as campaigns
 from greybox.extensions.design.campaign import CampaignPlan
 from greybox.extensions.design.problem import CampaignCode, DesignPolicy
-from greybox.extensions.fmu.effects import FmuWithEffects, fit_fmu_effects, prepare_fmu
-from greybox.extensions.fmu.plant import read_fmu
 from greybox.model.model import Model
 from greybox.shell.commands import COMMANDS
 from greybox.shell.own_effects import find_own_effects, keep_effect
@@ -170,10 +167,6 @@ def use_design(path: Path, plan: object) -> None:
     str(campaigns.CampaignStep(1, goal, kind))
 
 
-def use_fmu_fit(path: Path, _: object) -> None:
-    assert all(entry["unit"] is not None for entry in read_json(path, FmuWithEffects)["parameters"].values())
-
-
 SHORT = DesignPolicy(
     bands=2,
     iterations=3,
@@ -203,16 +196,11 @@ def make_later_ones(folder: Path, search: Path) -> dict[Path, tuple[object, Call
     )
     todo = Finding(CampaignCode.MEASURE, subject="02/input.csv", values={"record": "02/record.csv"})
     campaigns._save(plan, folder, campaigns.CampaignStatus.MEASURING, [step, replace(step, number=2)], todo)
-    plant = read_fmu(gb.export.to_fmu(silverbox, folder / "plant.fmu", dt=period))
-    fitted = gb.fit(plant.with_values([silverbox.free_parameters[0].name]), records[0], noise={"y": 1e-4})
-    prepared = prepare_fmu(fitted, records[0])
-    around = fit_fmu_effects(prepared, [e for e in prepared.local.candidates if e.name == "sensor_lag"])
     return {
         law: (None, use_law),
         gb.detect_changes(fit, records[1], search_effects=False).save(folder / "changed.json"): (None, use_change),
         design.save(folder): (plan, use_design),
         folder / "campaign.json": (plan, use_campaign),
-        around.save(folder / "fmu_fit.json"): (None, use_fmu_fit),
     }
 
 

@@ -11,8 +11,9 @@ from scipy.integrate import solve_ivp
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, effect, read_csv
 from greybox.base.errors import DataError, ModelError
 from greybox.data.signals import multisine
+from greybox.simulation.free_run import SimulationPolicy
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy
-from greybox.simulation.simulate import SimulationPolicy, read_inputs, simulate, simulate_twin, write_csv
+from greybox.simulation.simulate import read_inputs, simulate, simulate_twin, write_csv
 from models.cascaded_tanks import cascaded_tanks
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

@@ -308,7 +308,7 @@ class PolynomialPlant:
 
     equation: PolynomialModel
 
-    cheap = True
+    cheap = discrete = True
 
     @property
     def name(self) -> str:

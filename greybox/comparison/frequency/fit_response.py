@@ -21,7 +21,7 @@ from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.linearise import linearise_at
-from greybox.estimation.linear.operating_point import ModelFunctions
+from greybox.estimation.linear.operating_point import ModelFunctions, PointMemory
 from greybox.estimation.linear.plant import to_plant
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
@@ -193,11 +193,20 @@ class ResponsePlant:
     def _functions(self) -> ModelFunctions:
         return ModelFunctions(self.equations)
 
+    @cached_property
+    def _memories(self) -> list[PointMemory]:
+        """The operating point of each response; those at the same point share it."""
+        known: list[PointMemory] = []
+        for at in self.points:
+            known.append(next((m for m in known if m.at == at), None) or PointMemory(self._functions, at))
+        return known
+
     def respond(self, response: FrequencyResponse, values: Mapping[str, float]) -> np.ndarray:
         """The model's response (nf, ny, nu) at the points of ``response``. Raises PlantRunError where it has none."""
-        point = self.points[[r.name for r in self.responses].index(response.name)]
+        memory = self._memories[[r.name for r in self.responses].index(response.name)]
         p = np.array([values[name] for name in self.equations.values])
         try:
+            point = memory.find(p)
             linear = linearise_at(to_plant(self.equations), self._functions, p, point, response.sampling_time or None)
             whole = linear.frequency_response(2 * np.pi * response.frequency)
         except (GreyboxError, np.linalg.LinAlgError) as error:

@@ -101,7 +101,8 @@ def analyse_excitation(
     limit = _find_highest_order(experiment.rows)
     orders = {name: excitation_order(experiment.inputs[name]) for name in names}
     bands = {name: excitation_bandwidth(experiment.time, experiment.inputs[name]) for name in names}
-    if model is None or not names:
+    # What a model needs of an input is read off its equations.
+    if model is None or not names or not model.has_equations:
         return Excitation(orders, bands, limit)
     fastest, _ = fastest_and_slowest_rate(model)
     needed = None

@@ -148,7 +148,7 @@ def analyse_practical_identifiability(
     ('La',)
     """
     problem = prepare_problem(model, experiments, noise, FitOptions(at_rest=at_rest, method=method, substeps=substeps))
-    if structure is None:
+    if structure is None and model.has_equations:
         measured = list_measured_outputs(problem)
         structure = analyse_structural_identifiability(model, measured, at_rest=at_rest)
     return analyse_problem(problem, structure)
@@ -319,7 +319,7 @@ def recommend_after_fit(fit: Fit) -> tuple[Finding, ...]:
     ['measure_output', 'fix_constants']
     """
     undetermined = [n for n, e in fit.parameters.items() if not e.fixed and e.std is None and not e.at_bound]
-    if not (fit.success and undetermined):
+    if not (fit.success and undetermined and fit.model.has_equations):
         return ()
     try:
         at_rest = bool(fit.provenance.options.get("at_rest", False))

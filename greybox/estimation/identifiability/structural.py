@@ -132,7 +132,7 @@ def analyse_structural_identifiability(
     Raises
     ------
     ModelError
-        For an unknown output.
+        For an unknown output, and for a plant without equations.
     DataError
         For a nonlinear model that overflows at every point.
 
@@ -142,6 +142,7 @@ def analyse_structural_identifiability(
     >>> found.rank, found.count  # doctest: +SKIP
     (4, 7)
     """
+    model.require_equations("a structural analysis")
     known = [o.name for o in model.outputs]
     unknown = [name for name in outputs or () if name not in known]
     if unknown:

@@ -241,13 +241,16 @@ def linearise_at(
     plant: ExportedModel,
     functions: ModelFunctions,
     p: np.ndarray,
-    at: Mapping[str, float] | None,
+    at: Mapping[str, float] | OperatingPoint | None,
     dt: float | None = None,
     method: str = "zoh",
     delay: float = 0.0,
 ) -> Linearisation:
-    """`linearise` with the ``functions`` of the model made already, at the parameters ``p`` (np,): what a family of models repeats."""
-    point = solve_operating_point(functions, p, at)
+    """`linearise` with the ``functions`` of the model made already, at the parameters ``p`` (np,): what a family of models repeats.
+
+    ``at`` may be the operating point itself.
+    """
+    point = at if isinstance(at, OperatingPoint) else solve_operating_point(functions, p, at)
     model, system, nx = plant.model, functions.system, functions.nx
     derivatives = differentiate_one_sided(functions, point.z, p)
     rates, outputs, closed = _close_play(functions, derivatives, point.z, p)

@@ -288,6 +288,47 @@ def solve_operating_point(
     raise ModelError(_no_equilibrium_message(functions, z, p, known, given, rated))
 
 
+class PointMemory:
+    """The operating point of a model at changing constants: solved for anew only where a constant that moves it has changed.
+
+    Parameters
+    ----------
+    functions
+        Those of the model.
+    at
+        As of `find_operating_point`.
+    """
+
+    def __init__(self, functions: ModelFunctions, at: Mapping[str, float] | None) -> None:
+        self.functions, self.at = functions, at
+        self._known: tuple[OperatingPoint, np.ndarray, np.ndarray] | None = None
+
+    def find(self, p: np.ndarray) -> OperatingPoint:
+        """The point at the parameters ``p`` (np,). Raises ModelError where there is none."""
+        if self._known is not None:
+            point, moving, values = self._known
+            if np.array_equal(p[moving], values):
+                return point
+        point = solve_operating_point(self.functions, p, self.at)
+        moving = _find_moving_parameters(self.functions, point)
+        self._known = point, moving, p[moving].copy()
+        return point
+
+
+def _find_moving_parameters(functions: ModelFunctions, point: OperatingPoint) -> np.ndarray:
+    """Numbers of the parameters on which an operating point depends: those that its equations still hold once its values stand in them."""
+    system = functions.system
+    everything = np.arange(system.p.numel())
+    # Friction that holds, and a motion, depend on more than balances that are zero.
+    if system.dry or not point.equilibrium:
+        return everything
+    sums = [sum((ca.SX(term) for term in b.terms.values()), ca.SX(0)) for b in system.balances]
+    parts = ca.vertcat(*sums, *(update.value for update in system.updates), system.outputs)
+    held = ca.substitute(parts, functions.z, ca.DM(point.z))
+    depends = ca.which_depends(ca.vertcat(held, system.start), system.p, 1)
+    return everything[np.array(depends, bool)]
+
+
 def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
     """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
     moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))

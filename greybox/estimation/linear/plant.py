@@ -12,6 +12,7 @@ from greybox.base.errors import ModelError
 from greybox.base.extensions import read_greybox_version
 from greybox.base.findings import Finding, Severity
 from greybox.base.units import format_unit
+from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model, is_plant
@@ -70,9 +71,13 @@ class ExportedModel:
     @property
     def sampling_time(self) -> float | None:
         """Sampling time of the fitted records in seconds; None where there is none, or none that is uniform."""
-        if self.fit is None or not self.fit.traces:
-            return None
-        return self.fit.traces[0].experiment.sampling_time
+        return self.record.sampling_time if self.record is not None else None
+
+    @property
+    def record(self) -> Experiment | None:
+        """The first record over time that was fitted, which holds outputs of the model; None where there is none (frequency responses)."""
+        traces, names = self.fit.traces if self.fit is not None else (), {o.name for o in self.model.outputs}
+        return next((t.experiment for t in traces if names & {*t.measured}), None)
 
     def provenance(self, name: str) -> str:
         """Where the value of a constant comes from, in a line."""

@@ -25,7 +25,8 @@ from greybox.estimation.transcription.problem import (
 )
 from greybox.estimation.transcription.simulation_error import Evaluation, PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
-from greybox.simulation.plant import CanApproach, PlantKernel, PlantModel
+from greybox.simulation.plant import CanApproach, PlantModel
+from greybox.simulation.plant_kernel import PlantKernel
 
 # Shares of the records that are fitted before the whole: over a short part a start that is far off is not out of step yet, and a run
 # costs little.

@@ -33,7 +33,8 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
-from greybox.simulation.plant import PlantKernel, PlantModel, make_plant_step
+from greybox.simulation.plant import PlantModel, make_plant_step
+from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments, to_record
 
 
@@ -276,7 +277,10 @@ def guess_initial_states(
                         # The first reading, where one of the first rows has any: one that is late is of another state.
                         guess[e, names.index(state.name())] = first[np.isfinite(first)][0]
     scale = np.where(declared != 0, declared, 1.0)
-    return InitialStates(guess, np.array([not at_rest or s.free_start for s in model.all_states], bool), scale)
+    # The effects of a plant that is run from outside begin as declared, as it does itself: each other start would cost a run.
+    begins = {s.name for s in (model.states if isinstance(model, PlantModel) else model.all_states)}
+    free = [s.free_start or (not at_rest and s.name in begins) for s in model.all_states]
+    return InitialStates(guess, np.array(free, bool), scale)
 
 
 def apply_initial_guess(

@@ -45,6 +45,7 @@ from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
 from greybox.model.effects.starts import AMPLITUDE_GRID
 from greybox.model.model import Model
+from greybox.simulation.plant import as_model, is_plant
 
 # What a design begins with: a model, a fit or a discovery, and rivals fitted to the same records.
 
@@ -63,6 +64,7 @@ def list_explanations(
     ModelError, DataError
         For a rival that cannot be made or fitted.
     """
+    source = as_model(source) if is_plant(source) else source
     given = [r for r in rivals if isinstance(r, Model)]
     named = [r for r in rivals if isinstance(r, str)]
     if isinstance(source, Model):
@@ -79,6 +81,7 @@ def list_explanations(
         best, base = source, plain or source
     else:
         raise ModelError(f"design: {type(source).__name__} is no model, fit or discovery; give one of them")
+    best.model.require_equations("a design")
     if not best.success:
         raise FitError(
             f"the fit of {best.model.title} did not end at an optimum; repeat it before a record is designed"

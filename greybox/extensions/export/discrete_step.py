@@ -117,10 +117,10 @@ def make_discrete_step(
     known = plant.model.fix(*plant.model.values)
     system, p, x0 = known.system, plant.p, declared_initial_state(known)
     chosen: dict[str, Any] = {"substeps": substeps}
-    if not substeps and plant.fit is not None and plant.fit.traces and plant.model.inputs:
+    record = plant.record
+    if not substeps and record is not None and plant.model.inputs:
         # Inputs of the first fitted record, held at every ``dt``. The one at each time is taken a little later, so that a time equal to
         # a sample but for rounding takes that sample.
-        record = plant.fit.traces[0].experiment
         elapsed = record.time - record.time[0]
         count = min(int((record.time[-1] - record.time[0]) / period) + 1, DISCRETE_STEP_ROWS)
         rows = np.searchsorted(elapsed, np.arange(count) * period * (1 + 1e-12), side="right") - 1

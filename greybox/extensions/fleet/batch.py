@@ -35,6 +35,7 @@ from greybox.estimation.options import ColourTreatment, FitOptions, resolve_opti
 from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
 from greybox.model.model import Model
+from greybox.simulation.plant import Plant, as_model
 
 Item = Experiment | RecordReference
 """A record, or where it lies."""
@@ -131,7 +132,7 @@ PARALLEL_SECONDS = 8.0
 
 
 def fit_each(
-    model: Model,
+    model: Model | Plant,
     records: RecordCollection | Experiment | Sequence[Experiment] | str | os.PathLike[str],
     *,
     noise: Mapping[str, float] | NoiseModel | None = None,
@@ -147,8 +148,8 @@ def fit_each(
     Parameters
     ----------
     model
-        The model. The first records are fitted from its values; the others from the median of what these gave, and again from the
-        model's values where that leads nowhere.
+        The model, or a plant. The first records are fitted from its values; the others from the median of what these gave, and again
+        from the model's values where that leads nowhere.
     records
         What `greybox.fleet.find_records` lists; a file or folder, for which it is called; or experiments in memory.
     noise, colour, options
@@ -183,7 +184,7 @@ def fit_each(
     >>> fleet = gb.fit_each(rig, "bench/2024-06", noise={"x": 2e-7})  # doctest: +SKIP
     >>> fleet.save_table("constants.parquet")  # doctest: +SKIP
     """
-    began, options = time.perf_counter(), resolve_options(options)
+    began, options, model = time.perf_counter(), resolve_options(options), as_model(model)
     if isinstance(records, str | os.PathLike):
         records = find_records(records)
     collection = records if isinstance(records, RecordCollection) else RecordCollection(())

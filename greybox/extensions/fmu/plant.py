@@ -15,12 +15,14 @@ import numpy as np
 from greybox.base.errors import ModelError, nearest
 from greybox.base.texts import to_identifiers
 from greybox.base.values import Printable
+from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, read_description
 from greybox.extensions.fmu.simulator import FmuSimulator
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter
-from greybox.simulation.plant import PLANT_DIFFERENCE, LinearResponse, PlantKernel, PlantModel
+from greybox.simulation.plant import LinearResponse, PlantModel
+from greybox.simulation.plant_kernel import PLANT_DIFFERENCE, PlantKernel
 
 # Most constants that are fitted unless they are named: each costs a run in every step.
 MOST_FREE = 12
@@ -161,8 +163,6 @@ class FmuPlant(Printable):
 
     def linearise(self, record: Experiment, values: Mapping[str, float]) -> LinearResponse | None:
         """The answer to small changes of the inputs along a record, from two runs of the FMU; None where no linear system follows it."""
-        from greybox.extensions.fmu.local_model import estimate_linear_response
-
         model = self.model.start(**values)
         assert isinstance(model, PlantModel)
         return estimate_linear_response(PlantKernel(model), record)

@@ -85,6 +85,8 @@ def _listed(name: str, lines: Iterable[str]) -> list[tuple[str, str]]:
 
 
 def _computation(check: ModelCheck) -> list[tuple[str, str]]:
+    if not check.model.has_equations:
+        return [("runs as", check.discretisation)]
     facts = [
         ("units", "every term has the unit of its balance"),
         (
@@ -129,7 +131,7 @@ def _verdict(check: ModelCheck) -> Paragraphs:
 
 
 def _answer(check: ModelCheck) -> Paragraphs:
-    if check.doubt:
+    if check.doubt and check.model.has_equations:
         return Paragraphs([f"The check has no answer: {check.doubt}"], Tone.BAD)
     if check.failure:
         return Paragraphs([check.failure], Tone.CAUTION)
@@ -207,7 +209,7 @@ def _formulas(combinations: Mapping[str, float]) -> str:
 def _structure(check: ModelCheck) -> Iterator[Block]:
     structure = check.structure
     if structure is None:
-        yield Paragraphs([check.doubt], Tone.BAD)
+        yield Paragraphs([capitalise(check.doubt)], Tone.BAD if check.model.has_equations else Tone.PLAIN)
         return
     yield Paragraphs([describe_verdict(structure)], Tone.GOOD if structure.complete else Tone.CAUTION)
     if not structure.complete:

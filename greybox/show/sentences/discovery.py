@@ -590,6 +590,18 @@ register(
         " the validation records",
         DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
+        DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
+            f"{f.subject} is run from outside: effects at its inputs were seen through a linear response that follows"
+            f" {100 * f.values['share']:.3g} % of its own, and those that were found are fitted with the plant itself"
+        ),
+        DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",
+        DiscoveryCode.PLANT_DISAGREES: lambda f: (
+            f"{f.subject} itself errs otherwise than the model about its run, on which the effects were found: "
+            + join_names([f"{ratio:.3g} times as much in {name}" for name, ratio in f.values["ratios"].items()])
+        ),
+        DiscoveryCode.PLANT_FAILS: "{subject} itself does not run with {effects}: their constants and errors are those of the model"
+        " about its run",
+        DiscoveryCode.PLANT_RUNS: "{subject} was run {runs} times over a record",
         DiscoveryCode.REFIT_ELSEWHERE: _refit_elsewhere,
         DiscoveryCode.TEST_ERROR: _test_error,
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (

@@ -22,7 +22,6 @@ from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.design.campaign import Campaign
 from greybox.extensions.design.problem import Design
 from greybox.extensions.export.linear_files import LinearFile
-from greybox.extensions.fmu.effects import FmuWithEffects
 from greybox.shell.answers import FitAnswer
 from models.micro_actuator import micro_actuator
 from models.silverbox import silverbox
@@ -44,7 +43,6 @@ KINDS: dict[str, Any] = {
     "compare": Comparison,
     "design": Design,
     "discovery": Discovery,
-    "fmu_fit": FmuWithEffects,
     "linear_model": LinearFile,
 }
 MODELS = {

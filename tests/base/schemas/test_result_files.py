@@ -23,7 +23,6 @@ from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.design.campaign import Campaign
 from greybox.extensions.design.problem import Design
 from greybox.extensions.export.linear_files import LinearFile
-from greybox.extensions.fmu.effects import FmuWithEffects
 from greybox.shell.answers import FitAnswer
 from greybox.shell.printed import ComparisonAnswer
 from models.silverbox import silverbox
@@ -44,7 +43,7 @@ KINDS = (
         Campaign,
         ChangeDetection,
     ),
-    *(ModelCheck, LinearFile, FmuWithEffects),
+    *(ModelCheck, LinearFile),
 )
 
 RECORD = linear_record(silverbox, multisine(np.random.default_rng(1), 600, 1.6384e-3, 5, 200, 0.1), 1.6384e-3)

@@ -101,3 +101,41 @@ def test_poles_are_those_of_scipy(name, together):
     assert result.success
     fitted = gb.linearise(result.model).poles
     np.testing.assert_allclose(np.sort_complex(fitted), np.sort_complex(np.linalg.eigvals(A)), rtol=1e-6, atol=1e-6)
+
+
+def test_the_operating_point_is_solved_once_where_nothing_that_moves_it_changed(monkeypatch):
+    """A hardening spring under a load rests where K and the load say: mass and damper move nothing, and nothing moves a mass at rest."""
+    from greybox.estimation.linear import operating_point
+
+    def balances(x, u, p):
+        return [
+            Balance("position", "m/s", 1, "x", speed=x.v),
+            Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * (x.x + p.h * x.x**3), damper=-p.B * x.v),
+        ]
+
+    model = Model(
+        "hardening",
+        [State("x", "m"), State("v", "m/s")],
+        [Input("F", "N")],
+        [Output("x", "m")],
+        [
+            Parameter("M", "kg", 1.0, (0.1, 10)),
+            Parameter("K", "N/m", 30.0, (1, 100)),
+            Parameter("B", "N*s/m", 1.5, (0.1, 10)),
+            Parameter("h", "1/m^2", 2.0, (0.1, 10)),
+        ],
+        balances,
+    )
+    solved = []
+    original = operating_point.solve_operating_point
+    monkeypatch.setattr(operating_point, "solve_operating_point", lambda *a: solved.append(a) or original(*a))
+    frequency = np.geomspace(0.2, 4, 20)
+    points = FrequencyResponse(frequency, np.ones((20, 1, 1), complex), ("F",), ("x",), name="r")
+    for at, solutions in ((None, 1), ({"F": 12.0}, 3)):
+        plant = gb.frequency.ResponsePlant.of(model, points, at)
+        solved.clear()
+        for changed in ({}, {"M": 1.1}, {"B": 1.6, "M": 1.2}, {"K": 31.0}, {"h": 2.1, "B": 1.4}):
+            response = plant.respond(points, {**model.values, **changed})
+            exact = gb.linearise(model.start(**changed), at).frequency_response(2 * np.pi * frequency)
+            np.testing.assert_allclose(response, exact, rtol=1e-12)
+        assert len(solved) == solutions
