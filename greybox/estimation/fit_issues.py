@@ -52,7 +52,6 @@ class EstimationCode(StrEnum):
     PARAMETER_NOT_CONSTANT = "parameter_not_constant"
     RESIDUAL_CORRELATED = "residual_correlated"
     INNOVATIONS_CORRELATED = "innovations_correlated"
-    FEW_SAMPLES = "few_samples"
     INTEGRATION_TOO_COARSE = "integration_too_coarse"
     RELATION_NOT_MET = "relation_not_met"
     STEP_MOVES_PARAMETERS = "step_moves_parameters"
@@ -230,9 +229,6 @@ LISTED_SHIFTS = 3
 INTEGRATION_ERROR = 0.1
 # ... and over the misfit.
 INTEGRATION_SHARE = 0.01
-# Samples of an output below which a residual with a correlation of 0.8 is taken for a white one more often than not (measured on
-# simulated records with three unknowns): its intervals then miss one time in four.
-FEW_SAMPLES = 20
 # Share of a standard deviation that half the integration step may shift a parameter.
 STEP_SHIFT = 0.1
 # Nobody asks for more digits of a parameter than this share of its value.
@@ -282,13 +278,6 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
         warn(EstimationCode.PARAMETER_NOT_CONSTANT, shifts=shifts)
     result += [_judge_process_noise(optimum, test, estimates[test.name]) for test in optimum.tests]
     result += _find_correlation(optimum)
-    if free_run and covariance.kind == IntervalKind.GAUSS_NEWTON:
-        samples = {
-            n: sum(int(np.isfinite(t.measured[n]).sum()) for t in optimum.traces if n in t.measured) for n in free_run
-        }
-        few = {n: count for n, count in samples.items() if count < FEW_SAMPLES}
-        if few and variables.size:
-            warn(EstimationCode.FEW_SAMPLES, Severity.NOTE, samples=few, unknowns=variables.size)
     if predicts and optimum.solution.problem.noise.coloured:
         warn(EstimationCode.NOISE_COLOUR_IGNORED, Severity.NOTE)
     result += _find_unmet_relations(optimum)

@@ -8,7 +8,6 @@ on strongly correlated noise, however its bandwidth is chosen.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -16,9 +15,8 @@ from typing import Protocol
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import block_diag, solve_triangular
 
-from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME, TINY
+from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.estimation.options import DEFAULT_POLICY
 
@@ -64,58 +62,8 @@ class ResidualColour:
         return max(independent - self.unknowns, 1.0)
 
 
-# A residual of fewer samples is shortened by what the fit took from it: its colour comes from a restricted likelihood.
-SHORT_SAMPLES = 50
-# Correlations from sample to sample among which that one is chosen.
-SHORT_CORRELATIONS = np.concatenate([np.linspace(0.0, 0.95, 20), [0.97, 0.985]])
-# Fewest combinations of samples that no constant moves; of fewer nothing can be learnt.
-LEAST_CONTRASTS = 8
-
-
-def estimate_short_colour(
-    residual: np.ndarray, slopes: np.ndarray, gaps: Sequence[int] = ()
-) -> tuple[AutoRegression, float]:
-    """Correlation from sample to sample, and variance, of a short residual by restricted maximum likelihood.
-
-    A fit takes from its residual what its constants can follow, which is most of what is slow: of 30 samples with a correlation of 0.8 the
-    residual of three constants shows 0.5. Combinations of samples that no constant moves, ``c = Q'r`` with ``Q'J = 0``, are free of that
-    (H. D. Patterson, R. Thompson, Biometrika 58, 1971): ``c`` is normal with covariance ``s^2 Q'R Q``.
-
-    Parameters
-    ----------
-    residual
-        Samples (n,), all measured.
-    slopes
-        Their slopes (n, L) along the unknowns.
-    gaps
-        Where a new record begins, from which nothing is correlated with what was before.
-
-    Returns
-    -------
-    AutoRegression, float
-        Of order one where Schwarz's criterion prefers it to white noise, and the variance; NaN where too few combinations are left.
-    """
-    n = len(residual)
-    left, singular, _ = np.linalg.svd(slopes, full_matrices=True)
-    rank = int((singular > singular.max(initial=0.0) * n * np.finfo(float).eps).sum())
-    contrasts = left[:, rank:].T
-    count = len(contrasts)
-    if count < LEAST_CONTRASTS:
-        return AutoRegression(), math.nan
-    c, lags = contrasts @ residual, np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
-    piece = np.searchsorted(np.asarray(gaps, int), np.arange(n), side="right")
-    joined = piece[:, None] == piece[None, :]
-    likelihoods, variances = [], []
-    for rho in SHORT_CORRELATIONS:
-        factor = np.linalg.cholesky(contrasts @ np.where(joined, rho**lags, 0.0) @ contrasts.T)
-        whitened = solve_triangular(factor, c, lower=True)
-        # -2 log L = m log s^2 + log |Q'R Q|, at its largest for s^2 = c'(Q'R Q)^-1 c / m.
-        variances.append(float(whitened @ whitened) / count)
-        likelihoods.append(-count * np.log(max(variances[-1], TINY)) - 2 * np.log(np.diag(factor)).sum())
-    best = int(np.argmax(likelihoods))
-    if likelihoods[best] - likelihoods[0] <= np.log(n):
-        return AutoRegression(), variances[0]
-    return AutoRegression((float(SHORT_CORRELATIONS[best]),)), variances[best]
+# A residual of fewer samples shows no colour that could be told from chance: it counts as white.
+LEAST_SAMPLES = 50
 
 
 def estimate_residual_colour(
@@ -141,33 +89,16 @@ def estimate_residual_colour(
         # Unknowns are shared by the outputs in the proportion of their samples.
         square = float(squares.sum()) / max(count, 1) * total / max(total - unknowns, 1)
         del squares
-        # One colour for all records of an output: the sensor and the model are the same in each.
-        if count < SHORT_SAMPLES:
-            model, variance = _estimate_short(rows, j)
-            # White noise has the variance that all outputs leave together.
-            square = variance if model.order else square
-        else:
-            model = fit_autoregression(series, overwrite_input=True, policy=noise_policy)
         variances.append(
             max(square, 1.0 if variance_floor is None else float(variance_floor[j])) if noise_given else square
         )
         counts.append(count)
-        models.append(model)
+        is_enough = count >= LEAST_SAMPLES
+        # One colour for all records of an output: the sensor and the model are the same in each.
+        models.append(
+            fit_autoregression(series, overwrite_input=True, policy=noise_policy) if is_enough else AutoRegression()
+        )
     return ResidualColour(tuple(models), tuple(variances), tuple(counts), unknowns)
-
-
-def _estimate_short(rows: Sequence[tuple[np.ndarray, np.ndarray]], output: int) -> tuple[AutoRegression, float]:
-    """The colour of one output that has few samples, from its residuals and slopes record by record."""
-    parts = [(r[:, output], jacobian[:, output]) for r, jacobian in rows]
-    measured = [np.isfinite(r) & np.isfinite(slopes).all(axis=1) for r, slopes in parts]
-    widths = [slopes.shape[1] for _, slopes in parts]
-    kept = [slopes[rows_of] for (_, slopes), rows_of in zip(parts, measured, strict=True)]
-    # Columns of different records may be different unknowns: apart from each other they take more from the residual, and never less.
-    joint = block_diag(*kept) if len(kept) > 1 else kept[0]
-    residual = np.concatenate([r[rows_of] for (r, _), rows_of in zip(parts, measured, strict=True)])
-    if not len(residual) or not sum(widths):
-        return AutoRegression(), math.nan
-    return estimate_short_colour(residual, joint, np.cumsum([len(each) for each in kept])[:-1].tolist())
 
 
 class ColumnLayout(Protocol):

@@ -99,7 +99,7 @@ def cross_correlation(first: Sequence[np.ndarray], second: Sequence[np.ndarray],
                 r[k][~known[k]] = 0.0
                 squares[k] += r[k][begin - before :] @ r[k][begin - before :]
                 counts[k] += known[k][begin - before :].sum()
-            for k in range(lags + 1):
+            for k in range(min(lags, len(b) - 1) + 1):  # further apart than it is long there are no pairs
                 late, early = (slice(max(begin, k) - before - n, len(r[1]) - n) for n in (0, k))
                 products[k] += r[0][early] @ r[1][late]
                 pairs[k] += (known[0][early] & known[1][late]).sum()

@@ -24,7 +24,6 @@ from greybox.show.sentences.wording import (
     LONGEST_FORMULA,
     NOISE_REACH,
     capitalise,
-    count_noun,
     format_number,
     format_shares,
     format_with_std,
@@ -217,17 +216,6 @@ def _write_priors_off_alike(finding: Finding) -> str:
     )
 
 
-def _write_few_samples(finding: Finding) -> str:
-    v = finding.values
-    counts = join_names([f"{count} samples of {name}" for name, count in v["samples"].items()])
-    if sum(v["samples"].values()) <= v["unknowns"]:
-        return f"{counts} for {count_noun(v['unknowns'], 'unknown')}, initial states included: nothing is left to judge the fit by"
-    return (
-        f"{counts} for {count_noun(v['unknowns'], 'unknown')}, initial states included: too few to show whether the residual is white; the"
-        " intervals hold if it is, and if the model lacks nothing"
-    )
-
-
 def write_record_trend(finding: Finding) -> str:
     """What the values of a constant by record have in common."""
     v, name = finding.values, finding.subject
@@ -389,7 +377,6 @@ register(
             "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
             " for it and are up to {inflation:.2g} times as wide as for white innovations"
         ),
-        EstimationCode.FEW_SAMPLES: _write_few_samples,
         EstimationCode.INTEGRATION_TOO_COARSE: lambda f: (
             f"the integration error exceeds a tenth of the noise in {', '.join(f.values['outputs'])}: increase the number of substeps"
         ),

@@ -304,19 +304,6 @@ GOLDEN = [
         "Kw grows with voltage: 5 times from 0 to 3.21 (60 to 300 N)",
     ),
     (
-        "few_samples",
-        "",
-        {"samples": {"h": 12}, "unknowns": 3},
-        "12 samples of h for 3 unknowns, initial states included: too few to show whether the residual is white; the intervals hold if it"
-        " is, and if the model lacks nothing",
-    ),
-    (
-        "few_samples",
-        "",
-        {"samples": {"h": 3}, "unknowns": 3},
-        "3 samples of h for 3 unknowns, initial states included: nothing is left to judge the fit by",
-    ),
-    (
         "condition_of_records",
         "load",
         {},
