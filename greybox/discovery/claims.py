@@ -287,8 +287,8 @@ def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
         and (c.depth < Depth.VARIABLES or c.variables == claim.variables)
         and (c.depth < Depth.FAMILY or c.family == claim.family)
     ]
-    probability, joint = (min([each, *implied]) for each in (claim.probability, claim.joint))
-    return replace(claim, probability=probability, joint=joint, grade=to_grade(probability))
+    probability = min([claim.probability, *implied])
+    return replace(claim, probability=probability, grade=to_grade(probability))
 
 
 Key = Callable[[tuple[str, ...], EffectForm], Hashable]
@@ -446,7 +446,7 @@ class Features(NamedTuple):
     """Log odds of the share of the resamples."""
 
     left: float
-    """Root of the share of the rms error that is no noise, 0 to 1."""
+    """Share of the rms error that is no noise, 0 to 1."""
 
     sensors: float
     """The same of a claim about sensors alone, 0 of any other: where something is left, a sensor imitates it best."""
@@ -455,7 +455,7 @@ class Features(NamedTuple):
 def to_features(claim: Claim) -> Features:
     """The features of a claim."""
     weight = min(max(claim.frequency, LEAST_WEIGHT), 1 - LEAST_WEIGHT)
-    left, sensor = math.sqrt(min(max(claim.left, 0.0), 1.0)), site_label(SiteKind.SENSOR, "")
+    left, sensor = min(max(claim.left, 0.0), 1.0), site_label(SiteKind.SENSOR, "")
     is_of_sensors = bool(claim.sites) and all(label.startswith(sensor) for label in claim.sites)
     return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors)
 

@@ -14,7 +14,6 @@ import numpy as np
 
 from greybox.base.errors import DataError, ModelError
 from greybox.base.findings import Finding, Severity
-from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
@@ -79,6 +78,8 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None, test: Sequence
     PlantRunError
         Where the plant does not run over a record.
     """
+    from greybox.comparison.input_response import estimate_linear_response
+
     model = result.model
     assert isinstance(model, PlantModel)
     bare = replace(model, effects=())

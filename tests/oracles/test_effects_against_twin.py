@@ -90,6 +90,8 @@ PAIRS = {
 # Effects of the benchmark rigs have no twin: tests/test_real_data.py has their formulas. The others are compared with small steps in
 # tests/model/effects.
 BY_HAND = {
+    "input_gain",
+    "sensor_gain",
     "radiation_loss",
     "natural_convection",
     "heat_storage",

@@ -374,6 +374,28 @@ FINDINGS = [
         " else.",
     ),
     (
+        Code.SEEN_THROUGH_RESPONSE,
+        *("cart.fmu", {"share": 0.982}),
+        "cart.fmu is run from outside: effects at its inputs were seen through a linear response that follows 98.2 % of its own, and"
+        " those that were found are fitted with the plant itself",
+    ),
+    (
+        Code.NO_INPUT_RESPONSE,
+        *("cart.fmu", {}),
+        "no effect at an input of cart.fmu was tried: no linear response to its inputs could be found",
+    ),
+    (
+        Code.PLANT_DISAGREES,
+        *("cart.fmu", {"ratios": {"x": 1.5}}),
+        "cart.fmu itself errs otherwise than the model about its run, on which the effects were found: 1.5 times as much in x",
+    ),
+    (
+        Code.PLANT_FAILS,
+        *("cart.fmu", {"effects": "backlash"}),
+        "cart.fmu itself does not run with backlash: their constants and errors are those of the model about its run",
+    ),
+    (Code.PLANT_RUNS, *("cart.fmu", {"runs": 63}), "cart.fmu was run 63 times over a record"),
+    (
         Code.ERROR_REDUCED,
         *(
             "y",
