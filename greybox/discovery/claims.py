@@ -490,12 +490,14 @@ def deepest_established(claims: Sequence[Claim]) -> Claim | None:
     return max(established, key=lambda c: (c.depth, c.share), default=None)
 
 
-def read_verdict(decided: Conclusion, claims: Sequence[Claim], effects: Sequence[str]) -> Conclusion:
+def read_verdict(
+    decided: Conclusion, claims: Sequence[Claim], effects: Sequence[str], rivals: Sequence[Sequence[str]] = ()
+) -> Conclusion:
     """The verdict once the claims are weighed: a name is certain only where it is established.
 
     A model whose residual is noise is ``named`` only if each of its ``effects`` is established. Where some are, and the residual is not
-    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart stay
-    ``ambiguous``, and so is a model whose names fall short of certainty by nothing but their equals.
+    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart (``rivals``
+    of the model) stay ``ambiguous`` where one of them is probable, and so is a model whose names fall short of certainty by nothing but their equals.
     """
     if decided.verdict is Verdict.COMPLETE or not effects:
         return decided
@@ -516,7 +518,10 @@ def read_verdict(decided: Conclusion, claims: Sequence[Claim], effects: Sequence
         tied = [c is not None and bool(c.equals) and c.joint >= ESTABLISHED_FROM for c in made]
         certain = [sure or tie for sure, tie in zip(established, tied, strict=True)]
         verdict = Verdict.AMBIGUOUS if all(certain) else Verdict.UNKNOWN
-    if verdict is Verdict.AMBIGUOUS and any(c is None or c.joint < PROBABLE_FROM for c in made):
+    # Which of several holds is open: their probabilities add up.
+    others = {name for rival in rivals for name in rival} - set(effects)
+    besides = sum(claim.probability for claim in claims if claim.depth is Depth.NAME and claim.name in others)
+    if verdict is Verdict.AMBIGUOUS and any(c is None or c.joint + besides < PROBABLE_FROM for c in made):
         verdict = Verdict.UNKNOWN
     if verdict is Verdict.UNKNOWN and any(established):
         verdict = Verdict.PARTLY

@@ -601,7 +601,8 @@ def _conclude(
         claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
         if problem.executor.skipped:  # not all rivals were tried
             claims = tuple(map(lower_grade, claims))
-    decided = read_verdict(decided, claims, _named_effects(final.candidate))
+    tied = [rival.effects for rival in judged.rivals]
+    decided = read_verdict(decided, claims, _named_effects(final.candidate), tied)
     verdict = decided.verdict
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
     answer: LawAnswer | None = None

@@ -223,3 +223,10 @@ def test_a_name_that_nobody_claims_is_not_certain():
     assert read.verdict is Verdict.PARTLY
     assert [(c.subject, c.passed) for c in read.checks] == [("a", True), ("b", False)]
     assert read_verdict(NAMED, [], ["a"]).verdict is Verdict.UNKNOWN
+
+
+def test_of_rivals_that_the_records_cannot_separate_the_probabilities_add_up():
+    claims = [replace(claim(name), probability=p, joint=p, grade=to_grade(p)) for name, p in (("a", 0.4), ("b", 0.3))]
+    tie = Conclusion(Verdict.AMBIGUOUS, ())
+    assert read_verdict(tie, claims, ["a"], [["b"]]).verdict is Verdict.AMBIGUOUS
+    assert read_verdict(tie, claims, ["a"]).verdict is Verdict.UNKNOWN
