@@ -496,8 +496,9 @@ def read_verdict(
     """The verdict once the claims are weighed: a name is certain only where it is established.
 
     A model whose residual is noise is ``named`` only if each of its ``effects`` is established. Where some are, and the residual is not
-    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart (``rivals``
-    of the model) stay ``ambiguous`` where one of them is probable, and so is a model whose names fall short of certainty by nothing but their equals.
+    noise or others are doubtful, the verdict is ``partly``; where none is, ``unknown``. Sets that the records cannot tell apart
+    (``rivals`` of the model) stay ``ambiguous`` where one of them is probable, and so is a model whose names fall short of certainty by
+    nothing but their equals.
     """
     if decided.verdict is Verdict.COMPLETE or not effects:
         return decided
