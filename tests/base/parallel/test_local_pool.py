@@ -23,12 +23,12 @@ JOBS = {
 
 
 def is_alive(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    except ProcessLookupError:  # it may end between any two of these
         return False
-    stat = Path(f"/proc/{pid}/stat")
-    return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 def start(folder: Path, doing: str, main: str = "") -> tuple[subprocess.Popen, list[int]]:
