@@ -454,61 +454,6 @@ FINDINGS = [
         Code.ERROR_REDUCED,
         *(
             "y",
-            {
-                "before": 8.84e-3,
-                "after": 0.31e-3,
-                "unit": "V",
-                "share": 0.965,
-                "effects": ["band_limited_input", "cubic_stiffness", "input_offset"],
-            },
-        ),
-        "The error in y on the validation records falls from 8.84 to 0.31 mV (96 % less) with band-limited input, cubic stiffness and"
-        " input offset.",
-    ),
-    (
-        Code.ERROR_LEFT,
-        *(
-            "y",
-            {
-                "rmse": 0.31e-3,
-                "before": 8.84e-3,
-                "unit": "V",
-                "noise_ratio": 4.0,
-                "sites": [],
-                "dependence": None,
-                "grows_with_amplitude": True,
-            },
-        ),
-        "0.31 mV is left in y, 4 times the sensor noise: it grows with the amplitude.",
-    ),
-    (
-        Code.CLAIM_ESTABLISHED,
-        *(
-            "x",
-            {
-                **{
-                    "depth": 2,
-                    "output": "x",
-                    "site": "balance force",
-                    "variables": ["v"],
-                    "form": "static",
-                    "family": [],
-                },
-                **{"name": "", "probability": 0.98, "grade": "established", "share": 0.93, "rival": "sensor_lag"},
-            },
-        ),
-        "A static function of v acts at the force balance: 93 % of the error in x (98 % certain). The name is open.",
-    ),
-    (
-        Code.SEPARATE_FROM_RIVAL,
-        *("input_offset", {"rival": "constant_load"}),
-        "record an experiment in which input offset and constant load differ (another amplitude, speed or direction): these records do not"
-        " separate them",
-    ),
-    (
-        Code.ERROR_REDUCED,
-        *(
-            "y",
             {"before": 0.517, "after": 0.125, "unit": "V", "share": 0.758, "effects": ["drive_lag", "fitted_curve"]},
         ),
         "The error in y on the validation records falls from 517 to 125 mV (76 % less) with drive lag and a fitted curve.",
