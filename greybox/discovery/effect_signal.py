@@ -283,43 +283,6 @@ def _estimate(
     )
 
 
-# Seed of the resampling: the same records give the same interval.
-EVIDENCE_SEED = 1
-# Standard deviation of an effect's signal over its rms up to which it is constant.
-EVIDENCE_CONSTANT_SPREAD = 0.1
-# The same of what it adds to the equations, sample by sample, up to which a constant does as well.
-SAME_SIGNAL = 0.02
-
-
-def acts_as_constant(candidate: FittedCandidate, name: str) -> bool:
-    """Whether an effect adds the same to every equation at every sample of the estimation records although elsewhere it would not.
-
-    There a constant does as well: an input that never changes its sign shows an offset of a dead zone, not the zone.
-    """
-    added = _AddedSignal.along_run(candidate, name)
-    if added is None or not _spread(added.values) <= SAME_SIGNAL:
-        return False
-    generator = np.random.default_rng(EVIDENCE_SEED)
-    elsewhere = [generator.uniform(-1, 1, v.shape) * np.abs(v).max(axis=0) for v in (added.states, added.inputs)]
-    return _spread(_AddedSignal.at(candidate, name, *elsewhere).values) > EVIDENCE_CONSTANT_SPREAD
-
-
-def adds_constant(candidate: FittedCandidate, name: str) -> bool:
-    """Whether an effect without memory adds the same at every sample of the estimation records."""
-    added = _AddedSignal.along_run(candidate, name)
-    return added is not None and _spread(added.values) <= SAME_SIGNAL
-
-
-def is_offset_on_one_side(candidate: FittedCandidate, name: str) -> bool:
-    """Whether an effect adds a constant to an input that never changes its sign: a dead zone does the same there."""
-    site = next(b.site for b in candidate.model.bound_effects if b.effect.name == name)
-    names = candidate.model.system.input_names
-    if site not in names:
-        return False
-    values = np.concatenate([record.u[:, names.index(site)] for record in candidate.problem.records])
-    return bool(values.min() >= 0 or values.max() <= 0) and adds_constant(candidate, name)
-
-
 # How far what an effect adds may be from a function of one variable, over its standard deviation, for that to be its own variable.
 # Neighbouring samples of a smooth law differ by a few percent, those of a step by a tenth.
 FUNCTION_SCATTER = 0.15
@@ -373,11 +336,6 @@ class _AddedSignal:
         models = (candidate.model, candidate.model.without(name))
         with_it, plain = (_evaluate_equations(model, states, inputs) for model in models)
         return cls(states, inputs, (with_it - plain) / np.maximum(np.abs(with_it).max(axis=0), TINY))
-
-
-def _spread(values: np.ndarray) -> float:
-    """Standard deviation over rms of signals (N, n) together."""
-    return float(np.sqrt(values.var(axis=0).sum() / max(float((values**2).mean(axis=0).sum()), TINY)))
 
 
 def _scatter(z: np.ndarray, values: np.ndarray) -> float:

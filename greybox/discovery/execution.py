@@ -53,7 +53,7 @@ class SearchStage(StrEnum):
     REFINEMENT = "refinement"
     """Further effects cannot be looked for."""
     EVIDENCE = "evidence"
-    """The evidence for an effect cannot be gathered."""
+    """Rivals of an answer cannot be fitted, or its claims cannot be weighed."""
     LAWS = "laws"
     """No equation can be looked for."""
     PROPOSAL = "proposal"

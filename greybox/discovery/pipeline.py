@@ -1,4 +1,4 @@
-"""`discover`: a model, estimation and validation records in; a verdict with its evidence out.
+"""`discover`: a model, estimation and validation records in; a verdict with its claims out.
 
 The stages, each a function of its own: baseline, noise, screening and selection, holdout, decision, localisation, surrogate, proposals.
 """
@@ -172,7 +172,7 @@ class JudgedSelection:
         return limits
 
 
-# Share of a limited time that the search for effects may take; the rest is for the evidence of what it finds.
+# Share of a limited time that the search for effects may take; the rest is for the rivals of what it finds.
 SEARCH_SHARE = 0.6
 
 
@@ -572,7 +572,7 @@ def _conclude(
     further: bool,
     of_laws: DiscoveryProblem | None = None,
 ) -> Discovery:
-    """Decision, further effects, evidence for each effect, what is left, localisation, surrogate and proposals."""
+    """Decision, further effects, claims, what is left, localisation, surrogate and proposals."""
     selection, selected = judged.selection, judged.selected
     policy, problem = selection.policy, judged.selection.problem
     attempt = problem.failures.attempt

@@ -172,7 +172,7 @@ class RefinedCandidate:
 ALIKE_SHARE = 0.1
 # Effects added or replaced at most.
 MOST_STEPS = 5
-# Effects in a model from which none is added: a fifth shares its error among four others, and its evidence is worth little.
+# Effects in a model from which none is added: a fifth shares its error among four others, and no resample tells which.
 MOST_EFFECTS = 4
 
 

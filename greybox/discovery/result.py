@@ -148,7 +148,7 @@ class FoundEffect(TypedDict):
 
 @dataclass(frozen=True)
 class Discovery(Printable, StoredResult):
-    """The result of a discovery: the missing effect and its evidence.
+    """The result of a discovery: the missing effect, and what is claimed of it.
 
     Parameters
     ----------

@@ -5,7 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
-from greybox.discovery.effect_signal import acts_as_constant, find_own_variable, is_offset_on_one_side
+from greybox.discovery.effect_signal import find_own_variable
 from greybox.discovery.effect_test import drop_effect, try_effect
 from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.findings import DiscoveryRule
@@ -69,36 +69,6 @@ def test_a_candidate_is_validated_from_the_initial_states_that_it_ended_with():
     assert fit.parameters["k"].value == pytest.approx(3.0, rel=1e-6)
     baseline = validate_candidate(problem, problem.baseline, ())
     assert baseline.traces[0].initial_state["x"] == pytest.approx(2.0, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("effect", "lowest", "expected"),
-    [
-        ("input_dead_zone", 0.5, (True, True)),
-        ("input_dead_zone", -2.0, (False, False)),
-        ("input_offset", 0.5, (False, True)),
-        ("input_offset", -2.0, (False, False)),
-    ],
-    ids=["a zone that is never crossed", "a zone that is crossed", "an offset on one side", "an offset"],
-)
-def test_an_effect_that_only_shifts_what_was_measured_acts_as_a_constant(effect, lowest, expected):
-    lag = Model(
-        "lag",
-        states=[State("x", "V", 0.0, (-5.0, 5.0))],
-        inputs=[Input("u", "V", role="drive")],
-        outputs=[Output("y", "V", lambda x, u, p: x.x)],
-        parameters=[Parameter("k", "1/s", 2.0, (0.1, 10.0), source="a test")],
-        balances=lambda x, u, p: [Balance("rate", "V/s", 1, "x", decay=-p.k * x.x, drive=p.k * u.u)],
-    )
-    t = np.arange(200) * 0.02
-    u = np.random.default_rng(1).uniform(lowest, 2.0, 200)
-    record = Experiment.from_arrays(t, {"u": u}, {"y": u})
-    model = lag + gb.effect(effect)
-    amplitude = gb.effect(effect).amplitudes[0]
-    problem = DiscoveryProblem(lag, (record,), {"y": 1e-3}, (), FitOptions())
-    candidate = problem.restore(model, RefitOutcome({"k": 2.0, amplitude: 0.1}, ((0.0,),)))
-    checks = (acts_as_constant, is_offset_on_one_side)
-    assert tuple(check(candidate, effect) for check in checks) == expected
 
 
 @pytest.mark.parametrize(

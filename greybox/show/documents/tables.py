@@ -56,15 +56,6 @@ def parameters_table(fit: Fit, note: Text = "") -> TableBlock:
     for name, e in fit.constraints.tied.items():
         rows.append(estimate_cells(name, e))
         rows[-1][-1] = f"= {fit.constraints.ties[name]}"
-    return _estimates(rows, note)
-
-
-def estimates_table(estimates: Mapping[str, Estimate]) -> TableBlock:
-    """Parameters that stand for themselves."""
-    return _estimates([estimate_cells(name, e) for name, e in estimates.items()])
-
-
-def _estimates(rows: list[list[str]], note: Text = "") -> TableBlock:
     caption = "Parameters with standard deviations and 95 % intervals"
     return TableBlock(caption, ["parameter", "value", "95 % interval", "unit", REMARK], rows, note)
 
