@@ -9,7 +9,7 @@ is kept with the problem (`DiscoveryProblem.fitted`), and `greybox.discovery.tab
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from greybox.discovery.candidates import family_of
@@ -27,7 +27,10 @@ from greybox.discovery.residual_noise import (
 )
 from greybox.discovery.selection import list_extension_starts, rank_extensions
 from greybox.discovery.surrogate import QUICK_ITERATIONS, refit_free_curves
+from greybox.discovery.surrogate_effects import CURVE
 from greybox.model.effect import Effect
+from greybox.model.effects.catalogue import effect as catalogue_effect
+from greybox.model.effects.placement import AT, find_placements
 from greybox.model.effects.scales import Scales
 
 
@@ -78,6 +81,7 @@ def refit_rivals(search: RivalSearch) -> dict[str, FittedCandidate]:
             without[effect.name] = rest
             _refit_others(search, effect.name, rest)
             _refit_simpler(search, effect, rest)
+            _refit_constant(search, effect, rest)
     return without
 
 
@@ -165,6 +169,30 @@ def _refit_simpler(search: RivalSearch, effect: Effect, rest: FittedCandidate) -
         return
     job = search.problem.failures.attempt(SearchStage.SHAPE_CORRECTION, search.selected.effects, prepare, None)
     search.problem.refit_all([] if job is None else [job])
+
+
+# Effects of the catalogue that add a constant, at an input and at a balance.
+CONSTANTS = ("input_offset", "constant_load")
+
+
+def _refit_constant(search: RivalSearch, effect: Effect, rest: FittedCandidate) -> None:
+    """A constant in the place of an effect, without a name: it does as well where the motion never leaves one branch of the effect.
+
+    An input that never changes its sign shows an offset of a dead zone, not the zone.
+    """
+    if effect.name.partition(AT)[0] in CONSTANTS:
+        return
+    nameless = tuple(replace(catalogue_effect(name), name=CURVE) for name in CONSTANTS)
+    for constant in (placement.effect for placement in find_placements(rest.model, nameless)):
+        if constant is None:  # the model has no place for it
+            continue
+        starts = list_extension_starts(rest, constant, search.scales)
+        refit = partial(
+            search.problem.refit_best, rest.model + constant, starts, 1, QUICK_ITERATIONS, rest, refines=False
+        )
+        quick = search.attempt(refit)
+        if quick is not None and _is_hopeful(search, quick):
+            _converge(search, quick)
 
 
 def _converge(search: RivalSearch, fit: FittedCandidate) -> FittedCandidate:
