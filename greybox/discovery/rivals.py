@@ -183,8 +183,9 @@ def _refit_constant(search: RivalSearch, effect: Effect, rest: FittedCandidate) 
     if effect.name.partition(AT)[0] in CONSTANTS:
         return
     nameless = tuple(replace(catalogue_effect(name), name=CURVE) for name in CONSTANTS)
-    for constant in (placement.effect for placement in find_placements(rest.model, nameless)):
-        if constant is None:  # the model has no place for it
+    for placement in find_placements(rest.model, nameless):
+        constant = placement.effect
+        if constant is None or placement.site in rest.model.auxiliary:  # the plant has no place for it
             continue
         starts = list_extension_starts(rest, constant, search.scales)
         refit = partial(
