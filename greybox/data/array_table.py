@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError, shorten
+from greybox.base import DataError, shorten
 from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels

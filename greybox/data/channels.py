@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greybox.base.errors import DataError, shorten
-from greybox.base.findings import Finding
+from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import TIME, ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
 from greybox.data.experiment import Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy

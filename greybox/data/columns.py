@@ -11,9 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
+from greybox.base import Finding, convert, unit_converter
 from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shorten
-from greybox.base.findings import Finding
-from greybox.base.units import convert, unit_converter
 from greybox.data.findings import RecordCode
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first

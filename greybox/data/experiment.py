@@ -13,9 +13,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Finding
-from greybox.base.values import Printable
+from greybox.base import DataError, Finding, Printable, nearest
 from greybox.data.findings import TIMING, RecordCode
 from greybox.data.problems import (
     FEW_ROWS,

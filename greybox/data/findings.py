@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 
 
 class RecordCode(StrEnum):

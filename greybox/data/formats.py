@@ -20,9 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import DataError, GreyboxError, shorten
+from greybox.base import DataError, Finding, GreyboxError, shorten
 from greybox.base.extensions import ExtensionKind, describe_failures, load_extensions
-from greybox.base.findings import Finding
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import DataTable, check_size, raise_limit
 from greybox.data.policy import READING_POLICY, ReadingPolicy

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.base.numerics import LARGEST_VALUE, SMALLEST_VALUE
 
 

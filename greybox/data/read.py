@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import DataError, nearest
-from greybox.base.findings import Finding
+from greybox.base import DataError, Finding, nearest
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import (
     TIME,

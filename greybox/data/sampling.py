@@ -23,8 +23,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.base import ROWS_AT_A_TIME, Finding, Severity
 from greybox.data.findings import RecordCode
 
 # A step may differ from the mean step by this share of it; clocks of loggers stay within.

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.base import ROWS_AT_A_TIME, Finding, Severity
 from greybox.data.findings import RecordCode
 from greybox.data.problems import FEW_ROWS, is_constant
 

@@ -15,8 +15,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base.errors import DataError
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base import TIME_ROUNDING, DataError
 
 __all__ = ["SignalLimit", "chirp", "multisine", "prbs", "steps"]
 

@@ -11,11 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import ModelError
-from greybox.base.findings import Finding, Severity
-from greybox.base.json_file import StoredResult
-from greybox.base.units import convert, unit_converter
-from greybox.base.values import Printable
+from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, convert, unit_converter
 from greybox.data.array_table import ArrayTable
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import TIME, Column, parse_header

@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, shorten
-from greybox.base.units import unit_converter
+from greybox.base import DataError, ModelError, shorten, unit_converter
 from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels

@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base import TIME_ROUNDING, Finding, Severity
 from greybox.data.columns import SignalKind, check_size
 from greybox.data.experiment import Hold
 from greybox.data.findings import RecordCode

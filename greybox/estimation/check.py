@@ -6,11 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, TypedDict
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.findings import Finding
-from greybox.base.json_file import StoredResult
-from greybox.base.json_shape import FileKind
-from greybox.base.values import Printable
+from greybox.base import DataError, FileKind, Finding, ModelError, Printable, StoredResult, nearest
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
 from greybox.estimation.fit_issues import find_excluded_outputs

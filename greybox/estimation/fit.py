@@ -8,9 +8,7 @@ from functools import reduce
 
 import numpy as np
 
-from greybox.base.errors import FitError, ModelError, nearest
-from greybox.base.extensions import read_versions
-from greybox.base.findings import Finding, Severity
+from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base.findings import Finding, Severity
+from greybox.base import Finding, Severity
 from greybox.base.numerics import RELATION_MET, ROWS_AT_A_TIME, STATE_BOUND_MARGIN, TINY
 from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault

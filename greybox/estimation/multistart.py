@@ -14,12 +14,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.base import Finding, Printable, Severity, read_versions
 from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
-from greybox.base.extensions import read_versions
 from greybox.base.files import add_entry, read_journal
-from greybox.base.findings import Finding, Severity
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
-from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.noise.spectrum import estimate_spread
 from greybox.estimation.objective import SimulationErrorObjective

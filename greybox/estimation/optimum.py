@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from greybox.base.errors import FitError
+from greybox.base import FitError
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
 from greybox.estimation.errors import compute_misfits

@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.json_shape import to_json_data
+from greybox.base import ModelError, nearest, to_json_data
 from greybox.base.numerics import NORMAL_QUADRATURE_POINTS, NORMAL_QUADRATURE_WIDTH
 from greybox.data.noise.noise_model import NoisePolicy
 from greybox.estimation.optim.minimisation import MinimisationPolicy

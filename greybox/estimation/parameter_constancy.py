@@ -10,8 +10,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.base.linear_algebra import decompose_symmetric
-from greybox.base.numerics import ROWS_AT_A_TIME
+from greybox.base import ROWS_AT_A_TIME, decompose_symmetric
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.sandwich import ResidualColour, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.noise_loop import solve

@@ -10,9 +10,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base import DataError, ModelError, Printable, nearest
 from greybox.base.numerics import TINY, UNSEEN_INFORMATION
-from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, fit_autoregression, join_series
 from greybox.estimation.noise_loop import solve

@@ -8,10 +8,8 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.json_file import read_json
+from greybox.base import DataError, ModelError, Printable, nearest, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Null, UnboundedArray, from_json_data
-from greybox.base.values import Printable
 from greybox.estimation.optimum import restore_objective, restore_options
 from greybox.estimation.profiles import (
     DEFAULT_PROFILE_POLICY,

@@ -12,11 +12,8 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import chdtri, fdtri
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.json_file import StoredResult, read_json
+from greybox.base import DataError, ModelError, Printable, StoredResult, nearest, pseudo_inverse, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Interval, UnboundedArray, from_json_data
-from greybox.base.linear_algebra import pseudo_inverse
-from greybox.base.values import Printable
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
 from greybox.estimation.objective import (
     LIKELIHOOD_TERMINATION,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.linear_algebra import pseudo_inverse
+from greybox.base import pseudo_inverse
 from greybox.data.experiment import Experiment
 
 # Probability with which values that are the same are said to differ, and values that follow no condition to follow one.

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import chdtrc, fdtrc
 
+from greybox.base import Printable
 from greybox.base.linear_algebra import RankTolerance, decompose_symmetric
 from greybox.base.numerics import REDUNDANT_VARIANCE, ROWS_AT_A_TIME
-from greybox.base.values import Printable
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
 from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optimum import restore_residuals

@@ -10,11 +10,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from greybox.base import FileKind, Finding, StoredResult, from_json_data, parse_unit, read_json
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
-from greybox.base.findings import Finding
-from greybox.base.json_file import StoredResult, read_json
-from greybox.base.json_shape import FileKind, from_json_data
-from greybox.base.units import parse_unit
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation.result_parts import (

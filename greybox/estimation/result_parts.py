@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.special import ndtri
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold

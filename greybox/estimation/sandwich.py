@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from greybox.base.numerics import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
+from greybox.base import NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, NoisePolicy, fit_autoregression, join_series
 from greybox.estimation.options import DEFAULT_POLICY
 

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.values import Printable
+from greybox.base import DataError, Printable
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.estimation.errors import OutputRun, OutputScore

@@ -8,10 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError, FitError
-from greybox.base.json_file import read_json
-from greybox.base.json_shape import FileKind, Interval, Matrix, from_json_data
-from greybox.base.linear_algebra import pseudo_inverse
+from greybox.base import DataError, FileKind, FitError, Interval, Matrix, from_json_data, pseudo_inverse, read_json
 from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.profile_pairs import ProfilePair, load_profile_pair, profile_pair

@@ -7,8 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.linear_algebra import decompose_symmetric
+from greybox.base import DataError, decompose_symmetric
 from greybox.data.experiment import Experiment
 from greybox.data.noise.growing import GrowingNoise
 from greybox.estimation.errors import compute_misfits

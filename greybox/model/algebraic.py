@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.base.numerics import ALGEBRAIC_HALVINGS, ALGEBRAIC_NEWTON_STEPS
 from greybox.model.balance import Balance
 from greybox.model.signals import State

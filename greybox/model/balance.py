@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest
 from greybox.model.signals import Expression, NamedValues, State
 
 

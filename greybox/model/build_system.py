@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import casadi as ca
 
-from greybox.base.errors import MissingNameError, ModelError, nearest
+from greybox.base import MissingNameError, ModelError, nearest
 from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.units import ONE, SECOND, format_unit, parse_unit
 from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing

@@ -10,7 +10,7 @@ from enum import StrEnum
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.model.signals import Expression, NamedValues, Parameter
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import casadi as ca
 
-from greybox.base.units import format_unit
+from greybox.base import format_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.expressions.text import expression_text, signed_text

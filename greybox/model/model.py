@@ -11,8 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.values import Printable
+from greybox.base import ModelError, Printable, nearest
 from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.build_system import SYSTEMS, plant_sites
 from greybox.model.effect import Effect

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 
 import casadi as ca
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.units import format_unit
+from greybox.base import ModelError, format_unit, nearest
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 from greybox.model.system import PlacedEffect, System
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from greybox.base.errors import MissingNameError, ModelError, nearest
+from greybox.base import MissingNameError, ModelError, nearest
 
 Expression = Any  # a CasADi SX expression, or a plain number
 

@@ -15,8 +15,7 @@ from enum import StrEnum
 
 import casadi as ca
 
-from greybox.base.errors import MissingNameError, ModelError, nearest
-from greybox.base.units import parse_unit
+from greybox.base import MissingNameError, ModelError, nearest, parse_unit
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.signals import Input, Output, State

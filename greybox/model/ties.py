@@ -9,8 +9,7 @@ from graphlib import CycleError, TopologicalSorter
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.units import format_unit
+from greybox.base import ModelError, format_unit, nearest
 from greybox.model.effect import Effect
 from greybox.model.expressions.text import evaluate_formula, format_formula, list_formula_names
 from greybox.model.signals import Expression, NamedValues, Parameter

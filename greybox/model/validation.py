@@ -11,8 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.units import format_unit
+from greybox.base import DataError, ModelError, format_unit, nearest
 from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.expressions.graph import walk
 from greybox.model.signals import NamedValues

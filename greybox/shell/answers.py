@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
-from greybox.base.findings import Finding
-from greybox.base.json_shape import FileKind
-from greybox.base.values import Printable
+from greybox.base import FileKind, Finding, Printable
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.residuals import ResidualTests

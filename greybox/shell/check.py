@@ -40,7 +40,7 @@ def check(study: Study) -> Answer:
     A file in the place of MODEL is looked at without a model: signals, units, rates, holes, doubtful sensors, and the columns to
     name. Nothing is written.
     """
-    from greybox.base.json_shape import format_json
+    from greybox.base import format_json
     from greybox.estimation.check import check as check_model
 
     if is_record(study):

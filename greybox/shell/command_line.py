@@ -10,8 +10,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from greybox.base.errors import ExitCode, GreyboxError
-from greybox.base.findings import Finding
+from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
 from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, Word

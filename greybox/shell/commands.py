@@ -61,7 +61,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> N
         return
     from click.shell_completion import get_completion_class
 
-    from greybox.base.files import write_file
+    from greybox.base import write_file
 
     shell = Path(os.environ.get("SHELL", "bash")).name
     completion = get_completion_class(shell)

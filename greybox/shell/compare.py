@@ -40,7 +40,7 @@ from greybox.shell.study import (
 from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
-    from greybox.base.findings import Finding
+    from greybox.base import Finding
     from greybox.comparison.compare import NamedModel
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
@@ -119,7 +119,7 @@ def _grown(first: Fit, names: Sequence[str], plain: Model, show: ShowProgress) -
     An effect's own values leave it absent, and a search from there may end anywhere. None where a refit of free runs is not what
     was asked for, or the extended model overflows from every start.
     """
-    from greybox.base.errors import DataError
+    from greybox.base import DataError
     from greybox.discovery.effect_test import try_effect
 
     automatic = first.provenance.options.get("transcription") == "automatic" and first.solver.statistics.get(
@@ -204,8 +204,7 @@ def _answer(
     validation: Sequence[Experiment],
     fits: Mapping[str, Fit],
 ) -> Answer:
-    from greybox.base.extensions import read_versions
-    from greybox.base.json_file import write_json
+    from greybox.base import read_versions, write_json
     from greybox.data.experiment import collect_record_findings
     from greybox.shell.printed import ComparisonAnswer
     from greybox.show.sentences.registry import sentences

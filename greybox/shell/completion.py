@@ -16,7 +16,7 @@ from pathlib import Path
 
 import click
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 
 Offer = tuple[str, str]  # what to type, and what it is
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from greybox.base import Printable
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.base.values import Printable
 from greybox.comparison.blackbox.best_models import best_black_boxes
 from greybox.comparison.blackbox.structure_scan import BlackBoxKind
 from greybox.comparison.compare import ComparedModel, compare

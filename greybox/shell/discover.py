@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.base.errors import ExitCode
+from greybox.base import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.shell.inputs import (
     build_model,

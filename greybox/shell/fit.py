@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import ExitCode, FitError
+from greybox.base import ExitCode, FitError
 from greybox.shell.inputs import (
     STARTS_FILE,
     build_model,
@@ -63,7 +63,7 @@ def fit(study: Study) -> Answer:
     Exit code 0: the fit succeeded. 1: it did not. 2: bad input, nothing was written. 130: Ctrl-C, the best point so far
     was saved.
     """
-    from greybox.base.json_file import write_json
+    from greybox.base import write_json
     from greybox.base.parallel.jobs import open_workers
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart

@@ -9,8 +9,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError, nearest
-from greybox.base.findings import Finding, Severity
+from greybox.base import DataError, ExitCode, Finding, GreyboxError, ModelError, Severity, nearest
 from greybox.shell.plants import find_plant_kind
 from greybox.shell.study import Idle, Study
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note
@@ -330,7 +329,7 @@ def load_fit_with_model(path: Path, model: str = "") -> Fit:
     A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
     has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
     """
-    from greybox.base.json_file import read_json
+    from greybox.base import read_json
     from greybox.estimation.result import Fit, restore_fit
     from greybox.model.effects.catalogue import effect
     from greybox.shell.project import find_model, is_model_path

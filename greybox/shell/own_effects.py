@@ -8,11 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.base.errors import GreyboxError, ModelError, nearest, shorten
-from greybox.base.files import write_file
-from greybox.base.json_file import read_json
+from greybox.base import GreyboxError, ModelError, nearest, parse_unit, read_json, shorten, write_file
 from greybox.base.texts import escape_line, to_comment
-from greybox.base.units import parse_unit
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import all_effects, effect
 from greybox.model.effects.formula import formula_effect

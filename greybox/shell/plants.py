@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.extensions import ExtensionKind, load_extensions
+from greybox.base import ExtensionKind, load_extensions
 
 if TYPE_CHECKING:
     from greybox.shell.study import Option, Study

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, ClassVar, NotRequired, TypedDict
 
-from greybox.base.errors import GreyboxError, nearest
+from greybox.base import GreyboxError, nearest
 from greybox.base.extensions import ExtensionKind, list_extensions
 from greybox.base.json_shape import DRAFT, FileKind, Interval, make_definitions
 from greybox.comparison.result import Comparison

@@ -15,9 +15,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from greybox.base.errors import GreyboxError, ModelError, nearest
-from greybox.base.extensions import ExtensionKind, load_extensions
-from greybox.base.values import Printable
+from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, load_extensions, nearest
 from greybox.data.formats import record_suffixes
 from greybox.model.model import Model
 from greybox.shell.plants import find_plant_kind

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from greybox.base.errors import ExitCode, GreyboxError
-from greybox.base.findings import Finding
+from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.shell.inputs import add_effects, check_writable
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs, Study
@@ -124,7 +123,7 @@ def _list(listing: ModelListing) -> dict[str, Any]:
 
 
 def _outline(model: Model) -> dict[str, Any]:
-    from greybox.base.json_shape import to_json_data
+    from greybox.base import to_json_data
     from greybox.model.equations import equations_text
 
     return dict(

@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.base.errors import ExitCode, GreyboxError
-from greybox.base.findings import Finding
+from greybox.base import ExitCode, Finding, GreyboxError
 from greybox.shell.inputs import (
     add_effects,
     check_substeps,
@@ -37,7 +36,7 @@ def simulate(study: Study) -> Answer:
     """
     import numpy as np
 
-    from greybox.base.units import format_unit
+    from greybox.base import format_unit
     from greybox.data.findings import RecordCode
     from greybox.data.sampling import find_longest_time_gap
     from greybox.shell.project import find_model

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Generic, Self, TypeVar, overload
 
-from greybox.base.errors import ExitCode, GreyboxError
+from greybox.base import ExitCode, GreyboxError
 from greybox.shell import completion
 from greybox.shell.study_values import (
     Choice,

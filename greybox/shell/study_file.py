@@ -14,8 +14,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from greybox.base.errors import GreyboxError, nearest
-from greybox.base.files import write_file
+from greybox.base import GreyboxError, nearest, write_file
 from greybox.shell.study import Command, Option, Study
 from greybox.shell.study_values import Table
 

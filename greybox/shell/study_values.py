@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar
 
 import click
 
-from greybox.base.errors import GreyboxError, nearest
+from greybox.base import GreyboxError, nearest
 
 PLUS_MINUS = re.compile(r"\+-|\+/-|±")
 T = TypeVar("T")

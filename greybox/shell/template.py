@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from greybox.base.errors import GreyboxError, nearest
-from greybox.base.files import write_file
+from greybox.base import GreyboxError, nearest, write_file
 from greybox.shell.project import template_root
 
 FOLDERS = ("models", "fits", "notebooks")

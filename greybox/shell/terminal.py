@@ -25,7 +25,7 @@ from greybox.base.errors import ExitCode, GreyboxError, OutputError, WorkersLost
 from greybox.base.extensions import ExtensionKind, describe_failures
 
 if TYPE_CHECKING:
-    from greybox.base.findings import Finding
+    from greybox.base import Finding
 
 
 # What the command line has to say about a study beside the result itself.

@@ -9,9 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from greybox.base import Check, Finding, GreyboxError
 from greybox.base.document import Block, Document, Paragraphs
-from greybox.base.errors import GreyboxError
-from greybox.base.findings import Check, Finding
 from greybox.show.printers.text import print_text
 from greybox.show.sentences.registry import EXTENSIONS, find_writer, sentence
 

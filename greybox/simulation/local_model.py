@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.texts import to_identifiers
+from greybox.base import to_identifiers
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.model.balance import Balance
 from greybox.model.model import Model

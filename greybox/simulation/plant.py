@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
+from greybox.base import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.model.balance import ClosedBalances, closed_output
 from greybox.model.effect import Effect

@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.data.experiment import Experiment
 from greybox.simulation.kernel.interface import GaussNewtonSums, check_sums
 from greybox.simulation.kernel.record import Record

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.base.errors import DataError, nearest
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base import TIME_ROUNDING, DataError, nearest
 from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
 from greybox.model.model import Model
 from greybox.simulation.kernel.record import Record

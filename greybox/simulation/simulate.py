@@ -15,8 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.files import write_file
+from greybox.base import DataError, ModelError, nearest, write_file
 from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import UNNAMED, Experiment, Hold

@@ -67,6 +67,20 @@ def running_code(node: ast.AST) -> Iterator[ast.AST]:
         yield from running_code(child)
 
 
+@cache
+def offered(package: str) -> dict[str, str]:
+    """The names of a package that imports them at their first use -> the modules that they come from."""
+    path = ROOT.joinpath(*package.split("."), "__init__.py")
+    if not path.is_file() or "lazy_face(__name__)" not in path.read_text(encoding="utf-8"):
+        return {}
+    return {
+        alias.name: str(node.module)
+        for node in ast.walk(parsed(path))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
 def imports(path: Path) -> Iterator[Import]:
     importer = module_name(path)
     package = importer if path.name == "__init__.py" else importer.rpartition(".")[0]
@@ -79,7 +93,8 @@ def imports(path: Path) -> Iterator[Import]:
             base = ".".join([*above, *filter(None, [node.module])])
             for alias in node.names:
                 inside = f"{base}.{alias.name}"
-                yield Import(path, node.lineno, importer, inside if is_module(inside) else base)
+                home = offered(base).get(alias.name, base)  # the module that the face of a package takes the name from
+                yield Import(path, node.lineno, importer, inside if is_module(inside) else home)
 
 
 def layer(module: str) -> str:

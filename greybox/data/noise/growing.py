@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 
 # Least standard deviation of a row over the rms of all rows: a reading of zero is not free of noise, and must not decide a fit alone.
 LEAST_SHARE_OF_RMS = 1e-4

@@ -10,9 +10,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg.blas import dtbsv
 
-from greybox.base.json_shape import Finite
-from greybox.base.numerics import ROWS_AT_A_TIME
-from greybox.base.values import Printable
+from greybox.base import ROWS_AT_A_TIME, Finite, Printable
 from greybox.data.noise.growing import GrowingNoise
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest
+from greybox.base import DataError, ModelError, nearest
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (

@@ -10,11 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.findings import Finding
+from greybox.base import Finding, Printable, parse_unit
 from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
 from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
-from greybox.base.units import parse_unit
-from greybox.base.values import Printable
 from greybox.estimation.identifiability.sensitivity import (
     IdentifiabilityCode,
     Sensitivity,

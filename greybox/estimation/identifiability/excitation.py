@@ -10,10 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import ROWS_AT_A_TIME
-from greybox.base.values import Printable
+from greybox.base import ROWS_AT_A_TIME, DataError, Finding, Printable, Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability

@@ -9,8 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.findings import Finding, Severity
+from greybox.base import DataError, Finding, Severity
 from greybox.base.linear_algebra import are_independent, decompose_symmetric, eliminate, orthonormalise
 from greybox.base.numerics import INDEPENDENT_FORMULA, TINY
 from greybox.data.experiment import Experiment

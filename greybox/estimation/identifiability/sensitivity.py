@@ -9,8 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
-from greybox.base.findings import Finding
+from greybox.base import DataError, Finding, ModelError
 from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decompose_columns, range_basis
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
 from greybox.data.experiment import Experiment

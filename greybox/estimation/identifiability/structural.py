@@ -10,10 +10,8 @@ from typing import ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding
+from greybox.base import Finding, ModelError, Printable, nearest
 from greybox.base.numerics import DIRECTION_CUTOFF
-from greybox.base.values import Printable
 from greybox.estimation.identifiability.combinations import (
     OpenDirection,
     find_determined_combinations,

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
-from greybox.base.errors import ModelError
-from greybox.base.findings import Finding
+from greybox.base import Finding, ModelError, Printable
 from greybox.base.json_shape import ComplexArray, Matrix
 from greybox.base.linear_algebra import REACHABILITY, range_basis
 from greybox.base.numerics import (
@@ -22,7 +21,6 @@ from greybox.base.numerics import (
     REAL_PART_ONLY,
     TINY,
 )
-from greybox.base.values import Printable
 from greybox.estimation.linear.plant import ExportFinding
 
 # Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them.

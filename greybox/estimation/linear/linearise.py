@@ -8,10 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import ModelError
-from greybox.base.findings import Finding, Severity
+from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
-from greybox.base.units import format_unit
 from greybox.data.experiment import Experiment
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point

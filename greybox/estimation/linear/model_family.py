@@ -8,11 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from greybox.base.errors import ModelError
-from greybox.base.findings import Finding, Severity
-from greybox.base.linear_algebra import decompose_symmetric
-from greybox.base.numerics import TINY
-from greybox.base.values import Printable
+from greybox.base import TINY, Finding, ModelError, Printable, Severity, decompose_symmetric
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions

@@ -10,9 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding, Severity
-from greybox.base.linear_algebra import decompose_columns
+from greybox.base import Finding, ModelError, Severity, decompose_columns, format_unit, nearest
 from greybox.base.numerics import (
     BALANCE_MET,
     BALANCE_MET_OF_MOVE,
@@ -21,7 +19,6 @@ from greybox.base.numerics import (
     SMALLEST_TYPICAL_SIZE,
     TINY,
 )
-from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import ExportFinding, format_signals
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches

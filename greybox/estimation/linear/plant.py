@@ -8,10 +8,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.extensions import read_greybox_version
-from greybox.base.findings import Finding, Severity
-from greybox.base.units import format_unit
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
 from greybox.model.model import Model

@@ -8,9 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import expm
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base import TIME_ROUNDING, Finding, ModelError, Severity, nearest
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
 from greybox.estimation.linear.plant import ExportFinding
 

@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, Printable, nearest
 from greybox.base.json_shape import ComplexArray
 from greybox.base.linear_algebra import REACHABILITY, decompose_columns
 from greybox.base.numerics import REACHABILITY_RANK, TINY
-from greybox.base.values import Printable
 from greybox.estimation.linear.linearisation import (
     Linearisation,
     balance_matrix,

@@ -15,8 +15,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.numerics import AT_BOUND
+from greybox.base import AT_BOUND, ModelError, nearest
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import MinimisationResult
 from greybox.estimation.options import FitOptions, Hessian

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.sparse import bmat, coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from greybox.base.linear_algebra import decompose_symmetric
+from greybox.base import decompose_symmetric
 from greybox.base.numerics import FREE_STATE_CURVATURE, TINY
 from greybox.estimation.optim.gauss_newton import run_gauss_newton
 from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION

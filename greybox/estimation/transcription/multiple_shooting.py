@@ -24,8 +24,7 @@ from itertools import pairwise
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
-from greybox.base.numerics import TINY
+from greybox.base import TINY, DataError, ModelError
 from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel

@@ -10,8 +10,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding, Severity
+from greybox.base import Finding, ModelError, Severity, nearest
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.growing import GrowingNoise

@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.base.numerics import CONSTANT_STATE, TIME_ROUNDING
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.optim.gauss_newton import run_gauss_newton

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
-from greybox.base.findings import Finding, Severity
+from greybox.base import Finding, Severity
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
 from greybox.model.system import System

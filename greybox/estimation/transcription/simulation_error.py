@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.numerics import AT_BOUND, NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
+from greybox.base import AT_BOUND, NUMBERS_AT_A_TIME, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import RobustLoss

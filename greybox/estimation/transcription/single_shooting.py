@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.base.numerics import TINY
+from greybox.base import TINY
 from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import (
     IterationCallback,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, TypedDict
 
 import click
 
-from greybox.base.errors import GreyboxError, ModelError
+from greybox.base import GreyboxError, ModelError
 from greybox.shell import inputs
 from greybox.shell.fit import FIT
 from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study

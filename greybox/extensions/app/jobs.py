@@ -19,7 +19,7 @@ from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 from greybox.base.parallel.local_pool import pack, quiet_children, unpack
 from greybox.estimation.options import FitOptions
 from greybox.extensions.app.session import Session

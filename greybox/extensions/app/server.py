@@ -30,8 +30,7 @@ from tornado.httputil import HTTPServerRequest
 from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 
-from greybox.base.errors import DataError, GreyboxError
-from greybox.base.files import write_file
+from greybox.base import DataError, GreyboxError, write_file
 from greybox.data.formats import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
+from greybox.base import DataError, ModelError
 from greybox.data.experiment import Experiment
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual

@@ -16,11 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.base import DataError, GreyboxError, ModelError, format_unit, nearest, write_file
 from greybox.base.document import FigureBlock
-from greybox.base.errors import DataError, GreyboxError, ModelError, nearest
 from greybox.base.figure import Figure
-from greybox.base.files import write_file
-from greybox.base.units import format_unit
 from greybox.data.columns import ColumnChoice
 from greybox.data.experiment import Experiment
 from greybox.discovery.localisation import ResidualLocalisation

@@ -15,12 +15,9 @@ from typing import Any, BinaryIO, ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError, Finding, Printable, Severity, read_json, write_json
 from greybox.base.files import hold_file
-from greybox.base.findings import Finding, Severity
-from greybox.base.json_file import read_json, write_json
 from greybox.base.json_shape import FileKind, Unbounded, from_json_data, to_json_data
-from greybox.base.values import Printable
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict

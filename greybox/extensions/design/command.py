@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import DataError, ExitCode, GreyboxError, ModelError
+from greybox.base import DataError, ExitCode, GreyboxError, ModelError
 from greybox.shell.inputs import limits_of, load_fit_with_model, result_folder, set_parameters
 from greybox.shell.study import SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
@@ -53,7 +53,7 @@ def design(study: DesignStudy) -> Answer:
 
     Exit code 0: done. 2: bad input, or limits that cannot be met; nothing was written.
     """
-    from greybox.base.json_shape import format_json, to_json_data
+    from greybox.base import format_json, to_json_data
     from greybox.estimation.result import Fit
     from greybox.extensions.design.next_record import design as design_record
 
@@ -159,7 +159,7 @@ def _kind_of(path: Path) -> str:
 
 def _from_discovery(path: Path, data: Sequence[Path], name: str) -> tuple[Fit, Fit, list[str]]:
     """The best explanation of a discovery fitted again to the records, the fit of its plain model, and the alternatives."""
-    from greybox.base.json_file import read_json
+    from greybox.base import read_json
     from greybox.discovery.result import Discovery
     from greybox.estimation.options import FitOptions
     from greybox.extensions.design.next_record import fit_explanation
@@ -207,7 +207,7 @@ def campaign(study: DesignStudy) -> Answer:
     """
     from dataclasses import replace
 
-    from greybox.base.json_shape import format_json, to_json_data
+    from greybox.base import format_json, to_json_data
     from greybox.base.parallel.jobs import open_workers
     from greybox.extensions.design.campaign import CampaignPlan, CampaignStatus, run_campaign
     from greybox.extensions.design.problem import CAMPAIGN_POLICY, DesignProblem

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from math import inf, isinf
 
+from greybox.base import Severity, read_json
 from greybox.base.document import Block, Document, Facts, FileLink, Later, Paragraphs, Section, TableBlock, Tone
-from greybox.base.findings import Severity
-from greybox.base.json_file import read_json
 from greybox.estimation.result import Fit
 from greybox.extensions.design.campaign import Campaign, CampaignStatus, CampaignStep
 from greybox.extensions.design.problem import Alternative, Design

@@ -8,8 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.base.errors import DataError, GreyboxError, ModelError
-from greybox.base.numerics import TINY
+from greybox.base import TINY, DataError, GreyboxError, ModelError
 from greybox.extensions.design.plant import GOAL_PRIOR_SPREAD, PlantScenario, draw_plants, make_plant
 from greybox.extensions.design.problem import CriterionName, DesignProblem
 from greybox.model.effect import Effect

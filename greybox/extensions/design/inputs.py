@@ -9,8 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.numerics import TINY
+from greybox.base import TINY, DataError
 from greybox.data.signals import SignalLimit, chirp, prbs
 from greybox.extensions.design.plant import PlantScenario
 from greybox.extensions.design.problem import DesignPolicy, DesignProblem, LimitPrediction

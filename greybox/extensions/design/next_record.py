@@ -8,9 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.base.errors import DataError, FitError, ModelError, nearest
-from greybox.base.findings import Finding, Severity
-from greybox.base.numerics import TINY
+from greybox.base import TINY, DataError, Finding, FitError, ModelError, Severity, nearest
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import SignalLimit

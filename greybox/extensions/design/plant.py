@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.base.linear_algebra import eliminate
 from greybox.data.experiment import Experiment
 from greybox.estimation.transcription.decision_vector import DecisionVector

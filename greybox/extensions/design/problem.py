@@ -11,10 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.findings import Finding
-from greybox.base.json_file import write_json
-from greybox.base.json_shape import FileKind
+from greybox.base import DataError, FileKind, Finding, ModelError, nearest, write_json
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource

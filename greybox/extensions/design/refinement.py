@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.base.numerics import TINY
+from greybox.base import TINY
 from greybox.extensions.design.adjoint import SensitivityRun
 from greybox.extensions.design.goals import Goal, GoalMaker
 from greybox.extensions.design.inputs import (

@@ -18,8 +18,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from greybox.base.errors import DataError, GreyboxError, shorten
-from greybox.base.files import write_file
+from greybox.base import DataError, GreyboxError, shorten, write_file
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.data.signals import SignalLimit

@@ -8,8 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.numerics import TINY
+from greybox.base import TINY, DataError
 from greybox.estimation.identifiability.sensitivity import fastest_and_slowest_rate
 from greybox.extensions.design.adjoint import is_differentiable
 from greybox.extensions.design.goals import Goal, GoalMaker

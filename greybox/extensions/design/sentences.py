@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 from greybox.extensions.design.problem import CampaignCode, DesignCode
 from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import join_names

@@ -6,9 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from greybox.base.files import write_file
+from greybox.base import format_unit, write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers
-from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step

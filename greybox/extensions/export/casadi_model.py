@@ -8,9 +8,7 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError, ModelError, nearest
-from greybox.base.files import write_file
-from greybox.base.texts import to_identifier, to_identifiers
+from greybox.base import GreyboxError, ModelError, nearest, to_identifier, to_identifiers, write_file
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import (

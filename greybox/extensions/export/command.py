@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 from greybox.base.extensions import ExtensionKind, extension_names, load_extension
 from greybox.extensions.export.target import ExportTarget
 from greybox.shell.inputs import check_writable, load_fit_with_model
@@ -55,7 +55,7 @@ def export(study: ExportStudy) -> Answer:
 
     Exit code 0: written. 2: bad input, nothing was written.
     """
-    from greybox.base.texts import to_identifier
+    from greybox.base import to_identifier
 
     kind = _kind(study)
     result = load_fit_with_model(Path(study.source), study.model)
@@ -78,7 +78,7 @@ def _kind(study: ExportStudy) -> ExportTarget:
 
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
-    from greybox.base.json_shape import format_json, to_json_data
+    from greybox.base import format_json, to_json_data
     from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.linear_files import LinearFile, PrintedExport
 

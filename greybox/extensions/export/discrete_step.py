@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.estimation.linear.plant import ExportedModel
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State

@@ -12,10 +12,8 @@ from pathlib import Path
 from typing import BinaryIO
 from xml.etree import ElementTree as ET
 
+from greybox.base import format_unit, parse_unit, to_identifier, to_identifiers, to_line, write_file
 from greybox.base.errors import ModelError, OutputError
-from greybox.base.files import write_file
-from greybox.base.texts import to_identifier, to_identifiers, to_line
-from greybox.base.units import format_unit, parse_unit
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.c_code import write_constants, write_step

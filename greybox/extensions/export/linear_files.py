@@ -13,12 +13,9 @@ from typing import Annotated, Any, ClassVar, TypedDict, Unpack
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.extensions import ExtensionKind, load_extensions
-from greybox.base.files import write_file
+from greybox.base import ExtensionKind, ModelError, load_extensions, nearest, to_identifiers, to_line, write_file
 from greybox.base.json_file import write_json as write_json_file
 from greybox.base.json_shape import Axes, FileKind, Matrix
-from greybox.base.texts import to_identifiers, to_line
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.model_family import ModelFamily, sample_family

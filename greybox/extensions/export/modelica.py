@@ -9,11 +9,9 @@ from pathlib import Path
 
 import casadi as ca
 
-from greybox.base.errors import ModelError
-from greybox.base.files import write_file
+from greybox.base import ModelError, format_unit, write_file
 from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_line
-from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget

@@ -14,9 +14,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest, to_identifier
 from greybox.base.numerics import LARGEST_VALUE
-from greybox.base.texts import to_identifier
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import (

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding, Severity
-from greybox.base.texts import to_identifier, to_identifiers
+from greybox.base import Finding, ModelError, Severity, nearest, to_identifier, to_identifiers
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.plant import ExportFinding, to_plant

@@ -9,9 +9,7 @@ from typing import Any
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError
-from greybox.base.files import write_file
-from greybox.base.texts import to_identifier
+from greybox.base import GreyboxError, to_identifier, write_file
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class

@@ -20,10 +20,9 @@ from typing import Any
 
 import numpy as np
 
+from greybox.base import from_json_data, read_versions, to_json_data
 from greybox.base.errors import DataError, GreyboxError, ModelError, WorkersLostError
-from greybox.base.extensions import read_versions
 from greybox.base.files import add_entry, read_journal
-from greybox.base.json_shape import from_json_data, to_json_data
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.base.parallel.local_pool import count_cores, open_local_pool
 from greybox.data.experiment import Experiment, as_records

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greybox.base.errors import ExitCode, GreyboxError
+from greybox.base import ExitCode, GreyboxError
 from greybox.shell.inputs import result_folder, set_parameters
 from greybox.shell.progress import show_progress
 from greybox.shell.study import SHARING, SHOWING, Answer, Command, Option, Study

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from greybox.base import Severity
 from greybox.base.document import (
     Block,
     BulletList,
@@ -20,7 +21,6 @@ from greybox.base.document import (
     Tone,
 )
 from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
-from greybox.base.findings import Severity
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
 from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.formats import list_record_files

@@ -14,12 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base.errors import GreyboxError
-from greybox.base.files import write_file
-from greybox.base.findings import Finding, Severity
-from greybox.base.json_file import read_json, write_json
-from greybox.base.json_shape import FileKind
-from greybox.base.values import Printable
+from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file, write_json
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate, Misfit
 from greybox.model.model import Model

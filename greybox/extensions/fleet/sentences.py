@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 from greybox.extensions.fleet.result import FleetCode
 from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import count_noun

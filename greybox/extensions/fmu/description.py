@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from greybox.base.errors import DataError, ModelError, nearest
-from greybox.base.texts import to_identifiers
-from greybox.base.units import unit_converter
+from greybox.base import DataError, ModelError, nearest, to_identifiers, unit_converter
 
 REAL = ("Real", "Float64", "Float32")
 

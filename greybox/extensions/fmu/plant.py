@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.texts import to_identifiers
-from greybox.base.values import Printable
+from greybox.base import ModelError, Printable, nearest, to_identifiers
 from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, read_description

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from greybox.base import format_unit
 from greybox.base.document import REMARK, Block, Details, Facts, TableBlock
-from greybox.base.units import format_unit
 from greybox.show.sentences.registry import renders
 
 if TYPE_CHECKING:

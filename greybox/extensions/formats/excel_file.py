@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.units import convert
+from greybox.base import DataError, convert
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_size, check_width, parse_header, raise_limit

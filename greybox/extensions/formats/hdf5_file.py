@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base.units import convert
+from greybox.base import convert
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header

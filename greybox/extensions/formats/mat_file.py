@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width, raise_limit
 from greybox.data.formats import FileFormat

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from greybox.base.errors import DataError, nearest
+from greybox.base import DataError, nearest
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width
 from greybox.data.formats import FileFormat, RecordFile

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.formats import FileFormat

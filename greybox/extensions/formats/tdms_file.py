@@ -8,9 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.findings import Finding
-from greybox.base.units import convert
+from greybox.base import DataError, Finding, convert
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header
 from greybox.data.findings import RecordCode

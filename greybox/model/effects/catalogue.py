@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest
 from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.model.effect import Effect
 from greybox.model.effects.elasticity import CONTACT, ELASTICITY

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.effect import Effect
 from greybox.model.expressions.text import evaluate_formula, list_formula_names

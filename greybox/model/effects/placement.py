@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from greybox.base import Printable
 from greybox.base.errors import MissingNameError, ModelError, UnitError
-from greybox.base.values import Printable
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
 from greybox.model.model import Model

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import DataError
-from greybox.base.numerics import INTEGRATING_POLE
+from greybox.base import INTEGRATING_POLE, DataError
 from greybox.model.algebraic import eliminate
 from greybox.model.effect import Effect
 from greybox.model.effects.parameters import UNTAILORED_DELAY

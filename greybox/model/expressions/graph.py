@@ -9,7 +9,7 @@ from typing import TypeVar
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.base.numerics import SWITCH_EDGE, SWITCH_EDGE_OF_MOVE, SWITCH_PROBE
 from greybox.model.expressions.operations import OPERATIONS, Branch
 

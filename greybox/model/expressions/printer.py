@@ -17,7 +17,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 from greybox.model.expressions.graph import as_scalar, count_operands, nodes, walk
 from greybox.model.expressions.operations import OPERATIONS, Binding, Operation, operation_name
 

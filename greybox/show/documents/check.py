@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
+from greybox.base import Finding
 from greybox.base.document import (
     REMARK,
     Block,
@@ -19,7 +20,6 @@ from greybox.base.document import (
     Text,
     Tone,
 )
-from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck

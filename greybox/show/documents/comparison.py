@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from greybox.base import format_unit
 from greybox.base.document import (
     Block,
     BulletList,
@@ -22,7 +23,6 @@ from greybox.base.document import (
     Tone,
 )
 from greybox.base.findings import Finding, with_code
-from greybox.base.units import format_unit
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn

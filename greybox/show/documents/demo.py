@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from greybox.base import format_unit
 from greybox.base.document import Block, BulletList, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
-from greybox.base.units import format_unit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
 from greybox.show.documents.discovery import discovery_sections, discovery_verdict, holdout_lines

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from greybox.base import Finding
 from greybox.base.document import (
     Block,
     BulletList,
@@ -20,7 +21,6 @@ from greybox.base.document import (
     TableBlock,
     Tone,
 )
-from greybox.base.findings import Finding
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit

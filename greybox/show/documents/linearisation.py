@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from greybox.base import format_unit
 from greybox.base.document import (
     Block,
     BulletList,
@@ -20,7 +21,6 @@ from greybox.base.document import (
     TableBlock,
     Tone,
 )
-from greybox.base.units import format_unit
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.linear.plant import format_signals

@@ -6,10 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from greybox.base import ModelError, format_unit
 from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
-from greybox.base.errors import ModelError
 from greybox.base.figure import Role
-from greybox.base.units import format_unit
 from greybox.model.model import Model
 from greybox.show.documents.tables import (
     format_range,

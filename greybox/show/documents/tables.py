@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from greybox.base import format_unit, read_versions
 from greybox.base.document import (
     REMARK,
     Block,
@@ -22,8 +23,6 @@ from greybox.base.document import (
     TableBlock,
     Text,
 )
-from greybox.base.extensions import read_versions
-from greybox.base.units import format_unit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace

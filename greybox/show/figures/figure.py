@@ -8,9 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.base import ROWS_AT_A_TIME, format_unit
 from greybox.base.figure import Axis, Bars, Curve, Points, Role, Scale, Series, Symbol, Thinning
-from greybox.base.numerics import ROWS_AT_A_TIME
-from greybox.base.units import format_unit
 from greybox.show.sentences.wording import choose_prefix
 
 # Size of the point that stands in the place of a bar on a logarithmic axis: as visible as the bar would be.

@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.special import ndtri
 
+from greybox.base import ROWS_AT_A_TIME
 from greybox.base.figure import (
     Axis,
     Band,
@@ -27,7 +28,6 @@ from greybox.base.figure import (
     Series,
     Symbol,
 )
-from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.residuals import (
     ResidualSeries,

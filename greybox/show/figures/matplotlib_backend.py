@@ -18,6 +18,7 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from greybox.base import to_line, write_file
 from greybox.base.figure import (
     Area,
     Axis,
@@ -34,8 +35,6 @@ from greybox.base.figure import (
     Series,
     Symbol,
 )
-from greybox.base.files import write_file
-from greybox.base.texts import to_line
 from greybox.show.figures.figure import thin_curve, typeset_exponents, write_cell
 from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
 

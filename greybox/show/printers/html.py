@@ -27,10 +27,8 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from latex2mathml.converter import convert_to_element
 from markupsafe import Markup
 
+from greybox.base import DataError, Finding, write_file
 from greybox.base.document import Block, Details, Document, FigureBlock, FileLink, Text
-from greybox.base.errors import DataError
-from greybox.base.files import write_file
-from greybox.base.findings import Finding
 from greybox.show.figures.figure import raise_powers, typeset_number
 from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
 from greybox.show.figures.sheet import PALETTE

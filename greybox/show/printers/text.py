@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from greybox.base import Finding
 from greybox.base.document import (
     REMARK,
     Block,
@@ -19,7 +20,6 @@ from greybox.base.document import (
     TableBlock,
     Text,
 )
-from greybox.base.findings import Finding
 from greybox.show.sentences.registry import sentence
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from greybox.base import Finding
 from greybox.base.files import JournalCode
-from greybox.base.findings import Finding
 from greybox.show.sentences.registry import register
 from greybox.show.sentences.wording import count_noun
 

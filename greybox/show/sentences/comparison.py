@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.base import Finding, format_unit
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock, Text
-from greybox.base.findings import Finding
-from greybox.base.units import format_unit
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
@@ -17,7 +16,7 @@ from greybox.show.sentences.registry import register, renders, sentences
 from greybox.show.sentences.wording import format_number
 
 if TYPE_CHECKING:
-    from greybox.base.findings import Check
+    from greybox.base import Check
     from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity
     from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing
     from greybox.comparison.blackbox.polynomial import PolynomialModel

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.base import Finding
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
-from greybox.base.findings import Finding
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences.registry import register, renders, sentences

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.findings import Check, Finding
+from greybox.base import Check, Finding, format_unit
 from greybox.base.json_shape import to_values
-from greybox.base.units import format_unit
 from greybox.data.signals import InputKind
 from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from greybox.base import Finding, format_unit
 from greybox.base.document import REMARK, Block, Facts, Paragraphs, TableBlock
-from greybox.base.findings import Finding
-from greybox.base.units import format_unit
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.profiles import NEARLY_COLLINEAR

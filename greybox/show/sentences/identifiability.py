@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode
 from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import join_names

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from greybox.base import Finding, format_unit
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
-from greybox.base.findings import Finding
 from greybox.base.numerics import VANISHED_POLE
-from greybox.base.units import format_unit
 from greybox.estimation.linear.plant import ExportFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders

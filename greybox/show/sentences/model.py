@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from greybox.base import format_unit
 from greybox.base.document import Block, Details, TableBlock
-from greybox.base.units import format_unit
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
 from greybox.model.equations import equations_text

@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from greybox.base.findings import Check, Finding
+from greybox.base import Check, Finding
 
 Template = str | Callable[[Any], str]
 Writer = Callable[[Any], str | Sequence[Any]]

@@ -10,8 +10,8 @@ from greybox.show.printers.text import table_lines
 from greybox.show.sentences.registry import register, renders
 
 if TYPE_CHECKING:
+    from greybox.base import Finding
     from greybox.base.extensions import Extension
-    from greybox.base.findings import Finding
     from greybox.shell.demonstration import Demo
     from greybox.shell.project import ModelListing
 

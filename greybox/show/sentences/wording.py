@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.base.findings import Finding
+from greybox.base import Finding
 
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}

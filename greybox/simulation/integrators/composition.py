@@ -10,7 +10,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.model.system import System
 from greybox.simulation.integrators.dry_friction import split_at_standstill
 from greybox.simulation.integrators.input_delay import count_history_columns, delay_input, delay_outputs

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
+from greybox.base import ModelError, nearest
 from greybox.model.system import System
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.implicit import midpoint, radau

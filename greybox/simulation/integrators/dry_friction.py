@@ -16,7 +16,7 @@ from functools import reduce
 
 import casadi as ca
 
-from greybox.base.numerics import TINY
+from greybox.base import TINY
 from greybox.model.system import System
 from greybox.simulation.integrators.step import AdvanceFunction, IntegrationMethod
 

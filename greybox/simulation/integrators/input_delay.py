@@ -19,8 +19,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
-from greybox.base.numerics import TIME_ROUNDING
+from greybox.base import TIME_ROUNDING, ModelError
 from greybox.model.system import System
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.base.numerics import PHI_SERIES_BELOW, PHI_SERIES_TERMS
 from greybox.model.system import System
 from greybox.simulation.integrators.composition import make_step

@@ -17,7 +17,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from greybox.base.errors import ModelError
+from greybox.base import ModelError
 from greybox.model.system import System
 from greybox.simulation.integrators.composition import make_step
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate

@@ -33,8 +33,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from greybox.base.errors import GreyboxError
-from greybox.base.files import write_file
+from greybox.base import GreyboxError, write_file
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.record import Record
 

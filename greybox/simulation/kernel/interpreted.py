@@ -10,7 +10,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base.numerics import NUMBERS_AT_A_TIME
+from greybox.base import NUMBERS_AT_A_TIME
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import (
     GaussNewtonSums,

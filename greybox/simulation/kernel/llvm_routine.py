@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from greybox.base.files import write_file
+from greybox.base import write_file
 from greybox.model.expressions.operations import OPERATIONS
 from greybox.simulation.kernel.c_compiler import CompilerError, run_compiler
 from greybox.simulation.kernel.tape import FMA, FMS, FNMA, Tape, find_needed, order_terms

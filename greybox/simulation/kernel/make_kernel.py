@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 from greybox.simulation.integrators.step import MANY_STATES, Step
 from greybox.simulation.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.simulation.kernel.compiled import CompiledKernel

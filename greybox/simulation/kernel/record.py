@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from greybox.base.errors import DataError
+from greybox.base import DataError
 from greybox.simulation.integrators.input_delay import add_input_history
 from greybox.simulation.integrators.step import Step
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from greybox.base.errors import GreyboxError
+from greybox.base import GreyboxError
 from greybox.model.expressions.operations import OPERATIONS, Flat, Selection, operation_name
 
 
