@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.base import DataError, Finding, Printable, nearest
+from greybox.data import sampling
 from greybox.data.findings import TIMING, RecordCode
 from greybox.data.problems import (
     FEW_ROWS,
@@ -22,13 +23,6 @@ from greybox.data.problems import (
     find_measurement_problems,
     is_constant,
     raise_problems,
-)
-from greybox.data.sampling import (
-    find_common_sampling_time,
-    find_pieces,
-    find_sampling_time,
-    find_time_gaps,
-    inspect_timing,
 )
 from greybox.data.sensor_faults import inspect_signals
 
@@ -137,7 +131,7 @@ class Experiment(Printable):
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
             "findings": tuple(self.findings),
             "noise": MappingProxyType(noise),
-            "sampling_time": find_sampling_time(time),
+            "sampling_time": sampling.find_sampling_time(time),
             "fingerprint": _compute_fingerprint(time, inputs, outputs, noise),
         }
         for name, value in values.items():
@@ -190,7 +184,7 @@ class Experiment(Printable):
         problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
-        return replace(bare, findings=(*findings, *seen, *inspect_timing(bare.time, bare.sampling_time)))
+        return replace(bare, findings=(*findings, *seen, *sampling.inspect_timing(bare.time, bare.sampling_time)))
 
     @property
     def rows(self) -> int:
@@ -288,7 +282,7 @@ class Experiment(Printable):
             Where no piece is left.
         """
         least = FEW_ROWS if min_rows is None else min_rows
-        kept, dropped = find_pieces(self.time, self.outputs, least)
+        kept, dropped = sampling.find_pieces(self.time, self.outputs, least)
         if len(kept) + len(dropped) == 1:
             return (self,)
         if not kept:
@@ -303,7 +297,7 @@ class Experiment(Printable):
             left_out = [[float(self.time[first]), float(self.time[end - 1]), end - first] for first, end in dropped]
             findings.append(Finding(RecordCode.PIECES_LEFT_OUT, values={"pieces": left_out}))
         parts = [replace(self.window(first, end), findings=tuple(findings)) for first, end in kept]
-        step = find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts])
+        step = sampling.find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts])
         return tuple(parts) if step is None else tuple(_with_sampling_time(part, step) for part in parts)
 
     def with_hold(self, hold: Hold) -> Experiment:
@@ -487,7 +481,7 @@ LONG_GAP_ROWS = 20
 def _find_long_gaps(record: Experiment) -> list[tuple[int, int]]:
     """Each long gap of ``record``: the row before it, and how many rows are missing."""
     usual = float(np.median(np.diff(record.time)))
-    gaps = find_time_gaps(record.time)
+    gaps = sampling.find_time_gaps(record.time)
     missing = [(int(k), round(float(record.time[k + 1] - record.time[k]) / usual) - 1) for k in gaps]
     return [(k, rows) for k, rows in missing if rows >= LONG_GAP_ROWS]
 
@@ -502,7 +496,7 @@ LOST_INPUT_CHANGE = 1.0
 
 def _find_unknown_input(record: Experiment) -> list[UnknownInputGap]:
     """The gaps of ``record`` through which no simulation means anything."""
-    after, near = find_time_gaps(record.time), NEIGHBOURHOOD_ROWS
+    after, near = sampling.find_time_gaps(record.time), NEIGHBOURHOOD_ROWS
     unknown = []
     for k, rows in _find_long_gaps(record):
         around = slice(max(0, k + 1 - near), k + 1 + near)

@@ -12,6 +12,7 @@ from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
+from greybox.estimation import fit_issues, result_parts
 from greybox.estimation.covariance import (
     check_priors,
     locate_fitted,
@@ -19,19 +20,6 @@ from greybox.estimation.covariance import (
     to_experiment_estimates,
     to_model_covariance,
     to_tied_estimates,
-)
-from greybox.estimation.fit_issues import (
-    LAST_DIGIT,
-    EstimationCode,
-    add_record_findings,
-    find_fit_issues,
-    find_foreign_conditions,
-    find_option_issues,
-    find_prior_conflicts,
-    find_record_trends,
-    find_status_details,
-    find_validation_issues,
-    is_at_noise,
 )
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -43,16 +31,6 @@ from greybox.estimation.prediction_error import (
     set_intensity_limits,
 )
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import (
-    FitConstraints,
-    FitDiscretisation,
-    FitNoise,
-    FitUncertainty,
-    PredictionReport,
-    Provenance,
-    SolverReport,
-    StartResult,
-)
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
     FitProgressCallback,
@@ -168,7 +146,7 @@ def fit(
     held = [q.name for q in model.parameters if q.fixed and q.prior is not None]
     judges = to_experiments(validation) if validation else ()  # refused before the work is done, and not after it
     optimum: Optimum
-    starts: tuple[StartResult, ...] = ()
+    starts: tuple[result_parts.StartResult, ...] = ()
     notices: tuple[Finding, ...] = ()
     if model.noisy_states:
         if colour == ColourTreatment.RESIDUAL:
@@ -221,7 +199,7 @@ def fit(
             initial_rows=beginning,
             options=options,
         )
-        issues = find_validation_issues(result.misfit, judged.misfit)
+        issues = fit_issues.find_validation_issues(result.misfit, judged.misfit)
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
@@ -237,7 +215,7 @@ def _say_what_held_would_be(result: Fit, freed: Fit, held: Sequence[str]) -> Fit
         if name in held
     }
     constraints = replace(result.constraints, priors={**result.constraints.priors, **checks})
-    issues = find_prior_conflicts(result.model, checks)
+    issues = fit_issues.find_prior_conflicts(result.model, checks)
     return replace(result, constraints=constraints, findings=(*result.findings, *issues))
 
 
@@ -305,7 +283,9 @@ def _begin_with_effects(
             continue
         other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
-        if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
+        if ends[-1].status is TerminationStatus.INTERRUPTED or (
+            problem.noise.is_level_known and fit_issues.is_at_noise(ends[-1])
+        ):
             break
     return min(ends, key=lambda end: _compute_ratio(end, std))
 
@@ -314,14 +294,17 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
     if not np.isfinite(optimum.evaluation.cost):
         return True
-    return not is_at_noise(optimum) and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
+    return not fit_issues.is_at_noise(optimum) and not any(
+        m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values()
+    )
 
 
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     """Whether a search got stuck without having moved any free constant in its digits."""
     end, begin = optimum.fitted_model.values, optimum.model.values
     return optimum.status is TerminationStatus.STUCK and all(
-        abs(end[q.name] - begin[q.name]) <= LAST_DIGIT * abs(begin[q.name]) for q in optimum.model.free_parameters
+        abs(end[q.name] - begin[q.name]) <= fit_issues.LAST_DIGIT * abs(begin[q.name])
+        for q in optimum.model.free_parameters
     )
 
 
@@ -332,7 +315,7 @@ def _try_other_starts(
     options: FitOptions,
     colour: ColourTreatment | str,
     report: FitProgressCallback | None,
-) -> tuple[SimulationOptimum, tuple[StartResult, ...], tuple[Finding, ...]]:
+) -> tuple[SimulationOptimum, tuple[result_parts.StartResult, ...], tuple[Finding, ...]]:
     """The best end of ``first`` and of other starts, where each ended, best first, and what is to be said of it.
 
     Of many starts, drawn far about the model's own, those are searched whose first run fits best: one run tells most of what a search
@@ -360,7 +343,7 @@ def _try_other_starts(
     best = ends[ranked[0]][1]
     before, after = ({n: m.best_fit_percent for n, m in end.misfit.items()} for end in (first, best))
     starts = tuple(
-        StartResult(
+        result_parts.StartResult(
             ends[k][0],
             {q.name: ends[k][1].fitted_model.values[q.name] for q in model.free_parameters}
             if np.isfinite(ratios[k])
@@ -378,7 +361,11 @@ def _try_other_starts(
         values = {**counts, "best_fit": after if is_run else {}}
         # Without a run, and without another start, the status has said it.
         is_news = is_run or bool(drawn)
-        return best, starts, (Finding(EstimationCode.NO_START_HELPS, Severity.WARNING, "", values),) * is_news
+        return (
+            best,
+            starts,
+            (Finding(fit_issues.EstimationCode.NO_START_HELPS, Severity.WARNING, "", values),) * is_news,
+        )
     if best is first:
         return best, starts, ()
     values = {
@@ -387,7 +374,7 @@ def _try_other_starts(
         "before": before if np.isfinite(first.evaluation.cost) else {},
         "after": after,
     }
-    return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
+    return best, starts, (Finding(fit_issues.EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
 
 
 def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
@@ -449,10 +436,10 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     matrix, places = np.full((len(free), len(free)), np.nan), [free.index(name) for name in fitted]
     matrix[np.ix_(places, places)] = to_model_covariance(variables, covariance.covariance)
     findings = (
-        *find_fit_issues(optimum, parameters),
-        *find_option_issues(problem, tied, per_experiment, priors, robust),
-        *find_foreign_conditions(model, problem.experiments),
-        *find_record_trends(variables, covariance, problem.experiments),
+        *fit_issues.find_fit_issues(optimum, parameters),
+        *fit_issues.find_option_issues(problem, tied, per_experiment, priors, robust),
+        *fit_issues.find_foreign_conditions(model, problem.experiments),
+        *fit_issues.find_record_trends(variables, covariance, problem.experiments),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(
@@ -460,7 +447,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         parameters=parameters,
         misfit=misfit,
         traces=optimum.traces,
-        solver=SolverReport(
+        solver=result_parts.SolverReport(
             str(optimum.status),
             optimum.status.success,
             float(optimum.evaluation.cost),
@@ -479,9 +466,9 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 **_count_runs(problem),
             },
             make_strategy("prediction", exact=prediction.is_exact) if prediction else solution.strategy,
-            find_status_details(optimum),
+            fit_issues.find_status_details(optimum),
         ),
-        noise=FitNoise(
+        noise=result_parts.FitNoise(
             {o.name: float(problem.noise.std[j]) for j, o in measured},
             dict(problem.noise.sources),
             {o.name: problem.noise.colour[j].reflection for j, o in measured},
@@ -496,17 +483,19 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             },
             {name: noise for name, noise in problem.noise.growth.items() if name in misfit},
         ),
-        uncertainty=FitUncertainty(
+        uncertainty=result_parts.FitUncertainty(
             free, matrix, covariance.kind, dict(zip(variables.names, covariance.inflation.tolist(), strict=True))
         ),
-        discretisation=FitDiscretisation(
+        discretisation=result_parts.FitDiscretisation(
             optimum.discretisation,
             {o.name: float(solution.integration_error[j]) for j, o in measured},
             dict(zip(variables.names, optimum.step_shift.tolist(), strict=True)),
         ),
-        provenance=Provenance(options.to_data(), equations_text(model), read_versions()),
-        constraints=FitConstraints({tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors),
+        provenance=result_parts.Provenance(options.to_data(), equations_text(model), read_versions()),
+        constraints=result_parts.FitConstraints(
+            {tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors
+        ),
         robust=robust,
-        prediction=prediction.report() if prediction else PredictionReport(),
-        findings=add_record_findings(findings, problem.experiments),
+        prediction=prediction.report() if prediction else result_parts.PredictionReport(),
+        findings=fit_issues.add_record_findings(findings, problem.experiments),
     )

@@ -12,20 +12,8 @@ from scipy.special import chdtrc, chdtri
 from greybox.base import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import NoiseModel
+from greybox.estimation import objective
 from greybox.estimation.noise_loop import solve
-from greybox.estimation.objective import (
-    LIKELIHOOD_TERMINATION,
-    LikelihoodMaximum,
-    PredictionErrorObjective,
-    ProcessNoiseTest,
-    add_noise_levels,
-    hold_parameters,
-    raise_noise_to_innovations,
-    refine_minimum,
-    search_minimum,
-    select_best_start,
-    start_at,
-)
 from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
@@ -62,20 +50,22 @@ START_SPACING = 0.5
 
 
 def guess_intensities(
-    cost: PredictionErrorObjective,
+    cost: objective.PredictionErrorObjective,
     names: Sequence[str],
     sizes: Mapping[str, float],
-) -> PredictionErrorObjective:
+) -> objective.PredictionErrorObjective:
     """``cost`` with ``z = 0`` at the most likely of some start values of the intensities ``names``, the other unknowns as they are.
 
     All of them together first, then each by itself.
     """
     # Shares of the intensity that would explain every movement of a state by chance.
     shares = 10.0 ** np.arange(0.0, -(START_DECADES + 0.1), -START_SPACING)
-    together = [start_at(cost, {n: share * sizes[n] for n in names}) for share in shares]
-    cost = select_best_start([cost, *together])
+    together = [objective.start_at(cost, {n: share * sizes[n] for n in names}) for share in shares]
+    cost = objective.select_best_start([cost, *together])
     for name in names if len(names) > 1 else ():
-        cost = select_best_start([cost, *(start_at(cost, {name: share * sizes[name]}) for share in shares)])
+        cost = objective.select_best_start(
+            [cost, *(objective.start_at(cost, {name: share * sizes[name]}) for share in shares)]
+        )
     return cost
 
 
@@ -84,16 +74,16 @@ NEGLIGIBLE_DECREASE = 0.1
 
 
 def drop_insignificant(
-    optimum: LikelihoodMaximum, names: Sequence[str], options: FitOptions
-) -> tuple[LikelihoodMaximum, tuple[str, ...]]:
+    optimum: objective.LikelihoodMaximum, names: Sequence[str], options: FitOptions
+) -> tuple[objective.LikelihoodMaximum, tuple[str, ...]]:
     """The optimum with every intensity at zero for which that is as likely, and their names."""
     zero: list[str] = []
     for name in names:
-        near = refine_minimum(hold_parameters(optimum.objective, {name: 0.0}), options)
+        near = objective.refine_minimum(objective.hold_parameters(optimum.objective, {name: 0.0}), options)
         if near.evaluation.cost <= optimum.evaluation.cost + NEGLIGIBLE_DECREASE:
             # Each by itself: of two intensities that stand for one another either can be zero, not both.
             zero.append(name)
-            optimum = search_minimum(near.objective, options)
+            optimum = objective.search_minimum(near.objective, options)
     return optimum, tuple(zero)
 
 
@@ -107,12 +97,12 @@ LIMIT_RATIO = float(chdtri(1, 0.1))
 
 
 def likelihood_ratio_tests(
-    optimum: LikelihoodMaximum,
+    optimum: objective.LikelihoodMaximum,
     names: Sequence[str],
     zero: Sequence[str],
     sizes: Mapping[str, float],
     options: FitOptions,
-) -> tuple[ProcessNoiseTest, ...]:
+) -> tuple[objective.ProcessNoiseTest, ...]:
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
     if not optimum.status.success:
         return ()
@@ -123,16 +113,20 @@ def likelihood_ratio_tests(
     for name in names:
         if name in zero:
             upper = find_upper_limit(optimum, name, PROCESS_NOISE_FLOOR * sizes[name], options)
-            tests.append(ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
+            tests.append(objective.ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
-        rest = search_minimum(raise_noise_to_innovations(hold_parameters(optimum.objective, {name: 0.0})), options)
+        rest = objective.search_minimum(
+            objective.raise_noise_to_innovations(objective.hold_parameters(optimum.objective, {name: 0.0})), options
+        )
         # 2 (log L - log L_0), both at their own optimum
         ratio = max(rest.evaluation.cost - optimum.evaluation.cost, 0.0)
         # Zero is on the edge: half the mass at zero, half chi-square of one degree (Self and Liang 1987).
         p_value = 0.5 * float(chdtrc(1, ratio))
         limited = ratio < LIMIT_RATIO
         limits = (0.0, find_upper_limit(optimum, name, values[name], options)) if limited else None
-        tests.append(ProcessNoiseTest(name, values[name], ratio, p_value, p_value < PROCESS_NOISE_SIGNIFICANCE, limits))
+        tests.append(
+            objective.ProcessNoiseTest(name, values[name], ratio, p_value, p_value < PROCESS_NOISE_SIGNIFICANCE, limits)
+        )
     return tuple(tests)
 
 
@@ -144,21 +138,21 @@ LIMIT_STEPS = 40
 PROCESS_NOISE_LIMIT_TOLERANCE = 0.02
 
 
-def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, options: FitOptions) -> float:
+def find_upper_limit(optimum: objective.LikelihoodMaximum, name: str, begin: float, options: FitOptions) -> float:
     """The intensity from which on ``-2 log L`` exceeds its minimum by the one-sided 95 % point, the other unknowns estimated anew.
 
     ``begin`` is one that does not.
     """
     limit, tolerance = LIMIT_RATIO, PROCESS_NOISE_LIMIT_TOLERANCE * LIMIT_RATIO
-    enough = replace(LIKELIHOOD_TERMINATION, negligible_decrease=tolerance)
+    enough = replace(objective.LIKELIHOOD_TERMINATION, negligible_decrease=tolerance)
     least = optimum.evaluation.cost
     near, low, high = optimum.objective, begin, np.inf
     value = begin
     # With the other unknowns held the cost rises at least as fast: up to there the limit is not reached.
-    while value < begin / PROCESS_NOISE_FLOOR and hold_parameters(near, {name: value}).cost() - least < limit:
+    while value < begin / PROCESS_NOISE_FLOOR and objective.hold_parameters(near, {name: value}).cost() - least < limit:
         low, value = value, LIMIT_GROWTH * value
     for _ in range(LIMIT_STEPS):
-        trial = refine_minimum(hold_parameters(near, {name: value}), options, enough)
+        trial = objective.refine_minimum(objective.hold_parameters(near, {name: value}), options, enough)
         rise = trial.evaluation.cost - least
         if abs(rise - limit) <= tolerance:
             break
@@ -170,7 +164,9 @@ def find_upper_limit(optimum: LikelihoodMaximum, name: str, begin: float, option
     return value
 
 
-def set_intensity_limits(parameters: Mapping[str, Estimate], tests: Sequence[ProcessNoiseTest]) -> dict[str, Estimate]:
+def set_intensity_limits(
+    parameters: Mapping[str, Estimate], tests: Sequence[objective.ProcessNoiseTest]
+) -> dict[str, Estimate]:
     """Intensities that are zero, or not certainly more, with their limit in place of an interval that cannot reach zero."""
     limited = dict(parameters)
     for test in tests:
@@ -188,7 +184,7 @@ class MaximumLikelihoodEstimate:
     """
 
     solution: Solution
-    optimum: LikelihoodMaximum
+    optimum: objective.LikelihoodMaximum
     names: tuple[str, ...]
     zero: tuple[str, ...]
     sizes: Mapping[str, float]
@@ -240,7 +236,7 @@ def estimate_by_prediction_error(
         moved = np.sqrt(np.nanmean(np.where(np.isfinite(whole), whole, np.nan) ** 2, axis=0))
     sizes = compute_largest_intensities(model, moved)
     starts = [guess_intensities(start, names, sizes) for start in _make_starts(model, names, sizes, solution, options)]
-    optimum = search_minimum(select_best_start(starts), options, report)
+    optimum = objective.search_minimum(objective.select_best_start(starts), options, report)
     if not optimum.status.success:
         return MaximumLikelihoodEstimate(solution, optimum, names, (), sizes)
     may_be_zero = [n for n in names if model.parameter(n).bounds[0] == 0]
@@ -250,7 +246,7 @@ def estimate_by_prediction_error(
 
 def _make_starts(
     model: Model, names: Sequence[str], sizes: Mapping[str, float], solution: Solution, options: FitOptions
-) -> list[PredictionErrorObjective]:
+) -> list[objective.PredictionErrorObjective]:
     """The likelihood at the fit by simulation error, where there is one, and at the start values."""
     problem = solution.problem
     working = model
@@ -269,6 +265,6 @@ def _make_starts(
     for start in (solution.variables, problem.variables) if solution.status.success else (problem.variables,):
         variables = DecisionVector.of(working, start.initial, conditions, options.per_experiment, titles)
         variables = variables.with_values(dict(zip(start.names, start.base, strict=True)))
-        variables = add_noise_levels(variables, problem)
-        objectives.append(PredictionErrorObjective(variables, kalman, problem.records))
+        variables = objective.add_noise_levels(variables, problem)
+        objectives.append(objective.PredictionErrorObjective(variables, kalman, problem.records))
     return objectives

@@ -14,22 +14,7 @@ from greybox.base import FileKind, Finding, StoredResult, from_json_data, parse_
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.problems import RowLabels, find_array_problems
-from greybox.estimation.result_parts import (
-    Estimate,
-    FitConstraints,
-    FitDiscretisation,
-    FitNoise,
-    FitUncertainty,
-    Misfit,
-    PredictionReport,
-    Provenance,
-    RobustReport,
-    SolverReport,
-    StartResult,
-    Trace,
-    Validation,
-    restore_options,
-)
+from greybox.estimation import result_parts
 from greybox.model.model import Model
 from greybox.model.process_noise import intensity_name
 from greybox.simulation.plant import Plant, as_model
@@ -85,19 +70,19 @@ class Fit(Printable, ReadOnly, StoredResult):
     """
 
     model: Model
-    parameters: Mapping[str, Estimate]
-    misfit: Mapping[str, Misfit]
-    traces: Sequence[Trace]
-    solver: SolverReport
-    noise: FitNoise
-    uncertainty: FitUncertainty
-    discretisation: FitDiscretisation
-    provenance: Provenance = field(default_factory=Provenance)
-    validation: Validation = field(default_factory=Validation)
-    constraints: FitConstraints = field(default_factory=FitConstraints)
-    robust: RobustReport = field(default_factory=RobustReport)
-    prediction: PredictionReport = field(default_factory=PredictionReport)
-    starts: Sequence[StartResult] = ()
+    parameters: Mapping[str, result_parts.Estimate]
+    misfit: Mapping[str, result_parts.Misfit]
+    traces: Sequence[result_parts.Trace]
+    solver: result_parts.SolverReport
+    noise: result_parts.FitNoise
+    uncertainty: result_parts.FitUncertainty
+    discretisation: result_parts.FitDiscretisation
+    provenance: result_parts.Provenance = field(default_factory=result_parts.Provenance)
+    validation: result_parts.Validation = field(default_factory=result_parts.Validation)
+    constraints: result_parts.FitConstraints = field(default_factory=result_parts.FitConstraints)
+    robust: result_parts.RobustReport = field(default_factory=result_parts.RobustReport)
+    prediction: result_parts.PredictionReport = field(default_factory=result_parts.PredictionReport)
+    starts: Sequence[result_parts.StartResult] = ()
     findings: tuple[Finding, ...] = ()
 
     FILE: ClassVar[FileKind] = FileKind("a fit", "fit.json that greybox fit has written")
@@ -141,7 +126,7 @@ class Fit(Printable, ReadOnly, StoredResult):
         return _least_ratios(self.noise, self.validation.misfit)
 
 
-def _least_ratios(noise: FitNoise, misfit: Mapping[str, Misfit]) -> dict[str, float]:
+def _least_ratios(noise: result_parts.FitNoise, misfit: Mapping[str, result_parts.Misfit]) -> dict[str, float]:
     bounds = {name: noise.bound(name) for name in misfit}
     ratios = {name: bound.least_ratio(misfit[name].rmse) for name, bound in bounds.items() if bound is not None}
     return {name: ratio for name, ratio in ratios.items() if ratio is not None}
@@ -240,7 +225,7 @@ def _list_units(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
     """The fit that ``data`` holds; a model with other ties is refused with DataError."""
-    parameters = {n: from_json_data(Estimate, e) for n, e in data["parameters"].items()}
+    parameters = {n: from_json_data(result_parts.Estimate, e) for n, e in data["parameters"].items()}
     # Process noise of the fit, where it was added to the model (`Model.with_process_noise`).
     states = [s for s in data.get("process_noise", {}) if s in model.system.state_names and s not in model.noisy_states]
     estimated = [s for s in states if intensity_name(s) in data["parameters"] and intensity_name(s) not in model.values]
@@ -263,7 +248,7 @@ def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
         "solver.statistics": {name: value for name, value in data.get("solver", {}).items() if name != "strategy"},
         "solver.strategy": _finding(data["search"]) if data.get("search") else None,
         "solver.details": tuple(map(_finding, data.get("status_details", ()))),
-        "provenance.options": restore_options(data.get("options", {})),
+        "provenance.options": result_parts.restore_options(data.get("options", {})),
         "findings": tuple(map(_finding, data.get("findings", ()))),
     }
     return from_json_data(Fit, data, given)

@@ -12,16 +12,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
+from greybox.model import process_noise
 from greybox.model.balance import Balance, ClosedBalances
 from greybox.model.build_system import SYSTEMS, plant_sites
 from greybox.model.effect import Effect
-from greybox.model.process_noise import (
-    check_process_noise,
-    find_noise_parameters,
-    find_noisy_states,
-    intensity_name,
-    noise_intensities,
-)
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
@@ -103,7 +97,7 @@ class Model(Printable):
     def __post_init__(self) -> None:
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
         check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
-        check_process_noise(self.title, system, parameters)
+        process_noise.check_process_noise(self.title, system, parameters)
         check_constants(self.title, self.rules, self._present_values)
 
     @cached_property
@@ -175,17 +169,17 @@ class Model(Printable):
     @cached_property
     def noisy_states(self) -> tuple[str, ...]:
         """States with process noise, or with an intensity that is free to become positive."""
-        return find_noisy_states(self.system, self.all_parameters)
+        return process_noise.find_noisy_states(self.system, self.all_parameters)
 
     @cached_property
     def noise_parameters(self) -> tuple[str, ...]:
         """Names of the parameters that are intensities of process noise and nothing else."""
-        return find_noise_parameters(self.system)
+        return process_noise.find_noise_parameters(self.system)
 
     @property
     def noise_intensities(self) -> dict[str, float]:
         """State -> present intensity of its process noise, in the state's unit over sqrt(s)."""
-        return noise_intensities(self.system, self.all_parameters)
+        return process_noise.noise_intensities(self.system, self.all_parameters)
 
     @property
     def title(self) -> str:
@@ -384,17 +378,17 @@ class Model(Printable):
         both = [n for n in estimated if n in known]
         if both:
             raise ModelError(f"process noise of {both[0]!r}: either estimated or known; name the state once")
-        noise: dict[str, float | str] = {**known, **{name: intensity_name(name) for name in estimated}}
+        noise: dict[str, float | str] = {**known, **{name: process_noise.intensity_name(name) for name in estimated}}
         added = [
             Parameter(
-                intensity_name(name),
+                process_noise.intensity_name(name),
                 f"({states[name].unit or '1'})/s^0.5",
                 0.0,
                 (0.0, math.inf),
                 description=f"intensity of the process noise of {name}",
             )
             for name in estimated
-            if intensity_name(name) not in self.values
+            if process_noise.intensity_name(name) not in self.values
         ]
         plant = tuple(replace(s, noise=noise[s.name]) if s.name in noise else s for s in self.states)
         effects = []

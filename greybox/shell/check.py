@@ -5,15 +5,7 @@ from __future__ import annotations
 import json as json_format
 from pathlib import Path
 
-from greybox.shell.inputs import (
-    build_model,
-    check_substeps,
-    constrain,
-    fit_options,
-    layout_of,
-    read_records,
-    result_folder,
-)
+from greybox.shell import inputs
 from greybox.shell.study import (
     ESTIMATING,
     INTEGRATING,
@@ -45,16 +37,16 @@ def check(study: Study) -> Answer:
 
     if is_record(study):
         return look_at_files(study)
-    model = constrain(build_model(study), study)
-    check_substeps(study, model)
-    records, _ = read_records(study, model)
-    folder = result_folder(study, model.name)
+    model = inputs.constrain(inputs.build_model(study), study)
+    inputs.check_substeps(study, model)
+    records, _ = inputs.read_records(study, model)
+    folder = inputs.result_folder(study, model.name)
     result = check_model(
         model,
         records,
         noise=dict(study.noise),
         outputs=list(study.outputs) or None,
-        options=fit_options(study),
+        options=inputs.fit_options(study),
     )
     saved = result.save(folder / "check.json")
     return Answer(
@@ -79,7 +71,7 @@ def look_at_files(study: Study) -> Answer:
             file,
             names=list(study.headers) or None,
             sampling_time=study.sampling_time or None,
-            reading=layout_of(study).get("reading", READING_POLICY),
+            reading=inputs.layout_of(study).get("reading", READING_POLICY),
         )
         for file in (Path(study.model), *study.estimation)
     ]

@@ -7,21 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.shell.inputs import (
-    STARTS_FILE,
-    add_effects,
-    build_model,
-    check_prediction_steps,
-    check_skip,
-    check_substeps,
-    constrain,
-    fit_options,
-    print_record_notes,
-    read_quiet_records,
-    read_records,
-    result_folder,
-    with_delays_of_records,
-)
+from greybox.shell import inputs
 from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
 from greybox.shell.study import (
     FITTING,
@@ -66,22 +52,22 @@ def compare(study: Study) -> Answer:
     from greybox.comparison.black_box_candidates import check_sampling_times
     from greybox.comparison.compare import NamedModel, compare_named
 
-    plain = build_model(study)
+    plain = inputs.build_model(study)
     extensions = [tuple(name.strip() for name in text.split("+")) for text in study.candidates]
-    models = [constrain(add_effects(plain, names), study) for names in ((), *extensions)]
-    check_substeps(study, models[0])
-    folder = result_folder(study, plain.name)
-    records, validation = read_records(study, plain)
-    models = [with_delays_of_records(model, records) for model in models]
-    quiet = read_quiet_records(study, plain, hold=study.hold)
-    check_skip(study, validation)
-    check_prediction_steps(study, records, validation)
+    models = [inputs.constrain(inputs.add_effects(plain, names), study) for names in ((), *extensions)]
+    inputs.check_substeps(study, models[0])
+    folder = inputs.result_folder(study, plain.name)
+    records, validation = inputs.read_records(study, plain)
+    models = [inputs.with_delays_of_records(model, records) for model in models]
+    quiet = inputs.read_quiet_records(study, plain, hold=study.hold)
+    inputs.check_skip(study, validation)
+    inputs.check_prediction_steps(study, records, validation)
     check_sampling_times(records, validation, [q.name for q in plain.outputs])
     if not study.silent:
-        print_record_notes(records, validation)
-    options = fit_options(study)
+        inputs.print_record_notes(records, validation)
+    options = inputs.fit_options(study)
     given = {"noise": dict(study.noise), "quiet": quiet, "options": options}
-    journal = folder / STARTS_FILE
+    journal = folder / inputs.STARTS_FILE
     with open_workers(study.workers, study.cluster) as executor, show_progress(study.silent) as show:
         if study.starts > 1:
             given |= {

@@ -7,16 +7,7 @@ from typing import TYPE_CHECKING
 
 from greybox.base import ExitCode
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.shell.inputs import (
-    build_model,
-    check_skip,
-    constrain,
-    print_record_notes,
-    read_quiet_records,
-    read_records,
-    read_test_records,
-    result_folder,
-)
+from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import ESTIMATING, LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Study
 from greybox.shell.terminal import exit_with_error, write_report
@@ -53,15 +44,15 @@ def discover(study: Study) -> Answer:
     from greybox.estimation.options import FitOptions
     from greybox.shell.own_effects import find_effect, find_own_effects
 
-    model = constrain(build_model(study), study)
-    folder = result_folder(study, model.name)
+    model = inputs.constrain(inputs.build_model(study), study)
+    folder = inputs.result_folder(study, model.name)
     # Asked for before the search: an answer of minutes must not fail at its last file.
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
-    records, validation = read_records(study, model)
-    quiet = read_quiet_records(study, model, hold=study.hold)
-    test = read_test_records(study, model)
-    print_record_notes(records, validation, quiet, test)
-    check_skip(study, [*validation, *test])
+    records, validation = inputs.read_records(study, model)
+    quiet = inputs.read_quiet_records(study, model, hold=study.hold)
+    test = inputs.read_test_records(study, model)
+    inputs.print_record_notes(records, validation, quiet, test)
+    inputs.check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)
     candidates = () if only_laws else [find_effect(name) for name in study.candidates] or None
     project_effects = () if only_laws or candidates else find_own_effects()

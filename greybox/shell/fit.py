@@ -8,21 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.base import ExitCode, FitError
-from greybox.shell.inputs import (
-    STARTS_FILE,
-    build_model,
-    check_intervals,
-    check_prediction_steps,
-    check_skip,
-    check_substeps,
-    constrain,
-    fit_options,
-    print_record_notes,
-    read_quiet_records,
-    read_records,
-    result_folder,
-    with_delays_of_records,
-)
+from greybox.shell import inputs
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import (
     FITTING,
@@ -68,29 +54,29 @@ def fit(study: Study) -> Answer:
     from greybox.estimation.fit import fit as fit_model
     from greybox.estimation.multistart import multistart
 
-    model = constrain(build_model(study), study)
-    check_substeps(study, model)
-    folder = result_folder(study, model.name)
-    records, validation = read_records(study, model)
-    model = with_delays_of_records(model, records)
-    quiet = read_quiet_records(study, model)
-    check_skip(study, validation)
-    check_prediction_steps(study, records, validation)
+    model = inputs.constrain(inputs.build_model(study), study)
+    inputs.check_substeps(study, model)
+    folder = inputs.result_folder(study, model.name)
+    records, validation = inputs.read_records(study, model)
+    model = inputs.with_delays_of_records(model, records)
+    quiet = inputs.read_quiet_records(study, model)
+    inputs.check_skip(study, validation)
+    inputs.check_prediction_steps(study, records, validation)
     silent, workers = study.silent, study.workers
     if not silent:  # notes on the fitted records stand in the result, but for JSON
-        print_record_notes(*((records, validation) if study.json else (validation,)))
-    profiled = check_intervals(study, model)
+        inputs.print_record_notes(*((records, validation) if study.json else (validation,)))
+    profiled = inputs.check_intervals(study, model)
     given: dict[str, Any] = {
         "noise": dict(study.noise),
         "quiet": quiet,
         "validation": validation,
         "skip": study.skip,
         "beginning": study.beginning,
-        "options": fit_options(study),
+        "options": inputs.fit_options(study),
     }
     with open_workers(workers, study.cluster) as executor:
         if study.starts > 1:
-            journal = folder / STARTS_FILE
+            journal = folder / inputs.STARTS_FILE
             with show_progress(silent) as show:
                 many = multistart(
                     model,

@@ -17,31 +17,7 @@ from typing import Any, Generic, Self, TypeVar, overload
 
 from greybox.base import ExitCode, GreyboxError
 from greybox.shell import completion
-from greybox.shell.study_values import (
-    Choice,
-    CommaNames,
-    Conditions,
-    Count,
-    Counts,
-    File,
-    Files,
-    FrequencyBand,
-    Headers,
-    Kind,
-    Limits,
-    MaybeNumber,
-    ModelName,
-    Names,
-    Number,
-    Numbers,
-    Priors,
-    Quantity,
-    Schedules,
-    Seed,
-    Switch,
-    Table,
-    Word,
-)
+from greybox.shell import study_values as kinds
 
 T = TypeVar("T")
 HOLDS = ("zero", "first", "band-limited")
@@ -70,7 +46,7 @@ class Option(Generic[T]):
         Whether a command refuses to run without it.
     """
 
-    kind: Kind[T]
+    kind: kinds.Kind[T]
     usage: str
     place: str
     help: str
@@ -149,136 +125,140 @@ class Study:
 
     # A table: an option is a row or two.
     # fmt: off
-    model = Option(ModelName(), "MODEL", "model", _MODEL, completion.models, required=True)
-    source = Option(ModelName(), "FIT", "source", "The fit.json that greybox fit has written.", required=True)
-    estimation = Option(Files(), "DATA", "records.estimation", _RECORDS)
-    input = Option(File(), "INPUT", "input", "File with time and the model's inputs; or select a test signal.")
-    effects = Option(Names(split=True), "--effect NAME", "effects",
+    model = Option(kinds.ModelName(), "MODEL", "model", _MODEL, completion.models, required=True)
+    source = Option(kinds.ModelName(), "FIT", "source", "The fit.json that greybox fit has written.", required=True)
+    estimation = Option(kinds.Files(), "DATA", "records.estimation", _RECORDS)
+    input = Option(kinds.File(), "INPUT", "input", "File with time and the model's inputs; or select a test signal.")
+    effects = Option(kinds.Names(split=True), "--effect NAME", "effects",
         "Add an effect of the catalogue, such as coulomb_friction.", completion.effects)
-    candidates = Option(CommaNames(), "--effects NAME,...", "candidates",
+    candidates = Option(kinds.CommaNames(), "--effects NAME,...", "candidates",
         "Test only these effects of the catalogue; none: no effect, only equations, as with --laws. [default: all]", completion.effects)
-    without = Option(Names(split=True), "--without NAME", "without",
+    without = Option(kinds.Names(split=True), "--without NAME", "without",
         "Do not try this effect of the catalogue; may be repeated.", completion.effects)
-    without_family = Option(Names(split=True), "--without-family NAME", "without_family",
+    without_family = Option(kinds.Names(split=True), "--without-family NAME", "without_family",
         "Do not try this effect, nor those that contain it or that it contains (coulomb_friction: all dry friction).", completion.effects)
-    further = Option(Switch(), "--further", "further",
+    further = Option(kinds.Switch(), "--further", "further",
         "Search for smaller effects even where the residual is noise. Where more is left, they are always searched for.")
-    laws = Option(Switch(), "--laws", "laws",
+    laws = Option(kinds.Switch(), "--laws", "laws",
         "Where no effect is established or more than noise is left, look for the equation that is missing.")
-    outputs = Option(Names(split=True), "--outputs NAME", "outputs", "Assume that only this output is measured; may be repeated.")
-    fixed = Option(Numbers(bare="as declared"), "--fix NAME=VALUE", "fixed.",
+    outputs = Option(kinds.Names(split=True), "--outputs NAME", "outputs", "Assume that only this output is measured; may be repeated.")
+    fixed = Option(kinds.Numbers(bare="as declared"), "--fix NAME=VALUE", "fixed.",
         "Fix a known parameter at VALUE, in its unit; NAME alone fixes it at the value in the model.", completion.constants)
-    start = Option(Numbers(), "--start NAME=VALUE", "start.", "Start value of a parameter, in its unit.", completion.constants)
-    free = Option(Names(), "--free NAME", "parameters.free", "Fit a parameter that the model declares fixed.", completion.constant_names)
-    priors = Option(Priors(), "--prior NAME=MEAN+-STD", "priors.",
+    start = Option(kinds.Numbers(), "--start NAME=VALUE", "start.", "Start value of a parameter, in its unit.", completion.constants)
+    free = Option(kinds.Names(), "--free NAME", "parameters.free",
+        "Fit a parameter that the model declares fixed.", completion.constant_names)
+    priors = Option(kinds.Priors(), "--prior NAME=MEAN+-STD", "priors.",
         "Prior of a parameter, mean and standard deviation, such as M=0.0100+-0.0001; it counts as a measurement.", completion.constants)
-    ties = Option(Table("NAME=FORMULA", "Kv=Kf"), "--tie NAME=FORMULA", "ties.",
+    ties = Option(kinds.Table("NAME=FORMULA", "Kv=Kf"), "--tie NAME=FORMULA", "ties.",
         "Tie a parameter to others by a formula, such as Kv=Kf or K2=3*K1.", completion.constants)
-    time_limit = Option(Quantity(), "--time SECONDS", "search.time",
+    time_limit = Option(kinds.Quantity(), "--time SECONDS", "search.time",
         "With --starts: begin no further start after so many seconds, and take the best so far.")
-    per_experiment = Option(Names(split=True), "--own NAME", "parameters.per_record",
+    per_experiment = Option(kinds.Names(split=True), "--own NAME", "parameters.per_record",
         "Fit a separate value of this parameter in each record.", completion.constant_names)
-    schedules = Option(Schedules(), "--schedule NAME=CONDITION[@VALUE]", "schedule.",
+    schedules = Option(kinds.Schedules(), "--schedule NAME=CONDITION[@VALUE]", "schedule.",
         "Let a parameter depend on a condition or an input, such as K2=P_S@8e5; the fitted value is the one at VALUE.",
         completion.constants)
-    conditions = Option(Conditions(), "--condition NAME[=V1,V2,...]", "conditions.",
+    conditions = Option(kinds.Conditions(), "--condition NAME[=V1,V2,...]", "conditions.",
         "A parameter with a known value in each record: one value for each record in order (--validate last). NAME alone"
         " reads it from each file: a column of that name, or a comment line such as '# P_S = 801 kPa'. Any other name, such as load=1,6.1,"
         " is what --own parameters, and those that a discovery finds, are held against.")
-    process_noise = Option(Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
+    process_noise = Option(kinds.Numbers(bare="estimated"), "--process-noise STATE[=VALUE]", "process_noise.",
         "Add process noise to a state. The fit then minimises the prediction error with a Kalman filter and estimates the"
         " intensity of the noise; VALUE fixes the intensity, in the state's unit over sqrt(s).", completion.states)
-    noise = Option(Numbers("OUTPUT=STD", "x=2e-7"), "--noise OUTPUT=STD", "noise.",
+    noise = Option(kinds.Numbers("OUTPUT=STD", "x=2e-7"), "--noise OUTPUT=STD", "noise.",
         "Standard deviation of the sensor noise of an output, in the model's unit. [default: estimated]", completion.outputs)
-    common_noise = Option(Switch(), "--common-noise", "estimation.common_noise",
+    common_noise = Option(kinds.Switch(), "--common-noise", "estimation.common_noise",
         "Outputs whose noise is not given have one unknown noise in common and are weighed alike; they must have one unit.")
-    quiet = Option(Files(), "--quiet FILE", "records.quiet",
+    quiet = Option(kinds.Files(), "--quiet FILE", "records.quiet",
         "A record with the input at rest and the same columns, to estimate the noise from; may be repeated.")
-    validation = Option(Files(), "--validate FILE", "records.validation", "A validation record, which is not fitted; may be repeated.")
-    test = Option(Files(), "--test FILE", "records.test",
+    validation = Option(kinds.Files(), "--validate FILE", "records.validation",
+        "A validation record, which is not fitted; may be repeated.")
+    test = Option(kinds.Files(), "--test FILE", "records.test",
         "A record that takes no part in the search: the answer is held against the plain model there, and its error is told;"
         " may be repeated.")
-    skip = Option(Count(), "--skip N", "records.skip", "Number of rows to ignore at the start of each validation record.")
-    beginning = Option(Count(), "--beginning N", "records.beginning",
+    skip = Option(kinds.Count(), "--skip N", "records.skip", "Number of rows to ignore at the start of each validation record.")
+    beginning = Option(kinds.Count(), "--beginning N", "records.beginning",
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
         " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.")
-    hold = Option(Choice(HOLDS), "--hold", "records.hold",
+    hold = Option(kinds.Choice(HOLDS), "--hold", "records.hold",
         "The input between samples: zero (held), first (straight lines) or band-limited.")
-    interpolation = Option(Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
+    interpolation = Option(kinds.Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
         "How an input with stamps of its own moves between its samples, if not as --hold says: zero, first or band-limited.")
-    at_rest = Option(Switch(), "--at-rest", "records.at_rest",
+    at_rest = Option(kinds.Switch(), "--at-rest", "records.at_rest",
         "Start each record at the initial state of the model instead of estimating the initial state.")
-    free_decay = Option(Switch(), "--free-decay", "records.free_decay",
+    free_decay = Option(kinds.Switch(), "--free-decay", "records.free_decay",
         "Accept records with zero input throughout (free response of the plant).")
-    split_holes = Option(Switch(), "--split-holes", "records.split_holes",
+    split_holes = Option(kinds.Switch(), "--split-holes", "records.split_holes",
         "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).")
-    columns = Option(Table("NAME=HEADER", "x=Laser"), "--column NAME=HEADER", "columns.",
+    columns = Option(kinds.Table("NAME=HEADER", "x=Laser"), "--column NAME=HEADER", "columns.",
         "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1.",
         completion.signals)
-    headers = Option(Headers(), "--columns NAME,...", "records.columns",
+    headers = Option(kinds.Headers(), "--columns NAME,...", "records.columns",
         "Names of all columns in their order, such as 'time [ms],u,-,x', for files without a header and for matrices; - leaves a"
         " column out.")
-    sampling_time = Option(Quantity(), "--sampling-time SECONDS", "records.sampling_time",
+    sampling_time = Option(kinds.Quantity(), "--sampling-time SECONDS", "records.sampling_time",
         "Seconds between rows, for records without a time column; the common step of signals with stamps of their own.")
-    read_limit = Option(Quantity(), "--read-limit FACTOR", "records.read_limit",
+    read_limit = Option(kinds.Quantity(), "--read-limit FACTOR", "records.read_limit",
         "Raise the limits on the size of record files by this factor.")
-    method = Option(Choice(METHODS), "--method", "integration.method",
+    method = Option(kinds.Choice(METHODS), "--method", "integration.method",
         "Integration method: automatic, exact (linear models), rk4, mixed, or midpoint and radau (stiff models).")
-    substeps = Option(Count(), "--substeps N", "integration.substeps",
+    substeps = Option(kinds.Count(), "--substeps N", "integration.substeps",
         "Integration steps in each sampling interval; 0 selects the number automatically.")
-    loss = Option(Word("squares"), "--loss NAME[:K]", "estimation.loss",
+    loss = Option(kinds.Word("squares"), "--loss NAME[:K]", "estimation.loss",
         "squares, or a robust loss that limits the influence of outliers: huber, student. K: the residual in noise standard"
         " deviations beyond which huber grows linearly, or the degrees of freedom of student.")
-    transcription = Option(Choice(TRANSCRIPTIONS), "--transcription", "estimation.transcription",
+    transcription = Option(kinds.Choice(TRANSCRIPTIONS), "--transcription", "estimation.transcription",
         "single: one free run of each record. multiple: segments joined by continuity (unstable plants). collocation: the"
         " equations solved at collocation points, states within their bounds. arcs: pieces of --arc-length without continuity."
         " automatic selects by the model.")
-    arc_length = Option(Quantity(), "--arc-length SECONDS", "estimation.arc_length",
+    arc_length = Option(kinds.Quantity(), "--arc-length SECONDS", "estimation.arc_length",
         "Fit arcs of this length, each with its own initial state: short arcs show structure, long arcs show drift.")
-    starts = Option(Count(1, 1), "--starts N", "estimation.starts",
+    starts = Option(kinds.Count(1, 1), "--starts N", "estimation.starts",
         "Fit from N start points, the model's own and N-1 random ones, on all cores; prints the result of each.")
-    seed = Option(Seed(), "--seed N", "estimation.seed", "Seed of the random --starts. [default: 0]")
-    predict = Option(Counts(), "--predict K", "estimation.predict",
+    seed = Option(kinds.Seed(), "--seed N", "estimation.seed", "Seed of the random --starts. [default: 0]")
+    predict = Option(kinds.Counts(), "--predict K", "estimation.predict",
         "Also print the prediction error K samples ahead, with the simulation error; may be repeated, 0 for none.  [default: 1]")
-    profiles = Option(Names(split=True), "--profile NAME", "profile",
+    profiles = Option(kinds.Names(split=True), "--profile NAME", "profile",
         "Also compute the interval of this parameter by profile likelihood (15 to 25 refits), or the region of two, A:B; may be repeated.")
-    bootstrap = Option(Count(), "--bootstrap N", "bootstrap",
+    bootstrap = Option(kinds.Count(), "--bootstrap N", "bootstrap",
         "Also compute intervals of all parameters by a block bootstrap with N replicates (1000 suffice).")
     # A run of a model, and what a rig allows.
-    step = Option(MaybeNumber(), "--step HEIGHT", "step", "Test signal: a step at the first row.")
-    multisine = Option(MaybeNumber(), "--multisine RMS", "multisine", "Test signal: sines of equal amplitude and random phase in --band.")
-    chirp = Option(MaybeNumber(), "--chirp AMPLITUDE", "chirp", "Test signal: a sine swept through --band.")
-    band = Option(FrequencyBand(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
-    offset = Option(Number(), "--offset VALUE", "offset", "Offset added to the test signal.")
-    duration = Option(Quantity(), "--duration SECONDS", "duration", "Duration of the record.")
-    initial = Option(Numbers("STATE=VALUE", "x=0.001"), "--initial STATE=VALUE", "initial.",
+    step = Option(kinds.MaybeNumber(), "--step HEIGHT", "step", "Test signal: a step at the first row.")
+    multisine = Option(kinds.MaybeNumber(), "--multisine RMS", "multisine",
+        "Test signal: sines of equal amplitude and random phase in --band.")
+    chirp = Option(kinds.MaybeNumber(), "--chirp AMPLITUDE", "chirp", "Test signal: a sine swept through --band.")
+    band = Option(kinds.FrequencyBand(), "--band LOW:HIGH", "band", "Band of a multisine or chirp in Hz.")
+    offset = Option(kinds.Number(), "--offset VALUE", "offset", "Offset added to the test signal.")
+    duration = Option(kinds.Quantity(), "--duration SECONDS", "duration", "Duration of the record.")
+    initial = Option(kinds.Numbers("STATE=VALUE", "x=0.001"), "--initial STATE=VALUE", "initial.",
         "Initial value of a state, in its unit.", completion.states)
-    limits = Option(Limits(), "--limit NAME=LOW:HIGH", "limits.",
+    limits = Option(kinds.Limits(), "--limit NAME=LOW:HIGH", "limits.",
         "Range of an input, output or state, in its unit; an end may be left out, as in --limit x=:1e-4.", completion.signals)
-    rates = Option(Numbers("NAME=R", "u=100"), "--rate NAME=R", "rates.", "Largest change of an input in a second, in its unit.")
-    draws = Option(Count(), "--seed N", "seed", "Seed of the noise and of the phases of --multisine.")
+    rates = Option(kinds.Numbers("NAME=R", "u=100"), "--rate NAME=R", "rates.", "Largest change of an input in a second, in its unit.")
+    draws = Option(kinds.Count(), "--seed N", "seed", "Seed of the noise and of the phases of --multisine.")
     # What is no part of a study: where results go, how they are shown, who computes.
-    output = Option(File(), "--output DIR", "", "Folder for the results.")
-    workers = Option(Count(idle=1), "--workers N", "",
+    output = Option(kinds.File(), "--output DIR", "", "Folder for the results.")
+    workers = Option(kinds.Count(idle=1), "--workers N", "",
         "Processes that share the work, on this machine or in --cluster local. [default: one for each core]")
-    cluster = Option(Word(), "--cluster ADDRESS", "",
+    cluster = Option(kinds.Word(), "--cluster ADDRESS", "",
         "Scheduler of a Dask cluster that does the work, such as tcp://10.0.0.5:8786; local starts one here, to try.")
-    silent = Option(Switch(), "--quiet-output -q", "", "Print nothing but errors.")
-    json = Option(Switch(), "--json", "", "Print the result as JSON instead of text.")
-    figures = Option(Switch(), "--figures", "", "Also write the figures of the report as PNG and SVG.")
-    no_report = Option(Switch(), "--no-report", "", "Do not write report.html.")
+    silent = Option(kinds.Switch(), "--quiet-output -q", "", "Print nothing but errors.")
+    json = Option(kinds.Switch(), "--json", "", "Print the result as JSON instead of text.")
+    figures = Option(kinds.Switch(), "--figures", "", "Also write the figures of the report as PNG and SVG.")
+    no_report = Option(kinds.Switch(), "--no-report", "", "Do not write report.html.")
     # Commands around the project.
-    some_model = Option(ModelName(), "MODEL", "", "The model: its name or its file. Without MODEL, all are listed.", completion.models)
-    added = Option(Names(split=True), "--effect NAME", "", effects.help, completion.effects)
-    own_name = Option(Word(), "NAME", "", "With keep: what the effect is called.")
-    kept_result = Option(File(), "--result FILE", "", "With keep: the discovery.json. [default: the newest in results/]")
-    directory = Option(File(), "DIR", "", "Folder for the project; created if it does not exist.", required=True)
-    plant = Option(Word(), "--plant NAME", "",
+    some_model = Option(kinds.ModelName(), "MODEL", "",
+        "The model: its name or its file. Without MODEL, all are listed.", completion.models)
+    added = Option(kinds.Names(split=True), "--effect NAME", "", effects.help, completion.effects)
+    own_name = Option(kinds.Word(), "NAME", "", "With keep: what the effect is called.")
+    kept_result = Option(kinds.File(), "--result FILE", "", "With keep: the discovery.json. [default: the newest in results/]")
+    directory = Option(kinds.File(), "DIR", "", "Folder for the project; created if it does not exist.", required=True)
+    plant = Option(kinds.Word(), "--plant NAME", "",
         "Start from one plant with a simulated twin and a study file: circuit, cylinder, rotary-drive, stage, tanks, "
         "thermal or two-mass.")
-    force = Option(Switch(), "--force", "", "Overwrite existing files.")
-    json_command = Option(Word(), "COMMAND", "", "The command: fit, discover, changed, check ...", completion.commands, required=True)
-    opened = Option(Switch(), "--open", "", "Open the report in the browser at the end.")
+    force = Option(kinds.Switch(), "--force", "", "Overwrite existing files.")
+    json_command = Option(kinds.Word(), "COMMAND", "", "The command: fit, discover, changed, check ...", completion.commands, required=True)
+    opened = Option(kinds.Switch(), "--open", "", "Open the report in the browser at the end.")
     # fmt: on
 
     def __init__(
@@ -295,7 +275,9 @@ class Study:
         unknown = values.keys() - known.keys()
         if unknown:
             raise TypeError(f"a study has no {', '.join(sorted(unknown))}")
-        tables = {name: MappingProxyType(dict(v)) for name, v in values.items() if isinstance(known[name].kind, Table)}
+        tables = {
+            name: MappingProxyType(dict(v)) for name, v in values.items() if isinstance(known[name].kind, kinds.Table)
+        }
         self.values: Mapping[str, Any] = MappingProxyType({**values, **tables})
         self.command, self.options = command, options
         self.file, self.from_file, self.unused = file, frozenset(from_file), tuple(unused)

@@ -13,19 +13,12 @@ import numpy as np
 from greybox.base import Finding, Printable, parse_unit
 from greybox.base.linear_algebra import DIRECTION_RANK, are_independent, decompose_columns
 from greybox.base.numerics import DIRECTION_CUTOFF, EXPONENT_AGREEMENT
+from greybox.estimation.identifiability import transfer_functions
 from greybox.estimation.identifiability.sensitivity import (
     IdentifiabilityCode,
     Sensitivity,
     SensitivityRank,
     highest_ranks,
-)
-from greybox.estimation.identifiability.transfer_functions import (
-    Polynomial,
-    divide,
-    format_polynomial,
-    logarithmic_gradient,
-    remove_known_factors,
-    transfer_function_coefficients,
 )
 from greybox.model.model import Model
 
@@ -165,12 +158,12 @@ class ParameterCombination:
     """
 
     text: str
-    poly: Polynomial
+    poly: transfer_functions.Polynomial
     is_coefficient: bool = False
 
     def slope(self, p: np.ndarray, which: np.ndarray) -> np.ndarray:
         """``d log / d log p`` of the free constants (nf,) at the parameters ``p`` (np,)."""
-        return logarithmic_gradient(self.poly, p)[which]
+        return transfer_functions.logarithmic_gradient(self.poly, p)[which]
 
 
 def find_determined_combinations(
@@ -193,8 +186,10 @@ def find_determined_combinations(
         candidate, alone = plain, [names.index(c.text) for c in chosen if c.text in names]
         # A sum without the factors that are determined by themselves: K + Ks for (K + Ks)/La.
         if len(plain.poly) > 1:
-            poly = remove_known_factors(plain.poly, alone)
-            candidate = ParameterCombination(format_polynomial(poly, names), poly, plain.is_coefficient)
+            poly = transfer_functions.remove_known_factors(plain.poly, alone)
+            candidate = ParameterCombination(
+                transfer_functions.format_polynomial(poly, names), poly, plain.is_coefficient
+            )
         at = [candidate.slope(p, which) for p in points]
         if not all(is_determined(s, r) for s, r in zip(at, ranks, strict=True)):
             continue
@@ -219,7 +214,7 @@ def find_product_combinations(model: Model, ranks: Sequence[SensitivityRank]) ->
             # A quotient with the positive powers in front is what people call it.
             whole[which] = powers if (powers > 0).sum() * 2 >= (powers != 0).sum() else -powers
             poly = {tuple(whole.tolist()): Fraction(1)}
-            yield ParameterCombination(format_polynomial(poly, names), poly)
+            yield ParameterCombination(transfer_functions.format_polynomial(poly, names), poly)
 
 
 def find_transfer_function_combinations(model: Model) -> list[ParameterCombination]:
@@ -228,17 +223,18 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
         return []
     which, names = free_parameter_indices(model), list(model.values)
     known = np.setdiff1d(np.arange(len(names)), which).tolist()
-    base = list({_key(poly): poly for poly in transfer_function_coefficients(model.system)}.values())
+    base = list({_key(poly): poly for poly in transfer_functions.transfer_function_coefficients(model.system)}.values())
     # Gains and time constants are ratios of coefficients, and more familiar than they are.
-    ratios = [divide(one, other) for one in base for other in base if one is not other]
+    ratios = [transfer_functions.divide(one, other) for one in base for other in base if one is not other]
     combinations: dict[tuple, ParameterCombination] = {}
     for is_coefficient, poly in [*((True, poly) for poly in base), *((False, ratio) for ratio in ratios if ratio)]:
-        bare = remove_known_factors(poly, known)
+        bare = transfer_functions.remove_known_factors(poly, known)
         if len(bare) == 1 and max(*next(iter(bare)), 0) == 0:  # 1/Ra: the constant itself
             bare = {tuple(-k for k in e): f for e, f in bare.items()}
         if any(e[k] for e in bare for k in which):
             combinations.setdefault(
-                _key(bare), ParameterCombination(format_polynomial(bare, names), bare, is_coefficient)
+                _key(bare),
+                ParameterCombination(transfer_functions.format_polynomial(bare, names), bare, is_coefficient),
             )
     return list(combinations.values())
 
@@ -251,7 +247,7 @@ def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     )
 
 
-def _key(poly: Polynomial) -> tuple:
+def _key(poly: transfer_functions.Polynomial) -> tuple:
     return tuple(sorted(poly.items()))
 
 

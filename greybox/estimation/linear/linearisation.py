@@ -9,18 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import qr
 
-from greybox.base import Finding, ModelError, Printable
+from greybox.base import Finding, ModelError, Printable, numerics
 from greybox.base.json_shape import ComplexArray, Matrix
 from greybox.base.linear_algebra import REACHABILITY, range_basis
-from greybox.base.numerics import (
-    BALANCING_SWEEPS,
-    EARLIER_STATE,
-    INTEGRATING_POLE,
-    LARGEST_SCALING_EXPONENT,
-    REACHABILITY_RANK,
-    REAL_PART_ONLY,
-    TINY,
-)
 from greybox.estimation.linear.plant import ExportFinding
 
 # Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them.
@@ -58,7 +49,7 @@ def _factors(a: np.ndarray) -> np.ndarray:
     """Powers of two (n,) that make rows and columns of ``a`` equally long (Osborne 1960; Parlett, Reinsch 1969)."""
     size = np.abs(a - np.diag(np.diag(a)))
     exponents = np.zeros(len(a), int)
-    for _ in range(BALANCING_SWEEPS):
+    for _ in range(numerics.BALANCING_SWEEPS):
         before = exponents.copy()
         for k in range(len(a)):
             t = np.ldexp(1.0, exponents)
@@ -67,8 +58,8 @@ def _factors(a: np.ndarray) -> np.ndarray:
                 exponents[k] = np.clip(
                     # t_k = sqrt(row / column) makes both equally long; a power of two keeps every digit.
                     exponents[k] + round(np.log2(row / column) / 2),
-                    -LARGEST_SCALING_EXPONENT,
-                    LARGEST_SCALING_EXPONENT,
+                    -numerics.LARGEST_SCALING_EXPONENT,
+                    numerics.LARGEST_SCALING_EXPONENT,
                 )
         if np.array_equal(before, exponents):
             break
@@ -84,16 +75,18 @@ def compute_poles(a: np.ndarray, dt: float) -> np.ndarray:
     """Eigenvalues (n,) of ``a``, slowest first; a pole that integrates is 0 (or 1 in the z-plane) to the last digit."""
     values = np.linalg.eigvals(balance_matrix(a)[0]).astype(complex) if len(a) else np.empty(0, complex)
     values = np.where(is_at_rest(values, dt), 1.0 if dt else 0.0, values)
-    values.imag[np.abs(values.imag) <= REAL_PART_ONLY * np.abs(values)] = 0.0
+    values.imag[np.abs(values.imag) <= numerics.REAL_PART_ONLY * np.abs(values)] = 0.0
     # Slowest first, rounded: a conjugate pair whose parts differ in the last digit must not be torn apart.
     speed = np.abs(values - 1.0) if dt else np.abs(values)
-    return values[np.lexsort((values.imag, np.round(speed / max(speed.max(initial=0.0), TINY), 9)))]
+    return values[np.lexsort((values.imag, np.round(speed / max(speed.max(initial=0.0), numerics.TINY), 9)))]
 
 
 def is_at_rest(roots: np.ndarray, dt: float, size: float | None = None) -> np.ndarray:
     """Which of some poles or zeros are at rest: 0, or 1 in the z-plane; ``size`` is that of the fastest (None: among these)."""
     distance = np.abs(roots - 1.0) if dt else np.abs(roots)
-    return distance <= INTEGRATING_POLE * max(np.abs(roots).max(initial=0.0) if size is None else size, TINY)
+    return distance <= numerics.INTEGRATING_POLE * max(
+        np.abs(roots).max(initial=0.0) if size is None else size, numerics.TINY
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +217,7 @@ def minimal_realisation(model: Linearisation) -> Linearisation:
         rows = s.t[keep, None] * _without_rounding(basis @ np.linalg.inv(basis[keep])).T / s.t
         rows[:, keep] = np.eye(len(keep))
         others = np.setdiff1d(np.arange(len(s.a)), keep)
-        mixed = np.abs(rows[:, others] * s.t[others]).max(axis=1, initial=0.0) > REACHABILITY_RANK * s.t[keep]
+        mixed = np.abs(rows[:, others] * s.t[others]).max(axis=1, initial=0.0) > numerics.REACHABILITY_RANK * s.t[keep]
         names = [reduced.state_names[k] + "_r" * bool(m) for k, m in zip(keep, mixed, strict=True)]
         shown = reduced.C[:, keep]
         reduced, unobserved = _with_states(reduced, rows @ reduced.A[:, keep], rows @ reduced.B, shown, keep, names)
@@ -241,7 +234,7 @@ def minimal_realisation(model: Linearisation) -> Linearisation:
 
 def compute_reachable_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Orthonormal basis (n, r) of what ``b`` reaches through ``a``, by the staircase of Rosenbrock; both of size about one."""
-    size = max(float(np.linalg.norm(a, 2)) if a.size else 0.0, TINY)
+    size = max(float(np.linalg.norm(a, 2)) if a.size else 0.0, numerics.TINY)
     basis, new = np.zeros((len(a), 0)), b
     scale = 1.0
     while basis.shape[1] < len(a):
@@ -260,7 +253,7 @@ def compute_reachable_basis(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _without_rounding(lift: np.ndarray) -> np.ndarray:
     """Coefficients (n, r) of about one, those that are rounding errors put to zero: balancing would blow them up to a coupling."""
-    return np.where(np.abs(lift) > REACHABILITY_RANK, lift, 0.0)
+    return np.where(np.abs(lift) > numerics.REACHABILITY_RANK, lift, 0.0)
 
 
 def _choose_states(basis: np.ndarray) -> np.ndarray:
@@ -268,7 +261,7 @@ def _choose_states(basis: np.ndarray) -> np.ndarray:
     if not basis.shape[1]:
         return np.empty(0, int)
     # Of two that tell the same the first one stays, whatever their rounding errors.
-    preference = (1 - EARLIER_STATE) ** np.arange(len(basis))
+    preference = (1 - numerics.EARLIER_STATE) ** np.arange(len(basis))
     _, _, order = qr(basis.T * preference, pivoting=True, mode="economic")
     return np.sort(order[: basis.shape[1]])
 

@@ -10,15 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.base import Finding, ModelError, Severity, decompose_columns, format_unit, nearest
-from greybox.base.numerics import (
-    BALANCE_MET,
-    BALANCE_MET_OF_MOVE,
-    FREE_POSITION,
-    NEGLIGIBLE_MOVE,
-    SMALLEST_TYPICAL_SIZE,
-    TINY,
-)
+from greybox.base import Finding, ModelError, Severity, decompose_columns, format_unit, nearest, numerics
 from greybox.estimation.linear.plant import ExportFinding, format_signals
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
@@ -91,7 +83,7 @@ class ModelFunctions:
         """Typical sizes of states and inputs (nx + nu,)."""
         start = np.abs(self.start(p))
         # As declared where that is not zero: a variable at zero has a size all the same.
-        return np.maximum(np.abs(z), np.where(start > 0, start, SMALLEST_TYPICAL_SIZE))
+        return np.maximum(np.abs(z), np.where(start > 0, start, numerics.SMALLEST_TYPICAL_SIZE))
 
     def direction(self, z: np.ndarray) -> np.ndarray:
         """Sign of motion of each dry friction at ``z``, 0 at standstill."""
@@ -134,7 +126,9 @@ class ModelFunctions:
             # At standstill friction takes up any push to its static level.
             held = static[k] if k in self.bodies and z[k] == 0 else 0.0
             # Share of the terms that cancel, of what a typical move changes, and what dry friction may hold.
-            tolerance = BALANCE_MET * amounts[k] + BALANCE_MET_OF_MOVE * moves[k] * abs(storages[k]) + held
+            tolerance = (
+                numerics.BALANCE_MET * amounts[k] + numerics.BALANCE_MET_OF_MOVE * moves[k] * abs(storages[k]) + held
+            )
             residuals.append(
                 BalanceResidual(
                     balance.name, balance.unit, balance.state, float(rates[k] * storages[k]), float(tolerance)
@@ -329,7 +323,7 @@ def _find_moving_parameters(functions: ModelFunctions, point: OperatingPoint) ->
 def _position_is_irrelevant(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, k: int) -> bool:
     """Whether no rate depends on the position ``k`` where it is: then everything else can stay while it moves."""
     moves = np.abs(functions.slopes(z, p, functions.direction(z)) * functions.sizes(z, p))
-    return bool(np.all(moves[:, k] <= FREE_POSITION * moves.sum(axis=1)))
+    return bool(np.all(moves[:, k] <= numerics.FREE_POSITION * moves.sum(axis=1)))
 
 
 def _check_point(functions: ModelFunctions, at: Mapping[str, float]) -> dict[str, float]:
@@ -386,7 +380,7 @@ def _solve(
                 met = all(r.met for r in _residuals_of_rows(functions, nearer, p, to_meet))
                 solution = nearer if met else solution
             return _snap(solution, z, sizes)
-        excess = sum(abs(r.value) / max(r.tolerance, TINY) for r in unmet)
+        excess = sum(abs(r.value) / max(r.tolerance, numerics.TINY) for r in unmet)
         if excess < least:
             best, least = solution, excess
     return best
@@ -439,7 +433,7 @@ def _run_newton(
 
 def _snap(z: np.ndarray, begin: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """``z`` without rounding errors, which are neither a move nor sliding."""
-    return np.where(np.abs(z - begin) > NEGLIGIBLE_MOVE * sizes, z, begin)
+    return np.where(np.abs(z - begin) > numerics.NEGLIGIBLE_MOVE * sizes, z, begin)
 
 
 def _apply_updates(functions: ModelFunctions, z: np.ndarray, p: np.ndarray, given: Mapping[str, float]) -> np.ndarray:

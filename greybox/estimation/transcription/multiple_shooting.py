@@ -29,14 +29,8 @@ from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions, Transcription
+from greybox.estimation.transcription import eliminated_states
 from greybox.estimation.transcription.decision_vector import DecisionVector
-from greybox.estimation.transcription.eliminated_states import (
-    CondensedProblem,
-    LinearisedSegment,
-    ProjectedShooting,
-    condense,
-    project_states,
-)
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
     FitProgressCallback,
@@ -267,7 +261,7 @@ class MultipleShooting:
             solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
             return self._end_apart(segmented, solution.evaluation, solution)
-        projected = ProjectedShooting(pieces.shooting())
+        projected = eliminated_states.ProjectedShooting(pieces.shooting())
         if initialise:
             projected.carry_states(self.segmented.starts_record)
         (low, high), zero = projected.bounds(), np.zeros(projected.size)
@@ -411,7 +405,9 @@ class MultipleShooting:
             counts += is_measured.sum(axis=0)
             # d_k = x(end of segment k) - s_{k+1}, in scaled states.
             defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)
-            segments.append(LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect))
+            segments.append(
+                eliminated_states.LinearisedSegment(r[is_measured], j[is_measured], ends / scale[:, None], defect)
+            )
         # The first states of records are held to what is declared.
         whole = self.segmented.whole.variables
         declared = np.flatnonzero(~whole.initial.free)
@@ -423,7 +419,7 @@ class MultipleShooting:
                 distance, slope = (x0 - states[first]) / scale, dx0[:, : self.n] / scale[:, None]
                 segments[first] = replace(segments[first], tie=(declared, distance[declared], slope[declared]))
         edges = np.cumsum([0, *(len(places) - 1 for places in self.segmented.cuts)])
-        condensed = condense([segments[a:b] for a, b in pairwise(edges)], self.n)
+        condensed = eliminated_states.condense([segments[a:b] for a, b in pairwise(edges)], self.n)
         if condensed is None:
             return None
         gaps = np.concatenate([np.abs(s.defect) for s in segments])
@@ -438,7 +434,7 @@ class _LinearisedPoint:
     z: np.ndarray
     squares: np.ndarray
     counts: np.ndarray
-    condensed: CondensedProblem
+    condensed: eliminated_states.CondensedProblem
     prior: tuple[float, np.ndarray, np.ndarray]
     gap: float
     violation: float
@@ -475,7 +471,7 @@ def _project_residuals(pieces: EstimationProblem) -> list[tuple[np.ndarray, np.n
     n, result = len(pieces.variables.which), []
     for r, jacobian in pieces.shooting().residuals(pieces.variables.here):
         measured = jacobian[np.isfinite(r)]
-        slope = project_states(measured.T @ measured, n)
+        slope = eliminated_states.project_states(measured.T @ measured, n)
         result.append((r, jacobian[:, :, :n] + jacobian[:, :, n:] @ slope))
     return result
 

@@ -19,13 +19,8 @@ from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.problems import is_constant
 from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
+from greybox.estimation.transcription import simulation_error
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.simulation_error import (
-    Evaluation,
-    PlantShooting,
-    SingleShooting,
-    WhitenedShooting,
-)
 from greybox.model.model import Model
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
@@ -65,17 +60,17 @@ class EstimationProblem:
         # c + g'z + z'H z / 2 at its least within the bounds.
         return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
-    def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
+    def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> simulation_error.SingleShooting:
         """The cost of free runs over the first ``share`` of every record, for its own variables or others.
 
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
         if isinstance(self.kernel, PlantKernel):
-            return PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
+            return simulation_error.PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
         if self.loss is None and not self.is_whitened:
-            return SingleShooting(*base)
-        return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
+            return simulation_error.SingleShooting(*base)
+        return simulation_error.WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
 
     @property
     def is_whitened(self) -> bool:
@@ -448,7 +443,7 @@ class Solution:
 
     problem: EstimationProblem
     variables: DecisionVector
-    evaluation: Evaluation
+    evaluation: simulation_error.Evaluation
     status: TerminationStatus
     solver_status: str
     iterations: int

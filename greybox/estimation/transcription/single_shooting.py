@@ -8,14 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base import TINY
+from greybox.estimation.optim import minimisation
 from greybox.estimation.optim.methods import minimise
-from greybox.estimation.optim.minimisation import (
-    IterationCallback,
-    MinimisationResult,
-    Termination,
-    TerminationPolicy,
-    TerminationStatus,
-)
 from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
@@ -134,7 +128,7 @@ def _find_movement_share(y: np.ndarray) -> float:
 
 # Whether the integrator's step is small enough at the optimum; if not, the search goes on with a smaller one.
 
-NO_RESULT = (TerminationStatus.INTERRUPTED, TerminationStatus.NO_START)
+NO_RESULT = (minimisation.TerminationStatus.INTERRUPTED, minimisation.TerminationStatus.NO_START)
 """Nothing to go on from."""
 
 Refinement = tuple[EstimationProblem | None, np.ndarray]
@@ -267,7 +261,7 @@ STIFF_GROWTH = 16
 # A first part of whose movement less than this can be followed is too long for that start.
 FOLLOWED_SHARE = 0.5
 # When a search by simulation error has converged.
-CONVERGENCE = TerminationPolicy()
+CONVERGENCE = minimisation.TerminationPolicy()
 # The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do.
 CONVERGENCE_IN_PART = replace(CONVERGENCE, negligible_decrease=0.01)
 
@@ -288,7 +282,7 @@ class _Search:
     def solve(self, problem: EstimationProblem) -> Solution:
         """The optimum over whole records, the first time by way of growing parts of them."""
         self.problem, self.variables, self.known = problem, problem.variables, None
-        self.status, self.word, self.solver = TerminationStatus.CONVERGED, "", ""
+        self.status, self.word, self.solver = minimisation.TerminationStatus.CONVERGED, "", ""
         self.iterations = self.passes = 0
         self.seconds, self.shares = 0.0, []
         if self.progressive:
@@ -351,12 +345,12 @@ class _Search:
             if share < 1:
                 outcome = self.fit(share)
 
-    def begin(self) -> tuple[float, MinimisationResult | None]:
+    def begin(self) -> tuple[float, minimisation.MinimisationResult | None]:
         """Fit the first part: one so short that it can be followed from these start values, if there is one."""
         share, start = choose_first_share(self.problem), self.variables
-        tried: list[tuple[float, float, DecisionVector, MinimisationResult]] = []
+        tried: list[tuple[float, float, DecisionVector, minimisation.MinimisationResult]] = []
         while share < 1:
-            self.variables, self.status = start, TerminationStatus.CONVERGED
+            self.variables, self.status = start, minimisation.TerminationStatus.CONVERGED
             outcome = self.fit(share)
             if outcome is not None:
                 tried.append(
@@ -364,7 +358,7 @@ class _Search:
                 )
             less = shorten_share(self.problem, share)
             if (
-                self.status is TerminationStatus.INTERRUPTED
+                self.status is minimisation.TerminationStatus.INTERRUPTED
                 or less == share
                 or (outcome is not None and tried[-1][0] >= FOLLOWED_SHARE)
             ):
@@ -376,7 +370,7 @@ class _Search:
         self.status = outcome.status
         return share, outcome
 
-    def fit(self, share: float) -> MinimisationResult | None:
+    def fit(self, share: float) -> minimisation.MinimisationResult | None:
         """One minimisation over part of the record; None where it cannot begin."""
         if self.over:
             self.known = None
@@ -384,7 +378,7 @@ class _Search:
         start = self.known or self.measure(share)
         self.known = None
         if not np.isfinite(start.cost):
-            self.status = TerminationStatus.NO_START
+            self.status = minimisation.TerminationStatus.NO_START
             return None
         self.shares.append(share)
         # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
@@ -412,7 +406,7 @@ class _Search:
             value_at_start=start,
             tolerance=self.options.tolerance,
             iterations=self.options.iterations,
-            termination_test=Termination(policy, *low_high, start.count).test,
+            termination_test=minimisation.Termination(policy, *low_high, start.count).test,
             thorough=self.options.thorough and is_whole,
             progress=self.progress(share),
             policy=self.options.policy.minimisation,
@@ -425,7 +419,7 @@ class _Search:
         self.known = outcome.value if share == 1 else None
         return outcome
 
-    def progress(self, share: float) -> IterationCallback | None:
+    def progress(self, share: float) -> minimisation.IterationCallback | None:
         """What IPOPT calls after each iteration."""
         if self.report is None:
             return None

@@ -11,12 +11,7 @@ import casadi as ca
 from greybox.base import GreyboxError, ModelError, nearest, to_identifier, to_identifiers, write_file
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
-from greybox.extensions.export.discrete_step import (
-    find_delay_parameters,
-    make_discrete_step,
-    name_past_inputs,
-    refuse_discontinuous,
-)
+from greybox.extensions.export import discrete_step
 from greybox.extensions.export.target import ExportTarget
 from greybox.model.model import Model
 
@@ -192,17 +187,17 @@ def _write_equations(plant: ExportedModel, dt: float | None, free: Sequence[str]
     x, u = ca.SX.sym("x", s.x.numel()), ca.SX.sym("u", s.u.numel())
     state_names = list(s.state_names)
     if dt is None:
-        refuse_discontinuous(model)
+        discrete_step.refuse_discontinuous(model)
         motion, y = s.rhs_function(x, u, values), s.output_function(x, u, values)
     else:
         # How many earlier inputs are states would hang on a symbol.
-        late = [name for name in free if name in find_delay_parameters(model)]
+        late = [name for name in free if name in discrete_step.find_delay_parameters(model)]
         if late:
             raise ModelError(f"{', '.join(late)}: a delay decides how many states there are; it cannot be free")
         # The exact hold has its constants in numbers; a free one must stay in the equations.
-        step = make_discrete_step(plant, dt, substeps=substeps, method="rk4" if free else "automatic")
+        step = discrete_step.make_discrete_step(plant, dt, substeps=substeps, method="rk4" if free else "automatic")
         x, nx, n = ca.SX.sym("x", s.x.numel() + step.past), s.x.numel(), step.step.substeps
-        state_names += name_past_inputs(step)
+        state_names += discrete_step.name_past_inputs(step)
         past = x[nx:]
         # The entries of the discrete matrices as numbers, or the constants themselves.
         q = ca.SX(ca.DM(step.coefficients())) if step.step.per_interval else values

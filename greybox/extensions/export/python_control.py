@@ -15,12 +15,7 @@ from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
-from greybox.extensions.export.discrete_step import (
-    find_delay_parameters,
-    make_discrete_step,
-    name_past_inputs,
-    refuse_discontinuous,
-)
+from greybox.extensions.export import discrete_step
 from greybox.model.model import Model
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 
@@ -281,11 +276,11 @@ def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps
     nx, nu = s.x.numel(), s.u.numel()
     # Constants that may be changed, under names that control systems allow: a delay decides how many states there are.
     named = dict(zip(to_identifiers(s.parameter_names), map(float, source.p), strict=True))
-    late = find_delay_parameters(model)
+    late = discrete_step.find_delay_parameters(model)
     free = {name: v for (name, v), true in zip(named.items(), s.parameter_names, strict=True) if true not in late}
-    step = None if dt is None else make_discrete_step(source, dt, substeps=substeps)
+    step = None if dt is None else discrete_step.make_discrete_step(source, dt, substeps=substeps)
     if step is None:
-        refuse_discontinuous(model)
+        discrete_step.refuse_discontinuous(model)
 
     def given(x: Any, u: Any, params: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         p = np.array([params.get(name, value) for name, value in named.items()])
@@ -310,7 +305,7 @@ def to_nonlinear_system(plant: Fit | Model, dt: float | None = None, *, substeps
         read,
         inputs=to_identifiers(s.input_names),
         outputs=to_identifiers(s.output_names),
-        states=to_identifiers([*s.state_names, *(name_past_inputs(step) if step else [])]),
+        states=to_identifiers([*s.state_names, *(discrete_step.name_past_inputs(step) if step else [])]),
         params=free,
         name=to_identifier(model.title),
         **({"dt": step.dt} if step else {}),

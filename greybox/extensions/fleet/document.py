@@ -7,19 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from greybox.base import Severity
-from greybox.base.document import (
-    Block,
-    BulletList,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    TableBlock,
-    Text,
-    Tone,
-)
+from greybox.base import document as doc
 from greybox.base.figure import Axis, Bars, Figure, Panel, Reference, Role, Series
 from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, FleetResult, RecordEstimate
 from greybox.show.documents.tables import provenance_section
@@ -33,53 +21,53 @@ LISTED_RECORDS = 200
 NAMED_RECORDS = 10
 
 
-def describe_fleet(fleet: FleetResult, *, command: str = "") -> Document:
+def describe_fleet(fleet: FleetResult, *, command: str = "") -> doc.Document:
     """What is said of a fleet; ``command`` is what was typed."""
     records = count_noun(fleet.total, "record")
     summary = [f for f in fleet.findings if f.code in (FleetCode.RECORDS_FITTED, FleetCode.RECORDS_LEFT)]
-    tone = Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else Tone.CAUTION
-    return Document(
+    tone = doc.Tone.GOOD if all(f.severity is Severity.NOTE for f in summary) else doc.Tone.CAUTION
+    return doc.Document(
         f"{fleet.model.title}: {records}",
-        Later(_brief, fleet),
+        doc.Later(_brief, fleet),
         f"What are the constants of {fleet.model.title} in each of {records}?",
-        Paragraphs(summary, tone),
-        Later(_sections, fleet, command),
+        doc.Paragraphs(summary, tone),
+        doc.Later(_sections, fleet, command),
         "fleet",
     )
 
 
-def _brief(fleet: FleetResult) -> Iterator[Block]:
+def _brief(fleet: FleetResult) -> Iterator[doc.Block]:
     """How many records have a result, the population of the constants, what is said of how many records."""
     first, *others = fleet.findings
-    yield Paragraphs([f"{fleet.model.title}: {sentence(first)}"])
+    yield doc.Paragraphs([f"{fleet.model.title}: {sentence(first)}"])
     yield from _tables(fleet)
     failed = [f for f in others if f.code == FleetCode.RECORD_WITHOUT_RESULT]
-    notes: list[tuple[str, Text]] = [(str(f.severity), f) for f in others if f not in failed[NAMED_RECORDS:]]
+    notes: list[tuple[str, doc.Text]] = [(str(f.severity), f) for f in others if f not in failed[NAMED_RECORDS:]]
     if len(failed) > NAMED_RECORDS:
         more = count_noun(len(failed) - NAMED_RECORDS, "more record")
         notes.append(("warning", f"{more} without a result; the table names them"))
-    yield Facts(notes)
+    yield doc.Facts(notes)
 
 
-def _sections(fleet: FleetResult, command: str) -> Iterator[Section]:
+def _sections(fleet: FleetResult, command: str) -> Iterator[doc.Section]:
     figure = plot_population_of_fleet(fleet)
-    figures = [] if figure is None else [FigureBlock(figure)]
-    yield Section("population", "The constants over the records", [*figures, *_tables(fleet)])
+    figures = [] if figure is None else [doc.FigureBlock(figure)]
+    yield doc.Section("population", "The constants over the records", [*figures, *_tables(fleet)])
     if failed := fleet.without_result:
         rows = [[r.name, r.status.replace("_", " "), r.reason] for r in failed[:LISTED_RECORDS]]
         more = len(failed) - LISTED_RECORDS
         note = f"{more} more are in the table beside this page." if more > 0 else ""
-        table = TableBlock("They were left out, the others are done", ["record", "status", "reason"], rows, note)
-        yield Section("without", "Records without a result", [table])
+        table = doc.TableBlock("They were left out, the others are done", ["record", "status", "reason"], rows, note)
+        yield doc.Section("without", "Records without a result", [table])
     counts = [f for f in fleet.findings if f.code == FleetCode.FINDING_COUNT]
     if counts:
-        yield Section("findings", "What is counts of how many records", [BulletList(counts)])
+        yield doc.Section("findings", "What is counts of how many records", [doc.BulletList(counts)])
     if fleet.usable:
-        yield Section("records", "Record by record", [_table_of_records(fleet)])
+        yield doc.Section("records", "Record by record", [_table_of_records(fleet)])
     yield provenance_section(command)
 
 
-def _tables(fleet: FleetResult) -> Iterator[TableBlock]:
+def _tables(fleet: FleetResult) -> Iterator[doc.TableBlock]:
     """The population of each constant, and of the misfit of each output."""
     if fleet.population:
         head = [
@@ -92,14 +80,14 @@ def _tables(fleet: FleetResult) -> Iterator[TableBlock]:
         ]
         rows = [_distribution_row(name, constant) for name, constant in fleet.population.items()]
         note = "From record to record: the standard deviation beyond what the records leave open. A share is one of the value."
-        yield TableBlock("The constants of the records that the model follows", head, rows, note)
+        yield doc.TableBlock("The constants of the records that the model follows", head, rows, note)
     rows = [
         [name, format_number(median, 3), f"{format_number(low, 3)} to {format_number(high, 3)}"]
         for name, (low, median, high) in fleet.noise_ratios.items()
     ]
     if rows:
         head = ["misfit over noise", "median", "90 % of the records"]
-        yield TableBlock("Misfit over noise; 1 is nothing but noise", head, rows)
+        yield doc.TableBlock("Misfit over noise; 1 is nothing but noise", head, rows)
 
 
 def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
@@ -166,7 +154,7 @@ def _histogram(name: str, axis: Axis, values: Sequence[float], median: float) ->
     return Panel(name, series, axis, Axis("records"))
 
 
-def _table_of_records(fleet: FleetResult) -> TableBlock:
+def _table_of_records(fleet: FleetResult) -> doc.TableBlock:
     """The records with the largest misfit over noise first: those that need a look."""
     done = sorted((r for r in fleet.records if r.success), key=_worst_ratio, reverse=True)
     names = [q.name for q in fleet.model.free_parameters]
@@ -183,7 +171,7 @@ def _table_of_records(fleet: FleetResult) -> TableBlock:
     head = ["record", *(f"{n} [{units[n]}]" if units[n] else n for n in names), "misfit over noise", "warnings"]
     left = len(done) - LISTED_RECORDS
     note = "The largest misfit first." + (f" {left} more are in the table beside this page." if left > 0 else "")
-    return TableBlock("Each record with the standard deviation that it leaves", head, rows, note)
+    return doc.TableBlock("Each record with the standard deviation that it leaves", head, rows, note)
 
 
 def _worst_ratio(record: RecordEstimate) -> float:

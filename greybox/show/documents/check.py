@@ -5,21 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 
 from greybox.base import Finding
-from greybox.base.document import (
-    REMARK,
-    Block,
-    BulletList,
-    Details,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    TableBlock,
-    Text,
-    Tone,
-)
+from greybox.base import document as doc
 from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
@@ -35,15 +21,15 @@ from greybox.show.sentences.model import write_places
 from greybox.show.sentences.wording import capitalise, format_number, join_names, record_text
 
 
-def describe_check(check: ModelCheck, *, command: str = "") -> Document:
+def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
     """What is said of a check; ``command`` is what was typed."""
     names = join_names([q.name for q in check.model.free_parameters]) or "the parameters"
-    return Document(
+    return doc.Document(
         f"Check of {check.model.title}",
-        Later(_brief, check),
+        doc.Later(_brief, check),
         f"Can {names} be determined? This is checked before the fit.",
         _verdict(check),
-        Later(_sections, check, command),
+        doc.Later(_sections, check, command),
         "check",
     )
 
@@ -52,9 +38,9 @@ def describe_check(check: ModelCheck, *, command: str = "") -> Document:
 WIDTH = 16
 
 
-def _brief(check: ModelCheck) -> Iterator[Block]:
+def _brief(check: ModelCheck) -> Iterator[doc.Block]:
     """Equations, integration, records, what the outputs can tell at best and what these records tell, roles and effects."""
-    yield Paragraphs([check.model.title, equations_text(check.model)])
+    yield doc.Paragraphs([check.model.title, equations_text(check.model)])
     facts = _computation(check)
     if check.assumed:
         facts += _listed("records", ["none given; simulated at the start values:", str(check.assumed)])
@@ -62,22 +48,22 @@ def _brief(check: ModelCheck) -> Iterator[Block]:
         inputs = dict.fromkeys(line for e in check.practical.excitation for line in describe_inputs(e))
         facts += _listed("records", [line for e in check.experiments for line in str(e).splitlines()])
         facts += [("noise", _noise(check)), *_listed("input", inputs)]
-    yield Facts(facts, width=WIDTH)
+    yield doc.Facts(facts, width=WIDTH)
     yield from _roles(check)
-    no_parameters = Facts([("parameters", check.failure or "")], width=WIDTH)
+    no_parameters = doc.Facts([("parameters", check.failure or "")], width=WIDTH)
     if check.failure and not check.model.free_parameters:
         yield no_parameters
         return
     verdict = check.doubt if check.structure is None else describe_verdict(check.structure)
-    yield Details(f"identifiability from any record: {verdict}", [_structure_facts(check)])
+    yield doc.Details(f"identifiability from any record: {verdict}", [_structure_facts(check)])
     if check.failure:
         yield no_parameters
         return
     records = "such a record" if check.assumed else "these records, near the start values"
-    yield Details(f"expected precision from {records}:", [_precision_table(check), *_combinations(check)])
-    yield Facts([("note", finding) for finding in check.practical.findings])
+    yield doc.Details(f"expected precision from {records}:", [_precision_table(check), *_combinations(check)])
+    yield doc.Facts([("note", finding) for finding in check.practical.findings])
     if check.complete:
-        yield Paragraphs(["every free parameter is determined"])
+        yield doc.Paragraphs(["every free parameter is determined"])
 
 
 def _listed(name: str, lines: Iterable[str]) -> list[tuple[str, str]]:
@@ -99,7 +85,7 @@ def _computation(check: ModelCheck) -> list[tuple[str, str]]:
     return facts if check.compiled else [*facts, ("", remedy)]
 
 
-def _roles(check: ModelCheck) -> Iterator[Block]:
+def _roles(check: ModelCheck) -> Iterator[doc.Block]:
     """The role of each signal, the effects that find a place, and what would open the others."""
     named = {
         group: [f"{n} {role}" for n, role in check.roles[group].items()] for group in ("states", "inputs", "parameters")
@@ -110,41 +96,41 @@ def _roles(check: ModelCheck) -> Iterator[Block]:
     lines += [f"without one: {', '.join(without)}"] if without else []
     count = sum(p.effect is not None for p in check.placements)
     effects = "\n".join([f"{count} find a place", *write_places(check.placements)])
-    yield Facts([*_listed("roles", lines), ("effects", effects)], width=WIDTH)
+    yield doc.Facts([*_listed("roles", lines), ("effects", effects)], width=WIDTH)
 
 
-def _sections(check: ModelCheck, command: str) -> Iterator[Section]:
-    yield Section("expected", "What the records can determine", list(_precision(check)))
-    yield Section("structure", "What any record could determine", list(_structure(check)))
-    computed = Facts(_computation(check), "How it was computed")
-    yield Section("model", "The model", [computed, typeset_equations(check.model)])
-    yield Section("data", "Data", list(_data(check)))
+def _sections(check: ModelCheck, command: str) -> Iterator[doc.Section]:
+    yield doc.Section("expected", "What the records can determine", list(_precision(check)))
+    yield doc.Section("structure", "What any record could determine", list(_structure(check)))
+    computed = doc.Facts(_computation(check), "How it was computed")
+    yield doc.Section("model", "The model", [computed, typeset_equations(check.model)])
+    yield doc.Section("data", "Data", list(_data(check)))
     yield provenance_section(command)
 
 
-def _verdict(check: ModelCheck) -> Paragraphs:
+def _verdict(check: ModelCheck) -> doc.Paragraphs:
     findings = collect_record_findings(check.experiments)
     faults = [_about_record(finding) for finding in findings if is_sensor_fault(finding)]
     answer = _answer(check)
-    tone = Tone.CAUTION if faults and answer.tone is Tone.GOOD else answer.tone
-    return Paragraphs([*faults, *answer.items], tone)
+    tone = doc.Tone.CAUTION if faults and answer.tone is doc.Tone.GOOD else answer.tone
+    return doc.Paragraphs([*faults, *answer.items], tone)
 
 
-def _answer(check: ModelCheck) -> Paragraphs:
+def _answer(check: ModelCheck) -> doc.Paragraphs:
     if check.doubt and check.model.has_equations:
-        return Paragraphs([f"The check has no answer: {check.doubt}"], Tone.BAD)
+        return doc.Paragraphs([f"The check has no answer: {check.doubt}"], doc.Tone.BAD)
     if check.failure:
-        return Paragraphs([check.failure], Tone.CAUTION)
+        return doc.Paragraphs([check.failure], doc.Tone.CAUTION)
     assumed = bool(check.assumed)
     if check.complete:
-        return Paragraphs(
+        return doc.Paragraphs(
             [
                 f"{'A record such as this one determines' if assumed else 'These records determine'} every free parameter, if the"
                 " model is right."
             ],
-            Tone.GOOD,
+            doc.Tone.GOOD,
         )
-    answer: list[Text] = []
+    answer: list[doc.Text] = []
     if check.structure is not None and not check.structure.complete:
         answer += [describe_verdict(check.structure)]
     undetermined = [name for name, c in check.constants.items() if not c.determined]
@@ -154,27 +140,27 @@ def _answer(check: ModelCheck) -> Paragraphs:
         )
     if check.structure is not None and check.structure.recommendations:
         answer.append(f"Remedy: {check.structure.recommendations[0]}")
-    return Paragraphs(answer, Tone.CAUTION)
+    return doc.Paragraphs(answer, doc.Tone.CAUTION)
 
 
-def _precision(check: ModelCheck) -> Iterator[Block]:
+def _precision(check: ModelCheck) -> Iterator[doc.Block]:
     if check.failure:
-        yield Paragraphs([check.failure], Tone.CAUTION)
+        yield doc.Paragraphs([check.failure], doc.Tone.CAUTION)
         return
     yield _precision_table(check)
     percent = {name: 196 * c.std / abs(c.value) for name, c in check.constants.items() if c.std and c.value}
     figure = plot_intervals(percent, "Expected half width of each 95 % interval: smaller is better.")
     if figure is not None:
-        yield FigureBlock(figure)
+        yield doc.FigureBlock(figure)
     yield from _combinations(check)
     if check.practical.findings:
-        yield BulletList(check.practical.findings)
+        yield doc.BulletList(check.practical.findings)
 
 
-def _precision_table(check: ModelCheck) -> TableBlock:
+def _precision_table(check: ModelCheck) -> doc.TableBlock:
     caption = "Expected standard deviations of a fit near the start values, if the model is right"
     rows = [[name, *_expected(c)] for name, c in check.constants.items()]
-    return TableBlock(caption, ["parameter", "start value", "expected std", "unit", REMARK], rows)
+    return doc.TableBlock(caption, ["parameter", "start value", "expected std", "unit", doc.REMARK], rows)
 
 
 def _expected(c: ExpectedPrecision) -> list[str]:
@@ -185,7 +171,7 @@ def _expected(c: ExpectedPrecision) -> list[str]:
     return [format_number(c.value), f"{format_number(c.std, 2)}{share}", c.unit, remark]
 
 
-def _combinations(check: ModelCheck) -> Iterator[Facts]:
+def _combinations(check: ModelCheck) -> Iterator[doc.Facts]:
     """Combinations of parameters that the records determine, where they do not determine each of them."""
     practical = check.practical
     facts = [
@@ -197,7 +183,7 @@ def _combinations(check: ModelCheck) -> Iterator[Facts]:
         ),
     ]
     if not check.complete and any(text for _, text in facts):
-        yield Facts(
+        yield doc.Facts(
             [fact for fact in facts if fact[1]], "Combinations of parameters, with their expected standard deviations"
         )
 
@@ -206,53 +192,53 @@ def _formulas(combinations: Mapping[str, float]) -> str:
     return ", ".join(f"{text} ({100 * std:.2g} %)" for text, std in combinations.items())
 
 
-def _structure(check: ModelCheck) -> Iterator[Block]:
+def _structure(check: ModelCheck) -> Iterator[doc.Block]:
     structure = check.structure
     if structure is None:
-        yield Paragraphs([capitalise(check.doubt)], Tone.BAD if check.model.has_equations else Tone.PLAIN)
+        yield doc.Paragraphs([capitalise(check.doubt)], doc.Tone.BAD if check.model.has_equations else doc.Tone.PLAIN)
         return
-    yield Paragraphs([describe_verdict(structure)], Tone.GOOD if structure.complete else Tone.CAUTION)
+    yield doc.Paragraphs([describe_verdict(structure)], doc.Tone.GOOD if structure.complete else doc.Tone.CAUTION)
     if not structure.complete:
         yield _structure_facts(check)
 
 
-def _structure_facts(check: ModelCheck) -> Facts:
+def _structure_facts(check: ModelCheck) -> doc.Facts:
     """Combinations that any record determines, what stays open, and what would close it."""
     structure = check.structure
-    facts: list[tuple[str, Text]] = []
+    facts: list[tuple[str, doc.Text]] = []
     if structure is not None and not structure.complete:
         more = structure.rank - len(structure.determined)
         formulas = [*structure.determined, *([f"{more} more"] if more else [])]
         facts = [("determined", ", ".join(formulas))] if formulas else []
         facts += [("not determined", str(direction)) for direction in structure.directions]
         facts += [("or" if k else "remedy", remedy) for k, remedy in enumerate(structure.recommendations)]
-    return Facts(facts, "What stays open")
+    return doc.Facts(facts, "What stays open")
 
 
 # The same of a check.
 RECORDS_OF_CHECK = 10
 
 
-def _data(check: ModelCheck) -> Iterator[Block]:
+def _data(check: ModelCheck) -> Iterator[doc.Block]:
     if check.assumed:
-        yield Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
+        yield doc.Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
     rows = [_record(e) for e in check.experiments]
-    yield TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
+    yield doc.TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
     # Sensor faults stand in the verdict.
     findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
     if findings:
-        yield BulletList(list(map(_about_record, findings)))
+        yield doc.BulletList(list(map(_about_record, findings)))
     if not check.assumed:
         lines = dict.fromkeys(line for e in check.practical.excitation for line in str(e).splitlines())
-        yield BulletList(list(lines))
+        yield doc.BulletList(list(lines))
     units = signal_units(check.model)
     drawn = check.experiments[:RECORDS_OF_CHECK]
     stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
         figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
-        blocks = [FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
-        yield from blocks if k < OPEN_RECORDS else [Details(capitalise(record_text(e.name)), blocks)]
+        blocks = [doc.FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]
+        yield from blocks if k < OPEN_RECORDS else [doc.Details(capitalise(record_text(e.name)), blocks)]
 
 
 def _about_record(finding: Finding) -> str:

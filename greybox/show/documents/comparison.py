@@ -7,21 +7,8 @@ import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
+from greybox.base import document as doc
 from greybox.base import format_unit
-from greybox.base.document import (
-    Block,
-    BulletList,
-    Details,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    Subheading,
-    TableBlock,
-    Tone,
-)
 from greybox.base.findings import Finding, with_code
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonFinding, ComparisonScore
 from greybox.estimation.result import Fit
@@ -40,7 +27,7 @@ def describe_comparison(
     fits: Mapping[str, Fit] | None = None,
     data: Mapping[str, str] | None = None,
     known: Sequence[Finding | str] = (),
-) -> Document:
+) -> doc.Document:
     """What is said of a comparison.
 
     Parameters
@@ -61,14 +48,14 @@ def describe_comparison(
         f"Which model of {join_names(list(comparison.outputs))} is best? {count_noun(len(comparison.entries), 'model')},"
         f" compared on the same rows of {records}."
     )
-    return Document(
+    return doc.Document(
         "Comparison of grey-box and black-box models",
-        Later(_brief, comparison),
+        doc.Later(_brief, comparison),
         question,
         comparison_verdict(comparison),
-        Later(_sections, comparison, fits or {}, data or {}, known, command),
+        doc.Later(_sections, comparison, fits or {}, data or {}, known, command),
         "comparison",
-        Later(lambda: [FigureBlock(plot_model_errors(comparison))]),
+        doc.Later(lambda: [doc.FigureBlock(plot_model_errors(comparison))]),
     )
 
 
@@ -78,12 +65,12 @@ def _sections(
     data: Mapping[str, str],
     known: Sequence[Finding | str],
     command: str,
-) -> Iterator[Section]:
-    yield Section("errors", "Errors", list(error_blocks(comparison)))
-    yield Section("runs", "Runs", list(_runs(comparison)))
-    yield Section("models", "Models", list(_models(comparison)))
+) -> Iterator[doc.Section]:
+    yield doc.Section("errors", "Errors", list(error_blocks(comparison)))
+    yield doc.Section("runs", "Runs", list(_runs(comparison)))
+    yield doc.Section("models", "Models", list(_models(comparison)))
     if fits:
-        yield Section("physics", "The physical models", list(_physics(fits)))
+        yield doc.Section("physics", "The physical models", list(_physics(fits)))
     yield _data(comparison, data, known)
     yield provenance_section(command)
 
@@ -92,24 +79,24 @@ def _sections(
 LINE_WIDTH, NAME_WIDTH = 100, 42
 
 
-def _brief(comparison: Comparison) -> Iterator[Block]:
+def _brief(comparison: Comparison) -> Iterator[doc.Block]:
     """Errors by output, best first, on validation and estimation records; what each model is; the verdict."""
     tables = [*_error_tables(comparison, "validation"), *_error_tables(comparison, "training")]
     for table in [*tables, *_record_tables(comparison), models_table(comparison)]:
         yield replace(table, rows=[[shorten(row[0], NAME_WIDTH), *row[1:]] for row in table.rows])
     yield from structures(comparison)
     texts = [*sentences(comparison.verdict), *(f"note: {text}" for text in _notes(comparison))]
-    yield Paragraphs(
+    yield doc.Paragraphs(
         [textwrap.fill(text, LINE_WIDTH, subsequent_indent="  ", break_on_hyphens=False) for text in texts]
     )
 
 
-def comparison_verdict(comparison: Comparison) -> Paragraphs:
+def comparison_verdict(comparison: Comparison) -> doc.Paragraphs:
     """The verdict: good where a grey box has the smallest free-run error of every output."""
     best = [_best(comparison, output) for output in comparison.outputs]
     physics_is_best = bool(best) and all(e is not None and e.kind == "grey" for e in best)
     failed = with_code(comparison.verdict, ComparisonFinding.FAILED_FITS)
-    return Paragraphs(comparison.verdict, Tone.GOOD if physics_is_best and not failed else Tone.CAUTION)
+    return doc.Paragraphs(comparison.verdict, doc.Tone.GOOD if physics_is_best and not failed else doc.Tone.CAUTION)
 
 
 def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
@@ -122,7 +109,7 @@ def _best(comparison: Comparison, output: str) -> ComparisonEntry | None:
     return comparison.entries[min(finite)[1]] if finite else None
 
 
-def error_blocks(comparison: Comparison) -> Iterator[Block]:
+def error_blocks(comparison: Comparison) -> Iterator[doc.Block]:
     """Tables of the errors on the judging records, and on the estimation records where there are others."""
     training = _error_tables(comparison, "training")
     if not comparison.validation:
@@ -131,16 +118,16 @@ def error_blocks(comparison: Comparison) -> Iterator[Block]:
     yield from _error_tables(comparison, "validation")
     yield from _record_tables(comparison)
     if comparison.training:
-        yield Details("On the estimation records", list(training))
+        yield doc.Details("On the estimation records", list(training))
 
 
-def _error_tables(comparison: Comparison, group: str) -> Iterator[TableBlock]:
+def _error_tables(comparison: Comparison, group: str) -> Iterator[doc.TableBlock]:
     """Errors on the validation or the training records, an output a table, the best model first."""
     if getattr(comparison, group):
         yield from (_error_table(comparison, group, output) for output in comparison.outputs)
 
 
-def _error_table(comparison: Comparison, group: str, output: str) -> TableBlock:
+def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBlock:
     of_group: dict[str, Mapping[str, ComparisonScore]] = {e.name: getattr(e, group) for e in comparison.entries}
     scores = {name: by_output[output] for name, by_output in of_group.items() if output in by_output}
     steps = sorted({k for s in scores.values() for k in s.ahead_rmse})
@@ -158,7 +145,7 @@ def _error_table(comparison: Comparison, group: str, output: str) -> TableBlock:
     counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
     unequal = ": not the same for every model" if len(counts) != 1 else ""
     unit = format_unit(comparison.outputs[output])
-    return TableBlock(
+    return doc.TableBlock(
         f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
         ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
         rows,
@@ -167,14 +154,14 @@ def _error_table(comparison: Comparison, group: str, output: str) -> TableBlock:
     )
 
 
-def _record_tables(comparison: Comparison) -> Iterator[TableBlock]:
+def _record_tables(comparison: Comparison) -> Iterator[doc.TableBlock]:
     """Best fit of each validation record, where there are several."""
     shown = comparison.validation[:5]
     left_out = len(comparison.validation) - len(shown)
     for output in comparison.outputs if len(comparison.validation) > 1 else ():
         rows = [[e.name, *(_best_fit(e, record, output) for record in shown)] for e in comparison.entries]
         title = f"best fit [%], {output}" + (f" ({left_out} more records in the file)" if left_out else "")
-        yield TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
+        yield doc.TableBlock(capitalise(title), ["model", *(shorten(name, 14) for name in shown)], rows, corner=title)
 
 
 def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
@@ -196,25 +183,25 @@ def _error(value: float) -> str:
 RECORDS_OF_COMPARISON = 8
 
 
-def _runs(comparison: Comparison) -> Iterator[Block]:
+def _runs(comparison: Comparison) -> Iterator[doc.Block]:
     """The curves of every model over each judging record."""
     records = judging_records(comparison)
     drawn = records[:RECORDS_OF_COMPARISON]
     curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
     stretches = PAGE.stretches(len(drawn) * curves)
-    yield Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
+    yield doc.Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
     for k, record in enumerate(drawn):
-        figures: list[Block] = [
-            FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
+        figures: list[doc.Block] = [
+            doc.FigureBlock(plot(comparison, record, f"{name}-{k}"), stretches, group=f"{k}", switch=f"{k}")
             for name, plot in (("runs", plot_model_runs), ("errors-over-time", plot_model_residuals))
         ]
         title = capitalise(record_text(record))
-        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
+        yield from [doc.Subheading(title), *figures] if k < OPEN_RECORDS else [doc.Details(title, figures)]
     if len(records) > len(drawn):
-        yield Paragraphs([not_drawn(len(records) - len(drawn))])
+        yield doc.Paragraphs([not_drawn(len(records) - len(drawn))])
 
 
-def models_table(comparison: Comparison) -> TableBlock:
+def models_table(comparison: Comparison) -> doc.TableBlock:
     """Numbers, BIC, stability, feed-through and time of each model."""
     rows = [
         [
@@ -228,7 +215,7 @@ def models_table(comparison: Comparison) -> TableBlock:
         ]
         for e in comparison.entries
     ]
-    return TableBlock(
+    return doc.TableBlock(
         "Models",
         ["model", "box", "parameters", "BIC", "stable", "feed-through", "time"],
         rows,
@@ -236,12 +223,12 @@ def models_table(comparison: Comparison) -> TableBlock:
     )
 
 
-def structures(comparison: Comparison) -> Iterator[Facts]:
+def structures(comparison: Comparison) -> Iterator[doc.Facts]:
     """What each model is, where its name does not say that already."""
     known = {e.name: ", ".join(dict.fromkeys(e.structure.values())) for e in comparison.entries}
     entries = [(name, text) for name, text in known.items() if text != name]
     if entries:
-        yield Facts(entries, "Structures")
+        yield doc.Facts(entries, "Structures")
 
 
 def _notes(comparison: Comparison) -> list[str]:
@@ -250,20 +237,20 @@ def _notes(comparison: Comparison) -> list[str]:
     return [*sentences(comparison.findings), *of_models]
 
 
-def _models(comparison: Comparison) -> Iterator[Block]:
+def _models(comparison: Comparison) -> Iterator[doc.Block]:
     yield models_table(comparison)
     yield from structures(comparison)
     if notes := _notes(comparison):
-        yield BulletList(notes)
+        yield doc.BulletList(notes)
 
 
-def _physics(fits: Mapping[str, Fit]) -> Iterator[Block]:
+def _physics(fits: Mapping[str, Fit]) -> Iterator[doc.Block]:
     for k, (name, fit) in enumerate(fits.items()):
-        blocks: list[Block] = [parameters_table(fit), typeset_equations(fit.model)]
-        yield from [Subheading(name), *blocks] if k == 0 else [Details(name, blocks)]
+        blocks: list[doc.Block] = [parameters_table(fit), typeset_equations(fit.model)]
+        yield from [doc.Subheading(name), *blocks] if k == 0 else [doc.Details(name, blocks)]
 
 
-def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequence[Finding | str]) -> Section:
+def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequence[Finding | str]) -> doc.Section:
     rows = []
     for use, records in (("fitted", comparison.training), ("validation", comparison.validation)):
         for record in records:
@@ -272,9 +259,9 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
             length = [str(len(run.time)), f"{run.time[-1] - run.time[0]:.6g} s"] if run is not None else ["", ""]
             rows.append([record, use, *length, fingerprints.get(record, "")[:12]])
     note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
-    table = TableBlock("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
-    return Section(
+    table = doc.TableBlock("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
+    return doc.Section(
         "data",
         "Data",
-        [table, *([BulletList([f"Record {text}" for text in known])] if known else [])],
+        [table, *([doc.BulletList([f"Record {text}" for text in known])] if known else [])],
     )

@@ -5,33 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from greybox.base.document import (
-    Block,
-    BulletList,
-    Details,
-    Document,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    Subheading,
-    TableBlock,
-    Tone,
-)
+from greybox.base import document as doc
 from greybox.base.json_shape import to_values
 from greybox.discovery.claims import Depth, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.result import Fit
+from greybox.show.documents import tables
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.documents.tables import (
-    estimate_cells,
-    fit_provenance_section,
-    parameters_table,
-    records_section,
-    signal_units,
-    typeset_equations,
-)
 from greybox.show.figures.discovery import (
     errors_to_judge,
     explained_share,
@@ -64,20 +45,20 @@ if TYPE_CHECKING:
     from greybox.discovery.result import Discovery
 
 # How the answer is marked; every other verdict asks for caution.
-TONES = {Verdict.COMPLETE: Tone.GOOD, Verdict.NAMED: Tone.GOOD}
+TONES = {Verdict.COMPLETE: doc.Tone.GOOD, Verdict.NAMED: doc.Tone.GOOD}
 
 
-def describe_discovery(discovery: Discovery, *, command: str = "") -> Document:
+def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Document:
     """What is said of a discovery; ``command`` is what was typed."""
     plain = discovery.base.model.title
-    return Document(
+    return doc.Document(
         f"Effects that {plain} lacks",
-        Later(_brief, discovery),
+        doc.Later(_brief, discovery),
         f"Which effect, if any, does {plain} lack?",
         discovery_verdict(discovery),
-        Later(_sections, discovery, command),
+        doc.Later(_sections, discovery, command),
         "discovery",
-        Later(lambda: [FigureBlock(plot_holdout_error(discovery))]),
+        doc.Later(lambda: [doc.FigureBlock(plot_holdout_error(discovery))]),
     )
 
 
@@ -87,12 +68,12 @@ LISTED_CANDIDATES = 10
 FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMULATED)
 
 
-def _brief(d: Discovery) -> Iterator[Block]:
+def _brief(d: Discovery) -> Iterator[doc.Block]:
     """The answer, the effects with what speaks for them, the errors, the claims, the candidates, and what to do next."""
     further = [refinement_text(d.refinement)] if d.refinement is not None and d.refinement.steps else []
-    yield Paragraphs([d.story, *further])
+    yield doc.Paragraphs([d.story, *further])
     where = str(d.localisation).splitlines() if d.localisation.is_missing else []
-    yield BulletList(
+    yield doc.BulletList(
         [
             *(f"the plain model: {line}" for line in where),
             *_effects(d, indent="  "),
@@ -105,7 +86,7 @@ def _brief(d: Discovery) -> Iterator[Block]:
     if d.ranking:
         yield _candidates_table(d, LISTED_CANDIDATES)
     failed = {name: finding for name, finding in d.not_tried.items() if finding.code in FAILED_CODES}
-    yield Paragraphs(
+    yield doc.Paragraphs(
         [
             *(f"next: {step}" for step in d.next_steps),
             *(f"note: {name} is out: {finding}" for name, finding in failed.items()),
@@ -130,46 +111,46 @@ def holdout_lines(discovery: Discovery) -> list[str]:
     return [f"{output}: rms error on the validation records {error}" for output, error in discovery.holdout.items()]
 
 
-def _sections(discovery: Discovery, command: str) -> Iterator[Section]:
+def _sections(discovery: Discovery, command: str) -> Iterator[doc.Section]:
     best = discovery.best
     yield from discovery_sections(discovery, beside_verdict=True)
-    yield Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)])
+    yield doc.Section("parameters-before-after", "Parameters before and after", [_parameters_before_after(discovery)])
     names = ("extended", "The extended model") if best.model.effects else ("model", "The model")
-    yield Section(*names, [typeset_equations(best.model)])
-    yield records_section(best)
-    yield fit_provenance_section(best, command)
+    yield doc.Section(*names, [tables.typeset_equations(best.model)])
+    yield tables.records_section(best)
+    yield tables.fit_provenance_section(best, command)
 
 
-def discovery_verdict(discovery: Discovery) -> Paragraphs:
+def discovery_verdict(discovery: Discovery) -> doc.Paragraphs:
     """The answer, the effects with their constants, the next steps and the findings."""
     effects = _effects(discovery, write_unit=typeset_unit) if discovery.verdict is not Verdict.COMPLETE else ()
     steps = [f"Next step: {step}" for step in discovery.next_steps]
-    tone = TONES.get(discovery.verdict, Tone.CAUTION)
-    return Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *discovery.findings], tone)
+    tone = TONES.get(discovery.verdict, doc.Tone.CAUTION)
+    return doc.Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *discovery.findings], tone)
 
 
-def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[Section]:
+def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[doc.Section]:
     """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
-    figure = [] if beside_verdict else [FigureBlock(plot_holdout_error(discovery))]
-    yield Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
+    figure = [] if beside_verdict else [doc.FigureBlock(plot_holdout_error(discovery))]
+    yield doc.Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
     if discovery.claims:
-        yield Section("claims", "Claims", [_claims(discovery)])
-    signals: list[Block] = [
-        FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
+        yield doc.Section("claims", "Claims", [_claims(discovery)])
+    signals: list[doc.Block] = [
+        doc.FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
     if discovery.surrogate is not None:
         signals += [
-            Paragraphs([str(discovery.surrogate)]),
-            FigureBlock(plot_surrogate(discovery.surrogate)),
+            doc.Paragraphs([str(discovery.surrogate)]),
+            doc.FigureBlock(plot_surrogate(discovery.surrogate)),
         ]
     if signals:
-        yield Section("missing", "The missing signal", signals)
+        yield doc.Section("missing", "The missing signal", signals)
     if discovery.refinement is not None:
-        yield Section("further", "Further effects", list(_refinement(discovery.refinement)))
+        yield doc.Section("further", "Further effects", list(_refinement(discovery.refinement)))
     if discovery.localisation.is_missing:
-        yield Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
+        yield doc.Section("localisation", "Localisation of the missing effect", list(_localisation(discovery)))
     if discovery.ranking:
-        yield Section("candidates", "Candidates", list(_candidates(discovery)))
+        yield doc.Section("candidates", "Candidates", list(_candidates(discovery)))
 
 
 # What a claim of each depth states.
@@ -182,7 +163,7 @@ DEPTHS = {
 }
 
 
-def _claims(discovery: Discovery) -> TableBlock:
+def _claims(discovery: Discovery) -> doc.TableBlock:
     """What is said of the plain model, from what is missing to its name; the sentence last, as it may be long."""
     rows = [
         [
@@ -195,14 +176,14 @@ def _claims(discovery: Discovery) -> TableBlock:
         for claim in discovery.claims
     ]
     head = ["claim", "certainty", "share of the error", "best rival", "in words"]
-    return TableBlock("What the plain model lacks, from something to its name", head, rows)
+    return doc.TableBlock("What the plain model lacks, from something to its name", head, rows)
 
 
 # The same of a discovery, on its validation records.
 RECORDS_OF_DISCOVERY = 8
 
 
-def _holdout(discovery: Discovery) -> Iterator[Block]:
+def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
     name, extended, errors = extended_model(discovery)
     rows = [
         [
@@ -214,25 +195,25 @@ def _holdout(discovery: Discovery) -> Iterator[Block]:
         for output, e in errors.items()
     ]
     head = ["output", "plain model", name, "noise", "error taken away"]
-    yield TableBlock("Rms error of the free run on the validation records", head, rows)
+    yield doc.TableBlock("Rms error of the free run on the validation records", head, rows)
     path = selection_path(discovery)
     if len(path) > 2:
         steps = [[name, f"{misfit:.4g} × noise"] for name, misfit in path]
-        yield TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
+        yield doc.TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[:RECORDS_OF_DISCOVERY]
     stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
     for k, (before, after) in enumerate(pairs):
-        shared = before, after, signal_units(discovery.base.model), extended.noise.levels
+        shared = before, after, tables.signal_units(discovery.base.model), extended.noise.levels
         residuals = plot_residuals_before_after(*shared, f"left-{k}", name)
         spectra = plot_spectra_before_after(*shared, f"spectra-{k}", name, follows=residuals.name)
         together = f"judged-{k}"
-        figures: list[Block] = [
-            FigureBlock(residuals, stretches, group=together, switch=together),
-            FigureBlock(spectra, stretches, switch=together),
+        figures: list[doc.Block] = [
+            doc.FigureBlock(residuals, stretches, group=together, switch=together),
+            doc.FigureBlock(spectra, stretches, switch=together),
         ]
         title = capitalise(record_text(before.name))
-        yield from [Subheading(title), *figures] if k < OPEN_RECORDS else [Details(title, figures)]
+        yield from [doc.Subheading(title), *figures] if k < OPEN_RECORDS else [doc.Details(title, figures)]
 
 
 def _explained(error: HoldoutError) -> str:
@@ -273,9 +254,9 @@ def extended_name(discovery: Discovery) -> str:
     return "nearest look-alike" if is_open and is_look_alike else "extended model"
 
 
-def _refinement(refinement: Refinement) -> Iterator[Block]:
+def _refinement(refinement: Refinement) -> Iterator[doc.Block]:
     """The effects beyond the answer, and what they leave."""
-    yield Paragraphs([refinement_text(refinement)])
+    yield doc.Paragraphs([refinement_text(refinement)])
     if not refinement.steps:
         return
     rows = [
@@ -288,20 +269,20 @@ def _refinement(refinement: Refinement) -> Iterator[Block]:
         for s in refinement.steps
     ]
     head = ["effect", "on the estimation records", "on the validation records", "nearly as well"]
-    yield TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
-    yield parameters_table(refinement.fit)
+    yield doc.TableBlock("Further effects, each with the share of the rms misfit that it removes", head, rows)
+    yield tables.parameters_table(refinement.fit)
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _localisation(discovery: Discovery) -> Iterator[Block]:
+def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
     localisation = discovery.localisation
-    yield BulletList([line.strip() for line in str(localisation).splitlines()])
+    yield doc.BulletList([line.strip() for line in str(localisation).splitlines()])
     unexplained = plot_unexplained_signal(localisation)
     if unexplained is not None:
-        yield FigureBlock(unexplained)
+        yield doc.FigureBlock(unexplained)
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
     rows = [
         [
@@ -314,7 +295,7 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
     ]
     if rows:
         head = ["site", "set", "gain", "signal (rms)"]
-        yield TableBlock(
+        yield doc.TableBlock(
             "Sites, likeliest first",
             head,
             rows,
@@ -322,35 +303,35 @@ def _localisation(discovery: Discovery) -> Iterator[Block]:
         )
     windows = plot_misfit_windows(localisation)
     if windows is not None:
-        yield FigureBlock(windows)
+        yield doc.FigureBlock(windows)
 
 
-def _candidates(discovery: Discovery) -> Iterator[Block]:
+def _candidates(discovery: Discovery) -> Iterator[doc.Block]:
     figure = plot_candidates(discovery)
     if figure is not None:
-        yield FigureBlock(figure)
+        yield doc.FigureBlock(figure)
     if discovery.alternatives:
-        yield BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
-    yield Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_candidates_table(discovery)])
+        yield doc.BulletList([f"{' + '.join(names)} explains the records as well." for names in discovery.alternatives])
+    yield doc.Details(f"All {count_noun(len(discovery.ranking), 'candidate')}", [_candidates_table(discovery)])
 
 
-def _candidates_table(discovery: Discovery, most: int | None = None) -> TableBlock:
+def _candidates_table(discovery: Discovery, most: int | None = None) -> doc.TableBlock:
     """The candidates, best first."""
     rows = [[" + ".join(r.effects), f"{r.misfit:.4g}", f"{r.behind:.4g}"] for r in discovery.ranking[:most]]
     least = "at least " * discovery.localisation.is_noise_bounded
     note = "Behind: difference of Schwarz's criterion from that of the best candidate; 10 or more is decisive."
-    return TableBlock("Candidates", ["candidate", f"{least}misfit/noise", "behind the best"], rows, note)
+    return doc.TableBlock("Candidates", ["candidate", f"{least}misfit/noise", "behind the best"], rows, note)
 
 
-def _parameters_before_after(discovery: Discovery) -> TableBlock:
+def _parameters_before_after(discovery: Discovery) -> doc.TableBlock:
     """Each parameter with the plain model and with the extended one."""
     if not discovery.best.model.effects:
-        return parameters_table(discovery.best)
+        return tables.parameters_table(discovery.best)
     rows = []
     for name, e in discovery.best.parameters.items():
         plain = discovery.base.parameters.get(name)
-        _, after, limits, _, remark = estimate_cells(name, e)
-        before = estimate_cells(name, plain)[1] if plain is not None else "–"
+        _, after, limits, _, remark = tables.estimate_cells(name, e)
+        before = tables.estimate_cells(name, plain)[1] if plain is not None else "–"
         rows.append([name, before, after, limits, typeset_unit(e.unit), remark])
     head = ["parameter", "plain model", extended_name(discovery), "95 % interval", "unit", "remark"]
-    return TableBlock("Parameters: those of the plain model absorb part of the missing effect", head, rows)
+    return doc.TableBlock("Parameters: those of the plain model absorb part of the missing effect", head, rows)

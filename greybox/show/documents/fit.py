@@ -7,20 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from greybox.base import Finding
-from greybox.base.document import (
-    Block,
-    BulletList,
-    Details,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    Subheading,
-    TableBlock,
-    Tone,
-)
+from greybox.base import document as doc
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
@@ -28,17 +15,7 @@ from greybox.estimation.optimum import has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
-from greybox.show.documents.tables import (
-    MISFIT_HEADS,
-    computation_facts,
-    fit_provenance_section,
-    misfit_cells,
-    misfit_table,
-    parameters_table,
-    records_section,
-    signal_units,
-    typeset_equations,
-)
+from greybox.show.documents import tables
 from greybox.show.figures.fit import (
     plot_correlation,
     plot_intervals,
@@ -60,8 +37,8 @@ def describe_fit(
     command: str = "",
     tests: ResidualTests | None = None,
     skip: int = 0,
-    intervals: Iterable[tuple[str, Block]] = (),
-) -> Document:
+    intervals: Iterable[tuple[str, doc.Block]] = (),
+) -> doc.Document:
     """What is said of a fit.
 
     Parameters
@@ -77,39 +54,39 @@ def describe_fit(
     intervals
         Further intervals of the parameters, by profile likelihood or a bootstrap, each kind with its title.
     """
-    return Document(
+    return doc.Document(
         f"Fit of {fit.model.title}",
-        Later(_brief, fit),
+        doc.Later(_brief, fit),
         _question(fit),
         fit_verdict(fit),
-        Later(_sections, fit, command, tests, skip, intervals),
+        doc.Later(_sections, fit, command, tests, skip, intervals),
         "fit",
-        Later(_evidence, fit),
+        doc.Later(_evidence, fit),
     )
 
 
-def _brief(fit: Fit) -> Iterator[Block]:
+def _brief(fit: Fit) -> Iterator[doc.Block]:
     """Status beside misfit over noise, the parameters with intervals, the misfit by output, and what to know before trusting them."""
-    yield Paragraphs([f"{fit.model.title}: {fit.solver}"])
-    yield parameters_table(fit)
+    yield doc.Paragraphs([f"{fit.model.title}: {fit.solver}"])
+    yield tables.parameters_table(fit)
     yield from _priors(fit)
     yield from _misfits(fit)
     if kind := _interval_kind(fit):
-        yield Facts([("intervals", kind)])
+        yield doc.Facts([("intervals", kind)])
     # Directions among the same constants are different figures and one sentence.
     notes = (("note", text) for text in dict.fromkeys(sentences(fit.findings)))
-    yield Facts([("noise", str(fit.noise)), *computation_facts(fit), *notes])
+    yield doc.Facts([("noise", str(fit.noise)), *tables.computation_facts(fit), *notes])
 
 
 def _sections(
-    fit: Fit, command: str, tests: ResidualTests | None, skip: int, intervals: Iterable[tuple[str, Block]]
-) -> Iterator[Section]:
-    yield Section("parameters", "Parameters", list(_parameters(fit, intervals)))
-    yield Section("misfit", "Measured and simulated", list(_misfit(fit, skip)))
-    yield Section("residual", "Tests of the residual", list(_residual(fit, tests)))
-    yield Section("model", "The model", [typeset_equations(fit.model)])
-    yield records_section(fit)
-    yield fit_provenance_section(fit, command)
+    fit: Fit, command: str, tests: ResidualTests | None, skip: int, intervals: Iterable[tuple[str, doc.Block]]
+) -> Iterator[doc.Section]:
+    yield doc.Section("parameters", "Parameters", list(_parameters(fit, intervals)))
+    yield doc.Section("misfit", "Measured and simulated", list(_misfit(fit, skip)))
+    yield doc.Section("residual", "Tests of the residual", list(_residual(fit, tests)))
+    yield doc.Section("model", "The model", [tables.typeset_equations(fit.model)])
+    yield tables.records_section(fit)
+    yield tables.fit_provenance_section(fit, command)
 
 
 UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
@@ -121,7 +98,7 @@ GOOD_MISFIT = 1.2
 LEADING_FINDINGS = 3
 
 
-def fit_verdict(fit: Fit) -> Paragraphs:
+def fit_verdict(fit: Fit) -> doc.Paragraphs:
     """Whether the fit succeeded, and what to know before trusting it."""
     leading = LEADING_FINDINGS
     if not fit.success:
@@ -129,14 +106,14 @@ def fit_verdict(fit: Fit) -> Paragraphs:
             f"The fit did not succeed: {fit.solver.status_message}.",
             "The numbers below are those of the last point of the search. Use them only for diagnosis.",
         )
-        return Paragraphs([*failure, *fit.findings[:leading]], Tone.BAD)
+        return doc.Paragraphs([*failure, *fit.findings[:leading]], doc.Tone.BAD)
     free = [name for name in fit.uncertainty.free if name in fit.parameters]
     undetermined = [name for name in free if not fit.parameters[name].determined]
     known = [m.noise_ratio for m in fit.misfit.values() if math.isfinite(m.noise_ratio)]
     is_good = bool(known) and max(known) <= GOOD_MISFIT and not undetermined
-    return Paragraphs(
+    return doc.Paragraphs(
         [_misfit_note(fit), _determined(fit, undetermined), _validated(fit), *_further(fit)[:leading]],
-        Tone.GOOD if is_good else Tone.CAUTION,
+        doc.Tone.GOOD if is_good else doc.Tone.CAUTION,
     )
 
 
@@ -230,38 +207,38 @@ def _question(fit: Fit) -> str:
     return f"Which values of {join_names(free)} make the model follow {records}?{known}"
 
 
-def _evidence(fit: Fit) -> Iterator[FigureBlock]:
+def _evidence(fit: Fit) -> Iterator[doc.FigureBlock]:
     """What convinces of a fit: its run over a record that it has not seen, else over one that it has."""
     traces = [*fit.validation.traces, *fit.traces]
     if fit.success and traces:
         stretches = PAGE.stretches(2 * len(traces[0].measured))
-        yield FigureBlock(plot_run(traces[0], signal_units(fit.model), "evidence"), stretches)
+        yield doc.FigureBlock(plot_run(traces[0], tables.signal_units(fit.model), "evidence"), stretches)
 
 
-def _parameters(fit: Fit, further: Iterable[tuple[str, Block]]) -> Iterator[Block]:
+def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[doc.Block]:
     kind = _interval_kind(fit)
-    yield parameters_table(fit, kind and f"Intervals: {kind}")
+    yield tables.parameters_table(fit, kind and f"Intervals: {kind}")
     yield from _priors(fit)
     for title, block in further:
-        yield Subheading(f"{title[0].upper()}{title[1:]}")
+        yield doc.Subheading(f"{title[0].upper()}{title[1:]}")
         yield block
     # What would determine them says which they are; where nothing is known that would, it is said here that they are open.
     recommendations = recommend_after_fit(fit) or [f for f in fit.findings if f.code in UNDETERMINED]
     if recommendations:
-        yield Subheading("How to determine the other parameters")
-        yield BulletList(list(dict.fromkeys(sentences(recommendations))))
+        yield doc.Subheading("How to determine the other parameters")
+        yield doc.BulletList(list(dict.fromkeys(sentences(recommendations))))
     intervals = plot_intervals(relative_half_widths(fit), "Half width of each 95 % interval: smaller is better.")
     if intervals is not None:
-        yield FigureBlock(intervals)
+        yield doc.FigureBlock(intervals)
     correlation = plot_correlation(fit)
     if correlation is not None:
         pairs = strongly_correlated_pairs(fit)
         if pairs:
-            yield BulletList(pairs)
-        yield Details("Correlation of the fitted parameters", [FigureBlock(correlation)])
+            yield doc.BulletList(pairs)
+        yield doc.Details("Correlation of the fitted parameters", [doc.FigureBlock(correlation)])
 
 
-def _priors(fit: Fit) -> Iterator[TableBlock]:
+def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
     """What the prior knowledge was, and what the records added to it."""
     rows = []
     for name, c in fit.constraints.priors.items():
@@ -273,7 +250,7 @@ def _priors(fit: Fit) -> Iterator[TableBlock]:
         )
     if rows:
         heads = ["prior", "prior value", "shift", "variance reduction", "conflict", "data over prior"]
-        yield TableBlock("Priors", heads, rows)
+        yield doc.TableBlock("Priors", heads, rows)
 
 
 def _interval_kind(fit: Fit) -> str:
@@ -297,18 +274,20 @@ OPEN_RECORDS = 1
 RECORDS_OF_FIT = 20
 
 
-def _misfits(fit: Fit) -> Iterator[TableBlock]:
+def _misfits(fit: Fit) -> Iterator[doc.TableBlock]:
     """The misfit by output: of the free run, of a prediction, and on the validation records."""
     estimation, noise = "on the estimation records", fit.noise
-    yield misfit_table(f"Free run {estimation}", fit.misfit, noise, "misfit (free run)")
+    yield tables.misfit_table(f"Free run {estimation}", fit.misfit, noise, "misfit (free run)")
     if ahead := fit.prediction.one_step:
-        yield misfit_table(f"Prediction one sample ahead {estimation}", ahead, noise, "prediction (1 step ahead)")
+        yield tables.misfit_table(
+            f"Prediction one sample ahead {estimation}", ahead, noise, "prediction (1 step ahead)"
+        )
     if fit.validation:
         corner = "on validation records (free run)"
-        yield misfit_table("Free run on the validation records", fit.validation.misfit, noise, corner)
+        yield tables.misfit_table("Free run on the validation records", fit.validation.misfit, noise, corner)
 
 
-def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
+def _misfit(fit: Fit, skip: int) -> Iterator[doc.Block]:
     yield from _misfits(fit)
     runs = [RecordRun(t, False) for t in fit.traces] + [RecordRun(t, True, skip) for t in fit.validation.traces]
     if len(runs) > 2:
@@ -320,12 +299,12 @@ def _misfit(fit: Fit, skip: int) -> Iterator[Block]:
         blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= ALL_SIGNALS_ON_PAGE)
         first_for_validation = run.validation and not runs[k - 1].validation
         if k < OPEN_RECORDS or first_for_validation:
-            yield Subheading(run.title)
+            yield doc.Subheading(run.title)
             yield from blocks
         else:
-            yield Details(run.title, blocks)
+            yield doc.Details(run.title, blocks)
     if len(runs) > len(drawn):
-        yield Paragraphs([not_drawn(len(runs) - len(drawn))])
+        yield doc.Paragraphs([not_drawn(len(runs) - len(drawn))])
 
 
 def not_drawn(records: int) -> str:
@@ -333,45 +312,45 @@ def not_drawn(records: int) -> str:
     return f"The tables include {count_noun(records, 'more record')} that {'is' if records == 1 else 'are'} not drawn."
 
 
-def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[Block]:
+def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[doc.Block]:
     """Run, residual, spectrum and inputs of one record, which zoom together and switch their outputs together."""
-    units, noise, together = signal_units(fit.model), fit.noise.levels, f"{k}"
+    units, noise, together = tables.signal_units(fit.model), fit.noise.levels, f"{k}"
     residual = plot_residual(trace, units, noise, f"residual-{k}")
     spectrum = plot_spectrum(trace, units, noise, f"spectrum-{k}", follows=residual.name if follow else "")
     inputs = plot_inputs(trace, units, f"inputs-{k}")
-    blocks: list[Block] = [
-        FigureBlock(plot_run(trace, units, f"run-{k}"), stretches, group=together, switch=together),
-        FigureBlock(residual, stretches, group=together, switch=together),
-        FigureBlock(spectrum, stretches, switch=together),
+    blocks: list[doc.Block] = [
+        doc.FigureBlock(plot_run(trace, units, f"run-{k}"), stretches, group=together, switch=together),
+        doc.FigureBlock(residual, stretches, group=together, switch=together),
+        doc.FigureBlock(spectrum, stretches, switch=together),
     ]
-    return blocks if inputs is None else [*blocks, FigureBlock(inputs, stretches, group=together)]
+    return blocks if inputs is None else [*blocks, doc.FigureBlock(inputs, stretches, group=together)]
 
 
-def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> TableBlock:
+def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> doc.TableBlock:
     rows = [
         [
             run.trace.name,
             "validation" if run.validation else "fitted",
             output,
-            *misfit_cells(m, fit.noise.bound(output)),
+            *tables.misfit_cells(m, fit.noise.bound(output)),
         ]
         for run in runs
         for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
     ]
-    return TableBlock("Record by record", ["record", "use", "output", *MISFIT_HEADS], rows)
+    return doc.TableBlock("Record by record", ["record", "use", "output", *tables.MISFIT_HEADS], rows)
 
 
-def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
+def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[doc.Block]:
     findings = findings_below(fit)
     if findings:
-        yield BulletList(findings)
+        yield doc.BulletList(findings)
     if not fit.success:
-        yield Paragraphs(["The fit did not succeed, so its residual was not tested."], Tone.CAUTION)
+        yield doc.Paragraphs(["The fit did not succeed, so its residual was not tested."], doc.Tone.CAUTION)
         return
     if not (has_free_run(fit) or fit.prediction.process_noise):
-        yield Paragraphs(
+        yield doc.Paragraphs(
             ["The residual was not tested: states that are estimated along the record absorb the missing effects."],
-            Tone.CAUTION,
+            doc.Tone.CAUTION,
         )
         return
     tests = tests or residual_tests(fit)
@@ -381,16 +360,16 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[Block]:
             f"{count} of {len(tests.tests)} tests {'raises' if count == 1 else 'raise'} an alarm: the residual contains more"
             " than noise."
         )
-        yield Paragraphs([alarms], Tone.CAUTION)
+        yield doc.Paragraphs([alarms], doc.Tone.CAUTION)
     elif tests.tests:
-        yield Paragraphs(
-            [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], Tone.GOOD
+        yield doc.Paragraphs(
+            [f"None of {len(tests.tests)} tests raises an alarm: the residual shows nothing but noise."], doc.Tone.GOOD
         )
     if tests.not_made:
-        yield Paragraphs([f"Not tested: {line}." for line in list_tests_not_made(tests)], Tone.CAUTION)
+        yield doc.Paragraphs([f"Not tested: {line}." for line in list_tests_not_made(tests)], doc.Tone.CAUTION)
     note = f"Each test raises a false alarm (p below {ALARM_LEVEL:g}) in one of a hundred correct fits."
     yield from residual_tests_tables(tests, note)
     if not tests.tests:
         return
     for output in tests.residuals:
-        yield FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))
+        yield doc.FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))

@@ -6,21 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from greybox.base import document as doc
 from greybox.base import format_unit
-from greybox.base.document import (
-    Block,
-    BulletList,
-    CodeBlock,
-    Details,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    TableBlock,
-    Tone,
-)
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
 from greybox.estimation.linear.plant import format_signals
@@ -32,7 +19,9 @@ from greybox.show.sentences.linear import channel_lines, poles_table
 from greybox.show.sentences.wording import count_noun, join_names
 
 
-def describe_linearisation(linear: Linearisation, *, family: ModelFamily | None = None, command: str = "") -> Document:
+def describe_linearisation(
+    linear: Linearisation, *, family: ModelFamily | None = None, command: str = ""
+) -> doc.Document:
     """What is said of a linear model.
 
     Parameters
@@ -44,24 +33,24 @@ def describe_linearisation(linear: Linearisation, *, family: ModelFamily | None 
     command
         What was typed, for repeating it.
     """
-    return Document(
+    return doc.Document(
         f"{linear.name} as a linear model",
-        Later(_brief, linear),
+        doc.Later(_brief, linear),
         linear_question(linear),
         linear_verdict(linear),
-        Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
+        doc.Later(lambda: [*linear_sections(linear, family), provenance_section(command)]),
         "export",
     )
 
 
-def _brief(linear: Linearisation) -> Iterator[Block]:
+def _brief(linear: Linearisation) -> Iterator[doc.Block]:
     """Operating point, matrices to the last digit, poles with natural frequency and damping, channels, findings."""
     timing = f"sampled every {linear.dt:g} s ({linear.method})" if linear.dt else "continuous"
-    yield Paragraphs([f"{linear.name}: linear model, {timing}"])
-    yield Paragraphs(_point_lines(linear))
-    yield Paragraphs(_matrix_lines(linear))
+    yield doc.Paragraphs([f"{linear.name}: linear model, {timing}"])
+    yield doc.Paragraphs(_point_lines(linear))
+    yield doc.Paragraphs(_matrix_lines(linear))
     yield from describe_behaviour(linear).describe().brief
-    yield Facts([("note", finding) for finding in linear.findings])
+    yield doc.Facts([("note", finding) for finding in linear.findings])
 
 
 def linear_question(linear: Linearisation) -> str:
@@ -70,7 +59,7 @@ def linear_question(linear: Linearisation) -> str:
     return f"How do small deviations of {inputs} change {outputs}? This model is for controller design."
 
 
-def linear_verdict(linear: Linearisation) -> Paragraphs:
+def linear_verdict(linear: Linearisation) -> doc.Paragraphs:
     """Whether it is stable, where it holds, and what to know before using it."""
     size = np.abs(linear.poles) if linear.dt else linear.poles.real + 1
     stability = "stable" if (size < 1).all() else "marginally stable" if (size <= 1).all() else "unstable"
@@ -82,7 +71,7 @@ def linear_verdict(linear: Linearisation) -> Paragraphs:
         f"It holds for small deviations from {join_names(_point(linear))}.",
     ]
     cautious = bool(linear.findings) or stability != "stable"
-    return Paragraphs([*items, *linear.findings], Tone.CAUTION if cautious else Tone.GOOD)
+    return doc.Paragraphs([*items, *linear.findings], doc.Tone.CAUTION if cautious else doc.Tone.GOOD)
 
 
 def _point(linear: Linearisation) -> list[str]:
@@ -94,31 +83,31 @@ def _point(linear: Linearisation) -> list[str]:
     ]
 
 
-def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[Section]:
+def linear_sections(linear: Linearisation, family: ModelFamily | None) -> list[doc.Section]:
     """Behaviour and matrices, with the family's spread where there is one."""
     return [
-        Section("behaviour", "Behaviour", list(_behaviour(linear, family))),
-        Section("matrices", "Matrices", list(_matrices(linear))),
-        Section("point", "Operating point and parameters", list(_basis(linear))),
+        doc.Section("behaviour", "Behaviour", list(_behaviour(linear, family))),
+        doc.Section("matrices", "Matrices", list(_matrices(linear))),
+        doc.Section("point", "Operating point and parameters", list(_basis(linear))),
     ]
 
 
-def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[Block]:
+def _behaviour(linear: Linearisation, family: ModelFamily | None) -> Iterator[doc.Block]:
     yield poles_table(linear.poles, linear.dt)
-    yield from (FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family))
+    yield from (doc.FigureBlock(figure, group="bode", switch="bode") for figure in plot_bode(linear, family))
     poles = plot_poles(linear, family)
     if poles is not None:
-        yield FigureBlock(poles)
+        yield doc.FigureBlock(poles)
     lines = [line.strip() for channel in describe_behaviour(linear).channels for line in channel_lines(channel)]
-    yield CodeBlock("\n".join(lines), "Channels")
+    yield doc.CodeBlock("\n".join(lines), "Channels")
     if family is not None:
         models = f"{count_noun(len(family.members), 'model')} drawn from the covariance of the parameters (seed {family.seed})"
-        yield Paragraphs([f"{models} show the uncertainty."])
+        yield doc.Paragraphs([f"{models} show the uncertainty."])
         if family.findings:
-            yield BulletList(family.findings)
+            yield doc.BulletList(family.findings)
 
 
-def _matrices(linear: Linearisation) -> Iterator[Block]:
+def _matrices(linear: Linearisation) -> Iterator[doc.Block]:
     """A, B, C and D with the names of their rows and columns; every digit in text to copy."""
     states, inputs, outputs = linear.state_names, linear.input_names, linear.output_names
     rates = [f"{name}[k+1]" if linear.dt else f"d{name}/dt" for name in states]
@@ -131,15 +120,15 @@ def _matrices(linear: Linearisation) -> Iterator[Block]:
     for name, (matrix, rows, columns) in named.items():
         if matrix.size:
             yield _matrix(name, matrix, rows, columns)
-    yield Details("Matrices with all digits", [CodeBlock("\n".join(_matrix_lines(linear)))])
+    yield doc.Details("Matrices with all digits", [doc.CodeBlock("\n".join(_matrix_lines(linear)))])
 
 
-def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> TableBlock:
+def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> doc.TableBlock:
     cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
-    return TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
+    return doc.TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
 
 
-def _basis(linear: Linearisation) -> Iterator[Block]:
+def _basis(linear: Linearisation) -> Iterator[doc.Block]:
     names = (*linear.state_names, *linear.input_names, *linear.output_names)
     kinds = ["state"] * len(linear.x0) + ["input"] * len(linear.u0) + ["output"] * len(linear.y0)
     values = (*linear.x0, *linear.u0, *linear.y0)
@@ -148,12 +137,12 @@ def _basis(linear: Linearisation) -> Iterator[Block]:
         [name, kind, f"{value:.6g}", format_unit(unit) if unit else ""]
         for name, kind, value, unit in zip(names, kinds, values, units, strict=True)
     ]
-    yield TableBlock("Operating point", ["signal", "kind", "value", "unit"], rows)
+    yield doc.TableBlock("Operating point", ["signal", "kind", "value", "unit"], rows)
     delays = [[n, f"{s:.6g} s"] for n, s in zip(linear.input_names, linear.delay, strict=True) if s]
     if delays:
-        yield TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
+        yield doc.TableBlock("Delays that the matrices do not include", ["input", "delay"], delays)
     parameters = [[name, f"{value:.7g}"] for name, value in linear.parameters.items()]
-    yield TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
+    yield doc.TableBlock("Parameters of the model", ["parameter", "value (in the model's unit)"], parameters)
 
 
 def _point_lines(model: Linearisation) -> list[str]:

@@ -10,14 +10,7 @@ from greybox.base import ModelError, format_unit
 from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
 from greybox.base.figure import Role
 from greybox.model.model import Model
-from greybox.show.documents.tables import (
-    format_range,
-    format_sampling_time,
-    hidden_states,
-    provenance_section,
-    signal_units,
-    typeset_equations,
-)
+from greybox.show.documents import tables
 from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.figures.records import plot_signals
 from greybox.show.figures.sheet import PAGE
@@ -54,8 +47,8 @@ def describe_simulation(run: Simulation, *, model: Model | None = None, command:
         verdict,
         [
             Section("run", "The run", [*run_figures(run, model), _ranges(run, model)]),
-            Section("model", "The model", [_parameters(model), typeset_equations(model)]),
-            provenance_section(command),
+            Section("model", "The model", [_parameters(model), tables.typeset_equations(model)]),
+            tables.provenance_section(command),
         ],
         "simulation",
     )
@@ -65,11 +58,11 @@ def run_figures(
     run: Simulation, model: Model, order: Sequence[str] = ("outputs", "inputs", "states")
 ) -> Iterator[FigureBlock]:
     """What a model did: outputs, inputs, and the states that no output shows, in this ``order``."""
-    units = signal_units(model)
+    units = tables.signal_units(model)
     groups = {
         "outputs": (run.outputs, "Simulated outputs, without sensor noise.", Role.OUTPUT),
         "inputs": (run.inputs, "Inputs.", Role.INPUT),
-        "states": (hidden_states(run), "States.", Role.STATE),
+        "states": (tables.hidden_states(run), "States.", Role.STATE),
     }
     stretches = PAGE.stretches(sum(len(signals) for signals, _, _ in groups.values()))
     for name in order:
@@ -85,7 +78,7 @@ def _verdict(run: Simulation, noise: str) -> Paragraphs:
         return Paragraphs([f"The run overflows {run.overflow:.4g} s after its start and ends there."], Tone.BAD)
     free_run = (
         f"Free run over {count_noun(len(run.time), 'row')}, {run.time[-1] - run.time[0]:.4g} s, sampled every"
-        f" {format_sampling_time(run.time)}; integrated by {run.discretisation}."
+        f" {tables.format_sampling_time(run.time)}; integrated by {run.discretisation}."
     )
     return Paragraphs(
         [free_run, *([f"The written outputs contain added white noise: {noise}."] if noise else [])], Tone.GOOD
@@ -93,11 +86,11 @@ def _verdict(run: Simulation, noise: str) -> Paragraphs:
 
 
 def _ranges(run: Simulation, model: Model) -> TableBlock:
-    units, rows = signal_units(model), []
+    units, rows = tables.signal_units(model), []
     for kind, group in (("input", run.inputs), ("output", run.outputs), ("state", run.states)):
         for name, values in group.items():
             factor, unit = scale_to_prefix(units[name], np.asarray(values))
-            rows.append([name, kind, f"{format_range(np.asarray(values), factor=factor)} {unit}"])
+            rows.append([name, kind, f"{tables.format_range(np.asarray(values), factor=factor)} {unit}"])
     return TableBlock("Ranges of the signals", ["signal", "kind", "from … to"], rows)
 
 

@@ -10,19 +10,8 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
+from greybox.base import document as doc
 from greybox.base import format_unit, read_versions
-from greybox.base.document import (
-    REMARK,
-    Block,
-    CodeBlock,
-    Details,
-    Equation,
-    EquationList,
-    Facts,
-    Section,
-    TableBlock,
-    Text,
-)
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
@@ -43,7 +32,7 @@ if TYPE_CHECKING:
 MISFIT_HEADS = ("rmse", "best fit", "rmse / noise")
 
 
-def parameters_table(fit: Fit, note: Text = "") -> TableBlock:
+def parameters_table(fit: Fit, note: doc.Text = "") -> doc.TableBlock:
     """The parameters of a fit: each one, its values in experiments that have their own, then those that are tied."""
     rows = []
     for name, e in fit.parameters.items():
@@ -56,7 +45,7 @@ def parameters_table(fit: Fit, note: Text = "") -> TableBlock:
         rows.append(estimate_cells(name, e))
         rows[-1][-1] = f"= {fit.constraints.ties[name]}"
     caption = "Parameters with standard deviations and 95 % intervals"
-    return TableBlock(caption, ["parameter", "value", "95 % interval", "unit", REMARK], rows, note)
+    return doc.TableBlock(caption, ["parameter", "value", "95 % interval", "unit", doc.REMARK], rows, note)
 
 
 def estimate_cells(name: str, e: Estimate) -> list[str]:
@@ -74,11 +63,11 @@ def estimate_cells(name: str, e: Estimate) -> list[str]:
 
 
 def misfit_table(
-    caption: Text, misfit: Mapping[str, Misfit], noise: FitNoise | None = None, corner: str = ""
-) -> TableBlock:
+    caption: doc.Text, misfit: Mapping[str, Misfit], noise: FitNoise | None = None, corner: str = ""
+) -> doc.TableBlock:
     """Misfits by output; over a noise that is only bounded they are at least so large."""
     rows = [[name, *misfit_cells(m, None if noise is None else noise.bound(name))] for name, m in misfit.items()]
-    return TableBlock(caption, ["output", *MISFIT_HEADS], rows, corner=corner)
+    return doc.TableBlock(caption, ["output", *MISFIT_HEADS], rows, corner=corner)
 
 
 def misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
@@ -90,9 +79,9 @@ def misfit_cells(m: Misfit, bound: NoiseBound | None = None) -> list[str]:
     return [f"{format_number(m.rmse, 4)} {format_unit(m.unit)}".rstrip(), f"{m.best_fit_percent:.2f} %", ratio]
 
 
-def named_values(title: str, values: Mapping[str, Any]) -> Facts:
+def named_values(title: str, values: Mapping[str, Any]) -> doc.Facts:
     """Names and values; a name within a group is ``group.name``."""
-    return Facts(list(flatten(values).items()), title)
+    return doc.Facts(list(flatten(values).items()), title)
 
 
 def flatten(values: Mapping[str, Any], group: str = "") -> dict[str, str]:
@@ -107,16 +96,16 @@ def flatten(values: Mapping[str, Any], group: str = "") -> dict[str, str]:
 # The equations of a model, typeset: one line a balance, then what holds, delays, sets and measures.
 
 
-def typeset_equations(model: Model) -> EquationList:
+def typeset_equations(model: Model) -> doc.EquationList:
     """The equations of ``model`` with every effect written out, and the same as text."""
-    return EquationList(
+    return doc.EquationList(
         [*_balances(model), *_standstill(model), *_updates(model), *_outputs(model)], equations_text(model)
     )
 
 
-def _balances(model: Model) -> Iterator[Equation]:
+def _balances(model: Model) -> Iterator[doc.Equation]:
     for balance in model.system.stated_balances:
-        yield Equation(balance.name, format_unit(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
+        yield doc.Equation(balance.name, format_unit(balance.unit), f"{_storage(balance)} = {_terms(balance)}")
 
 
 def _storage(balance: Balance) -> str:
@@ -137,31 +126,31 @@ def _terms(balance: Balance) -> str:
     return text.strip()
 
 
-def _standstill(model: Model) -> Iterator[Equation]:
+def _standstill(model: Model) -> Iterator[doc.Equation]:
     for dry in model.system.dry:
         if dry.static.element_hash() != dry.sliding.element_hash():
             unit = next(b.unit for b in model.system.balances if b.name == dry.balance)
-            yield Equation(
+            yield doc.Equation(
                 f"{_words(dry.effect)} holds at standstill up to", format_unit(unit), expression_latex(dry.static)
             )
 
 
-def _updates(model: Model) -> Iterator[Equation]:
+def _updates(model: Model) -> Iterator[doc.Equation]:
     for update in model.system.updates:
         state = model.all_states[update.state]
-        yield Equation(
+        yield doc.Equation(
             f"{state.name} after each step",
             format_unit(state.unit),
             rf"{symbol_latex(state.name)} = {expression_latex(update.value)}",
         )
 
 
-def _outputs(model: Model) -> Iterator[Equation]:
+def _outputs(model: Model) -> Iterator[doc.Equation]:
     system = model.system
     outputs = system.outputs if system.stated_outputs is None else system.stated_outputs
     for k, output in enumerate(model.outputs):
         value: ca.SX = outputs[k]
-        yield Equation(
+        yield doc.Equation(
             f"measured {output.name}",
             format_unit(output.unit),
             rf"{symbol_latex(output.name)}^\ast = {expression_latex(value)}",
@@ -176,25 +165,25 @@ def _words(name: str) -> str:
 # What stands at the end of a page: its records, and how to repeat it with the same command, options and versions.
 
 
-def provenance_section(command: str, versions: Mapping[str, Any] | None = None) -> Section:
+def provenance_section(command: str, versions: Mapping[str, Any] | None = None) -> doc.Section:
     """The command and the versions: those of now, or those that were noted."""
     table = named_values("Versions", read_versions() if versions is None else versions)
-    return Section("repeat", "How to repeat it", [*_command(command), table])
+    return doc.Section("repeat", "How to repeat it", [*_command(command), table])
 
 
-def fit_provenance_section(fit: Fit, command: str) -> Section:
+def fit_provenance_section(fit: Fit, command: str) -> doc.Section:
     """What is needed to get the numbers of a fit again."""
     iterations = count_noun(int(fit.solver.statistics.get("iterations", 0)), "iteration")
     ended = f"{fit.status.replace('_', ' ')} after {iterations}"
-    computed = Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
-    tables: list[Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
-    return Section(
-        "repeat", "How to repeat it", [*_command(command), computed, Details("Options and versions", tables)]
+    computed = doc.Facts([*computation_facts(fit), ("ended", ended)], "How it was computed")
+    tables: list[doc.Block] = [_options(fit), named_values("Versions", fit.provenance.versions)]
+    return doc.Section(
+        "repeat", "How to repeat it", [*_command(command), computed, doc.Details("Options and versions", tables)]
     )
 
 
-def _command(command: str) -> list[Block]:
-    return [CodeBlock(command, "In the shell")] if command else []
+def _command(command: str) -> list[doc.Block]:
+    return [doc.CodeBlock(command, "In the shell")] if command else []
 
 
 def computation_facts(fit: Fit) -> list[tuple[str, str]]:
@@ -206,7 +195,7 @@ def computation_facts(fit: Fit) -> list[tuple[str, str]]:
     return [("discretisation", fit.discretisation.label + (left if error or shift else "")), *search]
 
 
-def _options(fit: Fit) -> TableBlock:
+def _options(fit: Fit) -> doc.TableBlock:
     """The options; of the policy only what differs from the default, which the note says."""
     usual = flatten(FitOptions().to_data())
     rows = [
@@ -215,20 +204,20 @@ def _options(fit: Fit) -> TableBlock:
         if not (name.startswith("policy.") and usual.get(name) == value)
     ]
     note = "Numbers of the policy that are not listed have their default values."
-    return TableBlock("Options", ["name", "value"], rows, note)
+    return doc.TableBlock("Options", ["name", "value"], rows, note)
 
 
 # The data of a page: which records, what they hold, and their fingerprints.
 
 
-def records_section(fit: Fit) -> Section:
+def records_section(fit: Fit) -> doc.Section:
     """Names, lengths, gaps and fingerprints of the records, and what their columns hold."""
     fitted, validation = [*fit.traces], [*fit.validation.traces]
     rows = [*(_record(t, "fitted") for t in fitted), *(_record(t, "validation") for t in validation)]
     note = f"Noise: {fit.noise}"
     head = ["record", "use", "rows", "duration", "sampling time", "missing values", "fingerprint"]
-    records = TableBlock("Records", head, rows, note)
-    return Section("data", "Data", [records, _signals(fitted + validation, fit)])
+    records = doc.TableBlock("Records", head, rows, note)
+    return doc.Section("data", "Data", [records, _signals(fitted + validation, fit)])
 
 
 def hidden_states(run: Simulation) -> dict[str, np.ndarray]:
@@ -275,7 +264,7 @@ def format_range(*signals: np.ndarray, factor: float = 1.0) -> str:
     return f"{factor * min(ends):.4g} to {factor * max(ends):.4g}" if ends else "nothing"
 
 
-def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
+def _signals(traces: list[Trace], fit: Fit) -> doc.TableBlock:
     rows = []
     for use, signals in (("input", fit.model.inputs), ("measured", fit.model.outputs)):
         for signal in signals:
@@ -286,4 +275,4 @@ def _signals(traces: list[Trace], fit: Fit) -> TableBlock:
             noise = f"{factor * std:.3g} {unit}" if std is not None and np.isfinite(std) else ""
             limits = f"{format_range(*values, factor=factor)} {unit}" if values else "not recorded"
             rows.append([signal.name, use, limits, noise])
-    return TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)
+    return doc.TableBlock("Signals over all records", ["signal", "use", "from … to", "noise (std)"], rows)

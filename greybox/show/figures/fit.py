@@ -11,23 +11,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from greybox.base import ROWS_AT_A_TIME
-from greybox.base.figure import (
-    Axis,
-    Band,
-    Bars,
-    Curve,
-    Dash,
-    Figure,
-    Heatmap,
-    Height,
-    Panel,
-    Points,
-    Reference,
-    Role,
-    Scale,
-    Series,
-    Symbol,
-)
+from greybox.base import figure as fig
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.estimation.residuals import (
     ResidualSeries,
@@ -42,7 +26,7 @@ from greybox.show.figures.figure import choose_evenly, draw_over_time
 from greybox.show.sentences.estimation import name_test
 
 
-def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
+def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> fig.Figure:
     """The tests of one output.
 
     Panels: the autocorrelation with the 95 % band of white noise; the correlation with each input that moves, later and earlier, with a
@@ -63,7 +47,7 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> Figure:
         _normal_plot(series, _of_kind(of_output, ResidualTestKind.NORMALITY)),
         _along_records(series, _of_kind(of_output, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )
-    return Figure(
+    return fig.Figure(
         name,
         panels,
         f"Tests of the residual of {output}.",
@@ -117,43 +101,45 @@ def _of_kind(tests: Sequence[ResidualTest], *kinds: ResidualTestKind) -> list[Re
 DRAWING_LAGS = 40
 
 
-def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+def _autocorrelation(series: ResidualSeries, tests: Sequence[ResidualTest]) -> fig.Panel:
     rho, count = cross_correlation(series.series, series.series, DRAWING_LAGS)
     band = float(_quantile() / np.sqrt(max(count, 1)))
     lags = np.arange(1, DRAWING_LAGS + 1)
-    return _correlation_panel("autocorrelation", lags, rho[1:], band, Axis("lag", "samples"), tests)
+    return _correlation_panel("autocorrelation", lags, rho[1:], band, fig.Axis("lag", "samples"), tests)
 
 
 # Lags of a correlation with an input, to both sides.
 DRAWING_INPUT_LAGS = 20
 
 
-def _input_correlation(series: ResidualSeries, name: str, tests: Sequence[ResidualTest]) -> Panel:
+def _input_correlation(series: ResidualSeries, name: str, tests: Sequence[ResidualTest]) -> fig.Panel:
     inputs = series.inputs[name]
     after, count = cross_correlation(inputs, series.series, DRAWING_INPUT_LAGS)
     before, _ = cross_correlation(series.series, inputs, DRAWING_INPUT_LAGS)
     lags = np.arange(-DRAWING_INPUT_LAGS, DRAWING_INPUT_LAGS + 1)
     values = np.concatenate([before[:0:-1], after])
-    axis = Axis(f"lag of the residual behind {name}", "samples")
+    axis = fig.Axis(f"lag of the residual behind {name}", "samples")
     return _correlation_panel(
         f"correlation with {name}", lags, values, _band(inputs, series.colour, count), axis, tests
     )
 
 
 def _correlation_panel(
-    name: str, lags: np.ndarray, values: np.ndarray, band: float, x: Axis, tests: Sequence[ResidualTest]
-) -> Panel:
+    name: str, lags: np.ndarray, values: np.ndarray, band: float, x: fig.Axis, tests: Sequence[ResidualTest]
+) -> fig.Panel:
     reach = 1.15 * max(float(np.abs(values).max(initial=0.0)), 2 * band)
-    bars = Bars(lags, values, [Role.RESIDUAL] * len(lags), name, width=0.3)
-    series = (Band(-band, band, label="95 % of white noise"), Reference(0.0, width=0.6), bars)
-    return Panel(name, series, x, Axis(name, limits=(-reach, reach)), _titles(tests), any(t.alarm for t in tests))
+    bars = fig.Bars(lags, values, [fig.Role.RESIDUAL] * len(lags), name, width=0.3)
+    series = (fig.Band(-band, band, label="95 % of white noise"), fig.Reference(0.0, width=0.6), bars)
+    return fig.Panel(
+        name, series, x, fig.Axis(name, limits=(-reach, reach)), _titles(tests), any(t.alarm for t in tests)
+    )
 
 
 # Points of a plot against the normal distribution.
 NORMAL_POINTS = 2000
 
 
-def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> fig.Panel:
     values = np.concatenate([part[np.isfinite(part)] for part in series.raw])
     values.sort()
     shown = choose_evenly(len(values), NORMAL_POINTS)
@@ -166,11 +152,11 @@ def _normal_plot(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel
         moments += of_rows @ values[rows], of_rows @ of_rows
     slope, ends = moments[0] / moments[1], expected[[0, -1]]
     drawn = (
-        Points(expected, values[shown], Role.RESIDUAL, size=4.0),
-        Curve(ends, middle + slope * ends, Role.SIMULATED, "normal distribution"),
+        fig.Points(expected, values[shown], fig.Role.RESIDUAL, size=4.0),
+        fig.Curve(ends, middle + slope * ends, fig.Role.SIMULATED, "normal distribution"),
     )
-    axes = Axis("quantile of a normal distribution"), Axis("residual / noise")
-    return Panel("normal distribution", drawn, *axes, _titles(tests), any(t.alarm for t in tests))
+    axes = fig.Axis("quantile of a normal distribution"), fig.Axis("residual / noise")
+    return fig.Panel("normal distribution", drawn, *axes, _titles(tests), any(t.alarm for t in tests))
 
 
 # Stretches of all records whose mean and spread are drawn.
@@ -179,16 +165,16 @@ DRAWING_PARTS = 20
 DRAWING_RESIDUAL_SHARE = 0.998
 
 
-def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Panel:
+def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> fig.Panel:
     """The residual along all records, and mean and spread of its stretches."""
     rows_of_all = sum(map(len, series.series))
     total = float(np.sqrt(measure_mean(series.series, 2)[0])) or 1.0
-    behind: list[Series] = []
-    front: list[Series] = []
+    behind: list[fig.Series] = []
+    front: list[fig.Series] = []
     start = 0.0
     for time, residual in zip(series.time, series.series, strict=True):
         shift = start - float(time[0])
-        curve = draw_over_time(time, residual, Role.BAND, width=0.9)
+        curve = draw_over_time(time, residual, fig.Role.BAND, width=0.9)
         behind.append(replace(curve, x=curve.x + shift))
         count = max(2, round(DRAWING_PARTS * len(residual) / rows_of_all))
         edges = np.linspace(0, len(residual), count + 1).astype(int)
@@ -198,16 +184,18 @@ def _along_records(series: ResidualSeries, tests: Sequence[ResidualTest]) -> Pan
         mean, spread = (np.array([f(residual[rows]) for rows in stretches]) for f in (np.mean, np.std))
         first = start == 0.0
         front += [
-            Points(middle, mean, Role.SIMULATED, "mean" if first else "", joined=True),
-            Points(middle, spread, Role.RESIDUAL, "spread" if first else "", symbol=Symbol.SQUARE, joined=True),
+            fig.Points(middle, mean, fig.Role.SIMULATED, "mean" if first else "", joined=True),
+            fig.Points(
+                middle, spread, fig.Role.RESIDUAL, "spread" if first else "", symbol=fig.Symbol.SQUARE, joined=True
+            ),
         ]
         start = float(time[-1]) + shift
-    lines = (Reference(0.0, width=0.6), Reference(total, width=0.6, dash=Dash.DASHED))
+    lines = (fig.Reference(0.0, width=0.6), fig.Reference(total, width=0.6, dash=fig.Dash.DASHED))
     sizes = np.abs(np.concatenate([part[np.isfinite(part)] for part in series.series]))
     reach = 1.15 * max(float(np.quantile(sizes, DRAWING_RESIDUAL_SHARE, overwrite_input=True)), total)
-    time_axis = Axis("time of all records" if len(series.time) > 1 else "time", "s")
-    axis = Axis("residual / noise", limits=(-reach, reach))
-    return Panel(
+    time_axis = fig.Axis("time of all records" if len(series.time) > 1 else "time", "s")
+    axis = fig.Axis("residual / noise", limits=(-reach, reach))
+    return fig.Panel(
         "mean and spread", (*behind, *lines, *front), time_axis, axis, _titles(tests), any(t.alarm for t in tests)
     )
 
@@ -254,17 +242,19 @@ def expect_normal_order(count: int, places: np.ndarray) -> np.ndarray:
 # Fitted parameters in figures: how well each is known, and which ones the records cannot tell apart.
 
 
-def plot_intervals(percent: Mapping[str, float], caption: str) -> Figure | None:
+def plot_intervals(percent: Mapping[str, float], caption: str) -> fig.Figure | None:
     """A mark for each parameter at half the width of its 95 % interval, in ``percent`` of the value; None for fewer than two."""
     if len(percent) < 2:
         return None
     ranked = dict(sorted(percent.items(), key=lambda item: item[1]))
     sizes = np.array(list(ranked.values()))
-    marks = Points(sizes, list(ranked), Role.RESIDUAL, size=11, texts=[f"{p:.2g} %" for p in sizes])
+    marks = fig.Points(sizes, list(ranked), fig.Role.RESIDUAL, size=11, texts=[f"{p:.2g} %" for p in sizes])
     limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
-    x = Axis("half width of the 95 % interval", "% of the value", Scale.LOG, limits)
-    panel = Panel("intervals", (marks,), x, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY)
-    return Figure(
+    x = fig.Axis("half width of the 95 % interval", "% of the value", fig.Scale.LOG, limits)
+    panel = fig.Panel(
+        "intervals", (marks,), x, fig.Axis(scale=fig.Scale.CATEGORY, reversed=True), height=fig.Height.PER_CATEGORY
+    )
+    return fig.Figure(
         "intervals", (panel,), caption, ("; ".join(f"{name} {width:.3g} %" for name, width in ranked.items()),)
     )
 
@@ -285,18 +275,22 @@ def relative_half_width(e: Estimate) -> float | None:
 DRAWING_CORRELATED = 0.95
 
 
-def plot_correlation(fit: Fit) -> Figure | None:
+def plot_correlation(fit: Fit) -> fig.Figure | None:
     """Which parameters the records move together; None for fewer than two."""
     names = list(fit.uncertainty.free)
     if len(names) < 2 or not np.isfinite(fit.uncertainty.covariance).any():
         return None
-    category = Axis(scale=Scale.CATEGORY)
-    heatmap = Heatmap(parameter_correlation(fit), names)
-    panel = Panel(
-        "correlation", (heatmap,), category, Axis(scale=Scale.CATEGORY, reversed=True), height=Height.PER_CATEGORY
+    category = fig.Axis(scale=fig.Scale.CATEGORY)
+    heatmap = fig.Heatmap(parameter_correlation(fit), names)
+    panel = fig.Panel(
+        "correlation",
+        (heatmap,),
+        category,
+        fig.Axis(scale=fig.Scale.CATEGORY, reversed=True),
+        height=fig.Height.PER_CATEGORY,
     )
     description = strongly_correlated_pairs(fit) or (f"No correlation exceeds {DRAWING_CORRELATED}",)
-    return Figure(
+    return fig.Figure(
         "correlation",
         (panel,),
         "Correlation of the fitted parameters. Near 1 or -1 the records determine a combination of two parameters, not each of them.",

@@ -18,28 +18,13 @@ from matplotlib.figure import Figure as Picture
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
+from greybox.base import figure as fig
 from greybox.base import to_line, write_file
-from greybox.base.figure import (
-    Area,
-    Axis,
-    Band,
-    Bars,
-    Curve,
-    Dash,
-    Heatmap,
-    Panel,
-    Points,
-    Reference,
-    Role,
-    Scale,
-    Series,
-    Symbol,
-)
 from greybox.show.figures.figure import thin_curve, typeset_exponents, write_cell
 from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
 
-MARKERS = {Symbol.CIRCLE: "o", Symbol.DIAMOND: "D", Symbol.SQUARE: "s", Symbol.CROSS: "x"}
-LINES = {Dash.SOLID: "-", Dash.DASHED: "--", Dash.DOTTED: ":"}
+MARKERS = {fig.Symbol.CIRCLE: "o", fig.Symbol.DIAMOND: "D", fig.Symbol.SQUARE: "s", fig.Symbol.CROSS: "x"}
+LINES = {fig.Dash.SOLID: "-", fig.Dash.DASHED: "--", fig.Dash.DOTTED: ":"}
 
 
 def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
@@ -98,11 +83,11 @@ def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
 
 def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
     panel = cell.panel if cell.window is None else cell.panel.between(*cell.window)
-    axes.set_xscale("log" if panel.x.scale is Scale.LOG else "linear")
-    axes.set_yscale("log" if panel.y.scale is Scale.LOG else "linear")
+    axes.set_xscale("log" if panel.x.scale is fig.Scale.LOG else "linear")
+    axes.set_yscale("log" if panel.y.scale is fig.Scale.LOG else "linear")
     for series in panel.series:
         _draw(axes, series, panel, style)
-    if all(isinstance(s, (Curve, Area, Band, Reference)) for s in panel.series):
+    if all(isinstance(s, (fig.Curve, fig.Area, fig.Band, fig.Reference)) for s in panel.series):
         axes.margins(x=style.margin)
     if panel.equal_scales:
         axes.set_aspect("equal", adjustable="datalim")
@@ -116,12 +101,16 @@ def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
     titles = cell.titles or panel.titles
     if titles:
         text = "\n".join(fill(title, style.title_width) for title in titles)
-        colour = _colour(Role.SIMULATED if panel.alarm else Role.REFERENCE)
+        colour = _colour(fig.Role.SIMULATED if panel.alarm else fig.Role.REFERENCE)
         axes.set_title(text, loc="left", fontsize=style.names, color=colour)
 
 
 def _set_up(
-    axis: NumberedAxis, set_limits: Callable[..., object], spec: Axis, categories: Sequence[str], style: PictureStyle
+    axis: NumberedAxis,
+    set_limits: Callable[..., object],
+    spec: fig.Axis,
+    categories: Sequence[str],
+    style: PictureStyle,
 ) -> None:
     """Name, numbers and limits of one axis."""
     axis.set_label_text(spec.label, fontsize=style.names)
@@ -131,7 +120,7 @@ def _set_up(
         set_limits(*limits)
     if categories:
         axis.set_ticks(range(len(categories)), list(map(_as_lines, categories)))
-    if spec.scale is Scale.LOG:
+    if spec.scale is fig.Scale.LOG:
         _number_decades(axis)
     if spec.reversed:
         axis.set_inverted(True)
@@ -150,25 +139,25 @@ def _number_decades(axis: NumberedAxis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _draw(axes: Axes, series: Series, panel: Panel, style: PictureStyle) -> None:
+def _draw(axes: Axes, series: fig.Series, panel: fig.Panel, style: PictureStyle) -> None:
     match series:
-        case Curve():
+        case fig.Curve():
             _draw_curve(axes, series, style)
-        case Points():
+        case fig.Points():
             _draw_points(axes, series, panel, style)
-        case Bars():
+        case fig.Bars():
             _draw_bars(axes, series, panel, style)
-        case Band():
+        case fig.Band():
             _draw_band(axes, series)
-        case Area():
+        case fig.Area():
             _draw_area(axes, series)
-        case Reference():
+        case fig.Reference():
             _draw_reference(axes, series, style)
-        case Heatmap():
+        case fig.Heatmap():
             _draw_heatmap(axes, series, style)
 
 
-def _draw_curve(axes: Axes, curve: Curve, style: PictureStyle) -> None:
+def _draw_curve(axes: Axes, curve: fig.Curve, style: PictureStyle) -> None:
     x, y = thin_curve(curve.x, curve.y, curve.thinning, style.stretches)
     axes.plot(
         x,
@@ -181,7 +170,7 @@ def _draw_curve(axes: Axes, curve: Curve, style: PictureStyle) -> None:
     )
 
 
-def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) -> None:
+def _draw_points(axes: Axes, points: fig.Points, panel: fig.Panel, style: PictureStyle) -> None:
     colour = _colour(points.role)
     x, y = _places(points.x, panel.columns), _places(points.y, panel.categories)
     if points.half_bars is not None:
@@ -204,7 +193,7 @@ def _draw_points(axes: Axes, points: Points, panel: Panel, style: PictureStyle) 
         axes.annotate(f"  {text}", place, va="center", fontsize=style.numbers)
 
 
-def _draw_bars(axes: Axes, bars: Bars, panel: Panel, style: PictureStyle) -> None:
+def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel, style: PictureStyle) -> None:
     places, colours = _places(bars.places, panel.categories), [_colour(role) for role in bars.roles]
     if bars.horizontal:
         axes.barh(places, bars.lengths, height=bars.width, color=colours)
@@ -214,23 +203,23 @@ def _draw_bars(axes: Axes, bars: Bars, panel: Panel, style: PictureStyle) -> Non
         axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=style.numbers)
 
 
-def _draw_band(axes: Axes, band: Band) -> None:
+def _draw_band(axes: Axes, band: fig.Band) -> None:
     axes.axhspan(band.low, band.high, color=_colour(band.role), lw=0, label=band.label or None)
 
 
-def _draw_area(axes: Axes, area: Area) -> None:
+def _draw_area(axes: Axes, area: fig.Area) -> None:
     axes.fill_between(area.x, area.low, area.high, color=_colour(area.role), lw=0, label=area.label or None)
 
 
-def _draw_reference(axes: Axes, line: Reference, style: PictureStyle) -> None:
+def _draw_reference(axes: Axes, line: fig.Reference, style: PictureStyle) -> None:
     draw = axes.axvline if line.upright else axes.axhline
     draw(
         line.value, color=_colour(line.role), lw=style.line * line.width, ls=LINES[line.dash], label=line.label or None
     )
 
 
-def _draw_heatmap(axes: Axes, heatmap: Heatmap, style: PictureStyle) -> None:
-    ends = [_colour(Role.RESIDUAL), "white", _colour(Role.SIMULATED)]
+def _draw_heatmap(axes: Axes, heatmap: fig.Heatmap, style: PictureStyle) -> None:
+    ends = [_colour(fig.Role.RESIDUAL), "white", _colour(fig.Role.SIMULATED)]
     axes.imshow(heatmap.values, cmap=LinearSegmentedColormap.from_list("correlation", ends), vmin=-1, vmax=1)
     axes.set_xticks(range(len(heatmap.names)), heatmap.names)
     for (row, column), value in np.ndenumerate(heatmap.values):
@@ -246,5 +235,5 @@ def _places(values: np.ndarray | Sequence[str], names: Sequence[str]) -> np.ndar
     return np.array([place[name] for name in values], dtype=float)
 
 
-def _colour(role: Role) -> str:
+def _colour(role: fig.Role) -> str:
     return PALETTE[role].light

@@ -9,28 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.figure import (
-    Area,
-    Axis,
-    Band,
-    Bars,
-    Curve,
-    Figure,
-    Heatmap,
-    Height,
-    Panel,
-    Points,
-    Reference,
-    Role,
-    Scale,
-    Series,
-    Symbol,
-)
+from greybox.base import figure as fig
 from greybox.show.figures.figure import choose_evenly, thin_curve, write_cell
 from greybox.show.figures.sheet import PAGE, PageStyle
 
 PAPER = "--paper"
-SYMBOLS = {Symbol.CIRCLE: "circle", Symbol.DIAMOND: "diamond", Symbol.SQUARE: "square", Symbol.CROSS: "x"}
+SYMBOLS = {
+    fig.Symbol.CIRCLE: "circle",
+    fig.Symbol.DIAMOND: "diamond",
+    fig.Symbol.SQUARE: "square",
+    fig.Symbol.CROSS: "x",
+}
 
 
 @dataclass(frozen=True)
@@ -53,13 +42,13 @@ class PlotlyFigure:
     signals: list[dict[str, Any]]
 
 
-def to_plotly(figure: Figure, stretches: int, style: PageStyle = PAGE) -> PlotlyFigure:
+def to_plotly(figure: fig.Figure, stretches: int, style: PageStyle = PAGE) -> PlotlyFigure:
     """What Plotly draws of a figure, long curves by so many stretches."""
     drawn = PlotlyFigure([], [], [])
     for panel in figure.panels:
         first = len(drawn.traces)
         for series in panel.series:
-            if isinstance(series, Curve) and series.signal is not None:
+            if isinstance(series, fig.Curve) and series.signal is not None:
                 s = series.signal
                 drawn.signals.append(
                     {
@@ -76,37 +65,37 @@ def to_plotly(figure: Figure, stretches: int, style: PageStyle = PAGE) -> Plotly
     return drawn
 
 
-def height_on_page(figure: Figure, style: PageStyle = PAGE) -> int:
+def height_on_page(figure: fig.Figure, style: PageStyle = PAGE) -> int:
     """Pixels of a figure."""
     return max(
         style.frame + style.per_category * len(panel.categories)
-        if panel.height is Height.PER_CATEGORY
+        if panel.height is fig.Height.PER_CATEGORY
         else style.heights[panel.height]
         for panel in figure.panels
     )
 
 
-def css_variable(role: Role) -> str:
+def css_variable(role: fig.Role) -> str:
     """Name of the style's variable with the colour of a role."""
     return f"--{role}"
 
 
-def _traces(series: Series, panel: Panel, stretches: int, style: PageStyle) -> list[dict[str, Any]]:
+def _traces(series: fig.Series, panel: fig.Panel, stretches: int, style: PageStyle) -> list[dict[str, Any]]:
     match series:
-        case Curve():
+        case fig.Curve():
             return [_curve(series, panel, stretches)]
-        case Points():
+        case fig.Points():
             return [_points(series, panel, style)]
-        case Bars():
+        case fig.Bars():
             return [_bars(series, panel)]
-        case Area():
+        case fig.Area():
             return _area(series)
-        case Heatmap():
+        case fig.Heatmap():
             return [_heatmap(series)]
     return []  # bands and references across the whole panel belong to its layout
 
 
-def _curve(curve: Curve, panel: Panel, stretches: int) -> dict[str, Any]:
+def _curve(curve: fig.Curve, panel: fig.Panel, stretches: int) -> dict[str, Any]:
     x, y = thin_curve(curve.x, curve.y, curve.thinning, stretches)
     line = {
         "color": css_variable(curve.role),
@@ -120,7 +109,7 @@ def _curve(curve: Curve, panel: Panel, stretches: int) -> dict[str, Any]:
     return trace
 
 
-def _points(points: Points, panel: Panel, style: PageStyle) -> dict[str, Any]:
+def _points(points: fig.Points, panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
     colour = css_variable(points.role)
     marker = {"symbol": SYMBOLS[points.symbol], "size": points.size, "color": colour, "opacity": points.opacity}
     if points.hollow:
@@ -150,7 +139,7 @@ def _points(points: Points, panel: Panel, style: PageStyle) -> dict[str, Any]:
     return trace
 
 
-def _bars(bars: Bars, panel: Panel) -> dict[str, Any]:
+def _bars(bars: fig.Bars, panel: fig.Panel) -> dict[str, Any]:
     across, along = ("y", "x") if bars.horizontal else ("x", "y")
     unit = escape((panel.x if bars.horizontal else panel.y).unit)
     trace = {
@@ -172,15 +161,15 @@ def _bars(bars: Bars, panel: Panel) -> dict[str, Any]:
     return trace
 
 
-def _area(area: Area) -> list[dict[str, Any]]:
+def _area(area: fig.Area) -> list[dict[str, Any]]:
     edge = {"type": "scatter", "mode": "lines", "x": area.x, "line": {"width": 0}, "hoverinfo": "skip"}
     fill = {"fill": "tonexty", "fillcolor": css_variable(area.role)}
     return [edge | {"y": area.low, **_named("")}, edge | {"y": area.high, **fill, **_named(area.label)}]
 
 
-def _heatmap(heatmap: Heatmap) -> dict[str, Any]:
+def _heatmap(heatmap: fig.Heatmap) -> dict[str, Any]:
     cells = [[write_cell(v) if np.isfinite(v) else "" for v in row] for row in heatmap.values]
-    colours = [[0, css_variable(Role.RESIDUAL)], [0.5, PAPER], [1, css_variable(Role.SIMULATED)]]
+    colours = [[0, css_variable(fig.Role.RESIDUAL)], [0.5, PAPER], [1, css_variable(fig.Role.SIMULATED)]]
     names = list(heatmap.names)
     return {
         "type": "heatmap",
@@ -208,8 +197,8 @@ def _pointed_at(template: str, label: str) -> str:
     return f"{template}<extra>{escape(label)}</extra>"
 
 
-def _layout(panel: Panel, style: PageStyle) -> dict[str, Any]:
-    over_time = all(isinstance(s, (Curve, Area, Band, Reference)) for s in panel.series)
+def _layout(panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
+    over_time = all(isinstance(s, (fig.Curve, fig.Area, fig.Band, fig.Reference)) for s in panel.series)
     layout: dict[str, Any] = {
         "xaxis": _axis(panel.x, panel, style),
         "yaxis": _axis(panel.y, panel, style),
@@ -222,24 +211,24 @@ def _layout(panel: Panel, style: PageStyle) -> dict[str, Any]:
     return layout
 
 
-def _axis(axis: Axis, panel: Panel, style: PageStyle) -> dict[str, Any]:
+def _axis(axis: fig.Axis, panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
     drawn: dict[str, Any] = {"title": {"text": axis.label}, "type": axis.scale.value}
     if axis.limits is not None:
-        drawn["range"] = np.log10(axis.limits).tolist() if axis.scale is Scale.LOG else list(axis.limits)
+        drawn["range"] = np.log10(axis.limits).tolist() if axis.scale is fig.Scale.LOG else list(axis.limits)
     if axis.spacing is not None:
         drawn["dtick"] = axis.spacing
     if axis.reversed:
         drawn["autorange"] = "reversed"
-    if axis.scale is Scale.CATEGORY and axis is panel.y:
+    if axis.scale is fig.Scale.CATEGORY and axis is panel.y:
         names = panel.categories
         drawn |= {"tickvals": names, "ticktext": [shorten(name, style.longest_name) for name in names]}
     return drawn
 
 
-def _shape(series: Series) -> dict[str, Any] | None:
+def _shape(series: fig.Series) -> dict[str, Any] | None:
     """What reaches over the whole panel."""
     match series:
-        case Band():
+        case fig.Band():
             return _across("y", series.low, series.high) | {
                 "type": "rect",
                 "fillcolor": css_variable(series.role),
@@ -247,7 +236,7 @@ def _shape(series: Series) -> dict[str, Any] | None:
                 "layer": "below",
                 **_named(series.label),
             }
-        case Reference():
+        case fig.Reference():
             line = {"color": css_variable(series.role), "width": series.width, "dash": series.dash.value}
             ends = _across("x" if series.upright else "y", series.value, series.value)
             return ends | {"type": "line", "line": line, **_named(series.label)}

@@ -7,20 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.figure import (
-    Axis,
-    Band,
-    Curve,
-    Dash,
-    Figure,
-    Height,
-    Panel,
-    Role,
-    SampledSignal,
-    Scale,
-    Series,
-    Thinning,
-)
+from greybox.base import figure as fig
 from greybox.data.experiment import Experiment
 from greybox.estimation.result_parts import Trace
 from greybox.show.figures.figure import draw_over_time, root_mean_square, scale_to_prefix, value_range
@@ -67,8 +54,8 @@ def uniform_sampling_time(time: np.ndarray) -> float | None:
     return float(steps.mean()) if even else None
 
 
-TIME = Axis("time", "s")
-FREQUENCY = Axis("frequency", "Hz", Scale.LOG)
+TIME = fig.Axis("time", "s")
+FREQUENCY = fig.Axis("frequency", "Hz", fig.Scale.LOG)
 
 
 def plot_signals(
@@ -76,53 +63,53 @@ def plot_signals(
     time: np.ndarray,
     signals: Mapping[str, np.ndarray],
     units: Mapping[str, str],
-    role: Role,
+    role: fig.Role,
     caption: str,
     *,
     held: bool = False,
-) -> Figure:
+) -> fig.Figure:
     """Signals (N,) over ``time`` (N,), a panel for each; ``held``: as steps."""
     panels, description = [], []
     for signal, given in signals.items():
         values = np.asarray(given)
         factor, unit = scale_to_prefix(units[signal], values)
         curve = draw_over_time(time, values, role, signal, factor=factor, held=held)
-        panels.append(Panel(signal, (curve,), TIME, Axis(signal, unit), height=Height.LOW))
+        panels.append(fig.Panel(signal, (curve,), TIME, fig.Axis(signal, unit), height=fig.Height.LOW))
         low, high = value_range(values)
         missing = int((~np.isfinite(values)).sum())
         gaps = f"; {missing} values are missing" if missing else ""
         verb = "ranges from" if math.isfinite(low) else "has"
         description.append(f"{signal} {verb} {range_with_unit(factor * low, factor * high, unit)}{gaps}")
-    return Figure(name, tuple(panels), caption, tuple(description))
+    return fig.Figure(name, tuple(panels), caption, tuple(description))
 
 
-def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str) -> Figure | None:
+def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str) -> fig.Figure | None:
     """What drove a record, a panel for each input; None where nothing did."""
     if not record.inputs:
         return None
     caption = f"Inputs of {record_text(record.name)}."
-    return plot_signals(name, record.time, record.inputs, units, Role.INPUT, caption, held=record.hold == "zero")
+    return plot_signals(name, record.time, record.inputs, units, fig.Role.INPUT, caption, held=record.hold == "zero")
 
 
-def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> Figure | None:
+def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> fig.Figure | None:
     """What the sensors show, a panel for each output; None where nothing was measured."""
     if not record.outputs:
         return None
     caption = f"Measured outputs of {record_text(record.name)}."
-    return plot_signals(name, record.time, record.outputs, units, Role.OUTPUT, caption)
+    return plot_signals(name, record.time, record.outputs, units, fig.Role.OUTPUT, caption)
 
 
-def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
+def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> fig.Figure:
     """Measured outputs and the model's free run over one record, a panel for each output."""
     panels, description = [], []
     for output, measured in trace.measured.items():
         simulated = trace.simulated[output]
         factor, unit = scale_to_prefix(units[output], measured, simulated)
         curves = (
-            draw_over_time(trace.time, measured, Role.MEASURED, "measured", 2.4, factor=factor),
-            draw_over_time(trace.time, simulated, Role.SIMULATED, "simulated", 1.2, factor=factor),
+            draw_over_time(trace.time, measured, fig.Role.MEASURED, "measured", 2.4, factor=factor),
+            draw_over_time(trace.time, simulated, fig.Role.SIMULATED, "simulated", 1.2, factor=factor),
         )
-        panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
+        panels.append(fig.Panel(output, curves, TIME, fig.Axis(output, unit), height=fig.Height.TALL))
         missing = int(np.isnan(measured).sum())
         gaps = f"; {missing} of {len(measured)} values are missing" if missing else ""
         ends = (value_range(values) for values in (measured, simulated))
@@ -130,7 +117,7 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
         description.append(
             f"{output} over {trace.time[-1] - trace.time[0]:.4g} s: measured {', simulated '.join(ranges)}{gaps}"
         )
-    return Figure(
+    return fig.Figure(
         name,
         tuple(panels),
         f"{capitalise(record_text(trace.name))}: measured outputs and the model's free run from the first row.",
@@ -138,16 +125,16 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> Figure:
     )
 
 
-def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str) -> Figure:
+def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str) -> fig.Figure:
     """Measured minus simulated over one record with a band of two standard deviations of the noise, a panel for each output."""
     panels, description = [], []
     for output in trace.measured:
         residual, std = trace.residual(output), known_noise(noise.get(output))
         factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
         band = 2 * factor * std
-        curve = draw_over_time(trace.time, residual, Role.RESIDUAL, "residual", 1.0, factor=factor)
-        axis = Axis(f"residual of {output}", unit, still_limits=_robust_limits(residual, factor, band))
-        panels.append(Panel(output, (*_noise_band(band), curve), TIME, axis))
+        curve = draw_over_time(trace.time, residual, fig.Role.RESIDUAL, "residual", 1.0, factor=factor)
+        axis = fig.Axis(f"residual of {output}", unit, still_limits=_robust_limits(residual, factor, band))
+        panels.append(fig.Panel(output, (*_noise_band(band), curve), TIME, axis))
         text = f"Residual of {output}: rms {value_with_unit(factor * root_mean_square(residual), unit)}"
         known = int(np.isfinite(residual).sum())
         if std > 0 and known:
@@ -157,12 +144,12 @@ def plot_residual(trace: Trace, units: Mapping[str, str], noise: Mapping[str, fl
     caption = f"Residual (measured minus simulated) of {record_text(trace.name)}" + (
         "; the band is two standard deviations of the noise." if any(map(known_noise, noise.values())) else "."
     )
-    return Figure(name, tuple(panels), caption, tuple(description))
+    return fig.Figure(name, tuple(panels), caption, tuple(description))
 
 
 def plot_spectrum(
     trace: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str, *, follows: str = ""
-) -> Figure:
+) -> fig.Figure:
     """Amplitude density of the residual and of white noise, a panel for each output.
 
     ``follows`` names the figure with the residual: the spectrum is taken anew over the stretch that the reader zooms into there.
@@ -172,9 +159,9 @@ def plot_spectrum(
     for output in trace.measured:
         residual, std = trace.residual(output), known_noise(noise.get(output))
         factor, unit = scale_to_prefix(units[output], residual, np.array([2 * std]))
-        curve = _spectrum(trace.time, factor * residual, step, Role.RESIDUAL, "residual", follows)
+        curve = _spectrum(trace.time, factor * residual, step, fig.Role.RESIDUAL, "residual", follows)
         series = (curve, *_noise_floor(curve.x, factor * std * np.sqrt(2 * step)))
-        panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
+        panels.append(fig.Panel(output, series, FREQUENCY, fig.Axis(output, f"{unit}/√Hz", fig.Scale.LOG)))
         if len(curve.x):
             peak = float(curve.x[int(np.argmax(curve.y))])
             description.append(f"The residual of {output} is strongest at {peak:.4g} Hz")
@@ -183,26 +170,26 @@ def plot_spectrum(
         f"Spectrum of the residual of {record_text(trace.name)}{level * any(map(known_noise, noise.values()))}."
         " Zoom into the residual over time to see the spectrum of that interval."
     )
-    return Figure(name, tuple(panels), caption, tuple(description))
+    return fig.Figure(name, tuple(panels), caption, tuple(description))
 
 
 def plot_residuals_before_after(
     before: Trace, after: Trace, units: Mapping[str, str], noise: Mapping[str, float], name: str, extended: str
-) -> Figure:
+) -> fig.Figure:
     """The residual of one record with the plain model and with the extended one, a panel for each output."""
     panels, description = [], []
     for output in before.measured:
         std, pair = known_noise(noise.get(output)), (before.residual(output), after.residual(output))
         factor, unit = scale_to_prefix(units[output], pair[0], np.array([2 * std]))
         curves = (
-            draw_over_time(before.time, pair[0], Role.BASELINE, "plain model", 1.0, factor=factor),
-            draw_over_time(after.time, pair[1], Role.EXTENDED, extended, 1.0, factor=factor),
+            draw_over_time(before.time, pair[0], fig.Role.BASELINE, "plain model", 1.0, factor=factor),
+            draw_over_time(after.time, pair[1], fig.Role.EXTENDED, extended, 1.0, factor=factor),
         )
         series = (*_noise_band(2 * factor * std), *curves)
-        panels.append(Panel(output, series, TIME, Axis(f"residual of {output}", unit)))
+        panels.append(fig.Panel(output, series, TIME, fig.Axis(f"residual of {output}", unit)))
         before_text, after_text = (value_with_unit(factor * root_mean_square(r), unit) for r in pair)
         description.append(f"Residual of {output}: rms {before_text} before, {after_text} after")
-    return Figure(
+    return fig.Figure(
         name,
         tuple(panels),
         (
@@ -222,7 +209,7 @@ def plot_spectra_before_after(
     extended: str,
     *,
     follows: str = "",
-) -> Figure:
+) -> fig.Figure:
     """Amplitude densities of both residuals of `plot_residuals_before_after`."""
     step = uniform_sampling_time(before.time) or float(np.median(np.diff(before.time)))
     panels, description = [], []
@@ -230,14 +217,14 @@ def plot_spectra_before_after(
         std, pair = known_noise(noise.get(output)), (before.residual(output), after.residual(output))
         factor, unit = scale_to_prefix(units[output], pair[0], np.array([2 * std]))
         curves = (
-            _spectrum(before.time, factor * pair[0], step, Role.BASELINE, "plain model", follows),
-            _spectrum(before.time, factor * pair[1], step, Role.EXTENDED, extended, follows),
+            _spectrum(before.time, factor * pair[0], step, fig.Role.BASELINE, "plain model", follows),
+            _spectrum(before.time, factor * pair[1], step, fig.Role.EXTENDED, extended, follows),
         )
         series = (*curves, *_noise_floor(curves[0].x, factor * std * np.sqrt(2 * step)))
-        panels.append(Panel(output, series, FREQUENCY, Axis(output, f"{unit}/√Hz", Scale.LOG)))
+        panels.append(fig.Panel(output, series, FREQUENCY, fig.Axis(output, f"{unit}/√Hz", fig.Scale.LOG)))
         before_text, after_text = (value_with_unit(factor * root_mean_square(r), unit) for r in pair)
         description.append(f"Residual of {output}: rms {before_text} before, {after_text} after")
-    return Figure(
+    return fig.Figure(
         name,
         tuple(panels),
         f"Spectra of both residuals of {record_text(before.name)}. Zoom into the residuals over time to see the spectra of that interval.",
@@ -247,18 +234,18 @@ def plot_spectra_before_after(
 
 def plot_runs_before_after(
     before: Trace, after: Trace, units: Mapping[str, str], name: str, labels: tuple[str, str]
-) -> Figure:
+) -> fig.Figure:
     """Measured outputs and the free runs of two models over one record, a panel for each output."""
     panels = []
     for output, measured in before.measured.items():
         factor, unit = scale_to_prefix(units[output], measured, before.simulated[output])
         curves = (
-            draw_over_time(before.time, measured, Role.MEASURED, "measured", 3.0, factor=factor),
-            draw_over_time(before.time, before.simulated[output], Role.BASELINE, labels[0], 1.3, factor=factor),
-            draw_over_time(after.time, after.simulated[output], Role.EXTENDED, labels[1], 1.3, factor=factor),
+            draw_over_time(before.time, measured, fig.Role.MEASURED, "measured", 3.0, factor=factor),
+            draw_over_time(before.time, before.simulated[output], fig.Role.BASELINE, labels[0], 1.3, factor=factor),
+            draw_over_time(after.time, after.simulated[output], fig.Role.EXTENDED, labels[1], 1.3, factor=factor),
         )
-        panels.append(Panel(output, curves, TIME, Axis(output, unit), height=Height.TALL))
-    return Figure(
+        panels.append(fig.Panel(output, curves, TIME, fig.Axis(output, unit), height=fig.Height.TALL))
+    return fig.Figure(
         name,
         tuple(panels),
         f"{capitalise(record_text(before.name))}: measured outputs and the free runs of both models.",
@@ -285,29 +272,31 @@ def known_noise(std: float | None) -> float:
     return std if std is not None and np.isfinite(std) else 0.0
 
 
-def _noise_band(half: float) -> Sequence[Series]:
-    return [Band(-half, half, label="noise, 95 %")] if half > 0 else []
+def _noise_band(half: float) -> Sequence[fig.Series]:
+    return [fig.Band(-half, half, label="noise, 95 %")] if half > 0 else []
 
 
-def _noise_floor(frequency: np.ndarray, density: float) -> Sequence[Series]:
+def _noise_floor(frequency: np.ndarray, density: float) -> Sequence[fig.Series]:
     """The density of white noise, a straight line over the ``frequency`` (F,) of a spectrum."""
     if not (density > 0 and len(frequency)):
         return []
-    return [Curve(frequency[[0, -1]], np.array([density, density]), Role.NOISE, "noise", 1.4, Dash.DASHED)]
+    return [fig.Curve(frequency[[0, -1]], np.array([density, density]), fig.Role.NOISE, "noise", 1.4, fig.Dash.DASHED)]
 
 
 # Values of a residual that travel with a page, for the spectrum of a stretch; of a longer one the spectrum stays as it is.
 SIGNAL_ON_PAGE = 25000
 
 
-def _spectrum(time: np.ndarray, residual: np.ndarray, step: float, role: Role, label: str, follows: str) -> Curve:
+def _spectrum(
+    time: np.ndarray, residual: np.ndarray, step: float, role: fig.Role, label: str, follows: str
+) -> fig.Curve:
     """The spectrum of a residual (N,), with the residual itself where a page is to take it anew."""
     even = uniform_sampling_time(time)
     signal = None
     if follows and even is not None and len(time) <= SIGNAL_ON_PAGE:
-        signal = SampledSignal(follows, float(time[0]), even, residual)
+        signal = fig.SampledSignal(follows, float(time[0]), even, residual)
     frequency, density = amplitude_density(residual, step)
-    return Curve(frequency, density, role, label, 1.0, thinning=Thinning.PEAKS, signal=signal)
+    return fig.Curve(frequency, density, role, label, 1.0, thinning=fig.Thinning.PEAKS, signal=signal)
 
 
 # Share of a residual that lies within the limits of a picture: a single outlier does not flatten the rest.

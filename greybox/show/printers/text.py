@@ -5,64 +5,50 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from greybox.base import Finding
-from greybox.base.document import (
-    REMARK,
-    Block,
-    BulletList,
-    CodeBlock,
-    Details,
-    Document,
-    EquationList,
-    Facts,
-    FigureBlock,
-    Paragraphs,
-    Subheading,
-    TableBlock,
-    Text,
-)
+from greybox.base import document as doc
 from greybox.show.sentences.registry import sentence
 
 
-def print_text(document: Document) -> str:
+def print_text(document: doc.Document) -> str:
     """The brief of a document."""
     return print_blocks(document.brief)
 
 
-def print_blocks(blocks: Iterable[Block]) -> str:
+def print_blocks(blocks: Iterable[doc.Block]) -> str:
     """Blocks as lines of text, an empty line between two of them."""
     return "\n\n".join("\n".join(lines) for block in blocks if (lines := block_lines(block)))
 
 
-def block_lines(block: Block) -> list[str]:
+def block_lines(block: doc.Block) -> list[str]:
     """The lines of one block; a figure has none."""
     match block:
-        case Paragraphs():
+        case doc.Paragraphs():
             return [_say(item) for item in block.items]
-        case BulletList():
+        case doc.BulletList():
             return [f"  {_say(item)}" for item in block.items]
-        case Facts():
+        case doc.Facts():
             return [_name(name, block.width) + _say(text) for name, text in block.items]
-        case TableBlock():
+        case doc.TableBlock():
             head = [block.corner or block.head[0], *block.head[1:]]
-            return table_lines([*head[:-1], "" if head[-1] == REMARK else head[-1]], block.rows)
-        case EquationList() | CodeBlock():
+            return table_lines([*head[:-1], "" if head[-1] == doc.REMARK else head[-1]], block.rows)
+        case doc.EquationList() | doc.CodeBlock():
             return [block.text]
-        case Subheading():
+        case doc.Subheading():
             return [_say(block.title)]
-        case Details():
+        case doc.Details():
             inside = [line for inner in block.blocks for line in _indented(inner)]
             return [_say(block.summary), *inside]
-        case FigureBlock():
+        case doc.FigureBlock():
             return []
 
 
-def _indented(block: Block) -> list[str]:
+def _indented(block: doc.Block) -> list[str]:
     """The lines of a block within another one; tables and lists are indented already."""
     lines = "\n".join(block_lines(block)).splitlines()
-    return lines if isinstance(block, (TableBlock, BulletList)) else [f"  {line}" for line in lines]
+    return lines if isinstance(block, (doc.TableBlock, doc.BulletList)) else [f"  {line}" for line in lines]
 
 
-def _say(text: Text) -> str:
+def _say(text: doc.Text) -> str:
     return sentence(text) if isinstance(text, Finding) else text
 
 

@@ -17,17 +17,9 @@ from greybox.estimation.record_trends import TrendKind
 from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
+from greybox.show.sentences import wording
 from greybox.show.sentences.data import describe_source
 from greybox.show.sentences.registry import register, renders, sentence, sentences
-from greybox.show.sentences.wording import (
-    LONGEST_FORMULA,
-    NOISE_REACH,
-    capitalise,
-    format_number,
-    format_shares,
-    format_with_std,
-    join_names,
-)
 
 if TYPE_CHECKING:
     from greybox.estimation.multistart import MultiStartResult
@@ -91,7 +83,7 @@ def write_status(report: SolverReport) -> str:
         text += f". Likely causes, most likely first: {causes}"
     for finding, words in zip(report.details, sentences(report.details), strict=True):
         ratio = finding.code in (EstimationCode.MISFIT_RATIO, EstimationCode.PREDICTION_RATIO)
-        text += f"; {words}" if ratio else f". {capitalise(words)}"
+        text += f"; {words}" if ratio else f". {wording.capitalise(words)}"
     return text
 
 
@@ -120,7 +112,7 @@ def _write_term_not_finite(finding: Finding) -> str:
             "storage": f"the inverse storage of balance {v['balance']!r}",
             "output": f"the output {v['name']!r}",
         }[v["kind"]]
-        formula = f" ({v['formula']})" if len(v["formula"]) <= LONGEST_FORMULA else ""
+        formula = f" ({v['formula']})" if len(v["formula"]) <= wording.LONGEST_FORMULA else ""
         what = f"{named}{formula} is {v['value']} {v['unit']}".rstrip()
     return f"{_write_place(finding)}: {what} at {_write_point(finding)}"
 
@@ -198,7 +190,9 @@ def _write_prior_conflict(finding: Finding) -> str:
     factor = v.get("factor")
     units = f": {v['units']} mistaken?" if "units" in v else ""
     measured = (
-        "" if factor is None else f" (the data say {format_with_std(factor, v['factor_std'])} times its value{units})"
+        ""
+        if factor is None
+        else f" (the data say {wording.format_with_std(factor, v['factor_std'])} times its value{units})"
     )
     return (
         f"the prior of {finding.subject} and the data disagree by {v['deviations']:.2g} standard deviations{measured}: one of them, or"
@@ -210,8 +204,8 @@ def _write_priors_off_alike(finding: Finding) -> str:
     v = finding.values
     where = f"of the input {' or '.join(v['inputs'])}, or " if v["inputs"] else ""
     return (
-        f"the data say {v['factor']:.3g} times the prior values of {join_names(v['parameters'])} alike, as a gain {where}of a sensor does"
-        " that is off by this factor: add the effect input_gain or sensor_gain and fit again"
+        f"the data say {v['factor']:.3g} times the prior values of {wording.join_names(v['parameters'])} alike, as a gain {where}of a"
+        " sensor does that is off by this factor: add the effect input_gain or sensor_gain and fit again"
     )
 
 
@@ -219,7 +213,7 @@ def write_record_trend(finding: Finding) -> str:
     """What the values of a constant by record have in common."""
     v, name = finding.values, finding.subject
     unit = format_unit(v["unit"])
-    low, high = (format_number(each, 3) for each in v["at"])
+    low, high = (wording.format_number(each, 3) for each in v["at"])
     if v["kind"] == TrendKind.ALIKE:
         return f"one value of {name} does for all {v['records']} records: {low} {unit}".rstrip()
     if v["kind"] == TrendKind.DIFFERENT:
@@ -239,7 +233,7 @@ def write_record_trend(finding: Finding) -> str:
     if v["kind"] == TrendKind.PAIR:
         text += "; two records show no more than that they differ"
     if v["also"]:
-        text += f"; in these records {join_names(v['also'])} tells as much"
+        text += f"; in these records {wording.join_names(v['also'])} tells as much"
     return text
 
 
@@ -255,7 +249,7 @@ def _write_tied_outside(finding: Finding) -> str:
 
 def _write_outliers(finding: Finding) -> str:
     shares = finding.values["shares"]
-    counted = f"{format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
+    counted = f"{wording.format_shares(shares)} count as outliers" if shares else "no sample counts as an outlier"
     return f"robust loss ({finding.values['loss']}): {counted}"
 
 
@@ -502,7 +496,7 @@ def _write_growth(noise: FitNoise, output: str) -> str:
 
 def _write_estimated_level(noise: FitNoise, output: str) -> str:
     low, high = noise.interval(output)
-    known = math.log(high / noise.std[output]) < NOISE_REACH
+    known = math.log(high / noise.std[output]) < wording.NOISE_REACH
     ends = f" [{low:.3g}, {high:.3g}]" if known else " (poorly determined)"
     return f"{noise.std[output]:.3g}{ends} {noise.units[output]} from the innovations"
 

@@ -16,16 +16,9 @@ import numpy as np
 
 from greybox.simulation.integrators.composition import as_coefficients
 from greybox.simulation.integrators.step import Step
+from greybox.simulation.kernel import interface
 from greybox.simulation.kernel.c_compiler import choose_vector_width, load_library
 from greybox.simulation.kernel.c_routine import CRoutine, read_template, refuse_unwritable
-from greybox.simulation.kernel.interface import (
-    GaussNewtonSums,
-    KernelArguments,
-    StepSizes,
-    chain_coefficients,
-    check_arguments,
-    check_sums,
-)
 from greybox.simulation.kernel.record import Record, is_repeated
 from greybox.simulation.kernel.tape import Tape, fuse_products, read_tape, simplify_tape
 
@@ -75,7 +68,7 @@ class CompiledKernel:
         # Tangents of the other parameters are zero: a library without them takes a tenth less time, and half of that to compile.
         self._free = frozenset(free) if free is not None and step.coefficients is as_coefficients else None
         self.description = f"compiled C, {step.label}"
-        self.sizes = StepSizes.of(step)
+        self.sizes = interface.StepSizes.of(step)
         self._functions: dict[LibraryShape, KernelFunctions] = {}
         self._tapes: dict[frozenset[int] | None, tuple[Tape, Tape]] = {}
 
@@ -190,7 +183,7 @@ class CompiledKernel:
     def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
         if self.step.generator is None:
-            return chain_coefficients(self.step, record.lengths, p, dp)
+            return interface.chain_coefficients(self.step, record.lengths, p, dp)
         directions, rows = dp.shape[1], len(record.lengths)
         p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _pad_directions(dp)))
         q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _count_padded(directions)))
@@ -201,7 +194,7 @@ class CompiledKernel:
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0)
+        arguments = interface.check_arguments(self.sizes, record, q, p, x0)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
         self._get_functions(SIMULATION).simulate(
             *self._leading_arguments(record, len(y)),
@@ -220,9 +213,9 @@ class CompiledKernel:
         dx0: np.ndarray,
         weight: np.ndarray,
         rows: int | None = None,
-    ) -> GaussNewtonSums:
+    ) -> interface.GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         samples = len(record.y) if rows is None else min(rows, len(record.y))
         ny, directions, padded = self.sizes.ny, arguments.directions, _count_padded(arguments.directions)
         # One array for squares, counts, J'r and J'J: one address to hand over.
@@ -232,7 +225,7 @@ class CompiledKernel:
             results[2 * ny : 2 * ny + directions],
             results[2 * ny + padded :].reshape(padded, padded)[:directions, :directions],
         )
-        return check_sums(
+        return interface.check_sums(
             results[:ny], results[ny : 2 * ny], gradient, matrix, None if failed_at < 0 else failed_at, samples
         )
 
@@ -248,7 +241,7 @@ class CompiledKernel:
         weight: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         samples = len(record.y)
         r, jacobian = (
             np.full((samples, self.sizes.ny), np.nan),
@@ -258,7 +251,7 @@ class CompiledKernel:
         return r, jacobian
 
     def _run_pass(
-        self, record: Record, samples: int, arguments: KernelArguments, results: tuple[np.ndarray | None, ...]
+        self, record: Record, samples: int, arguments: interface.KernelArguments, results: tuple[np.ndarray | None, ...]
     ) -> int:
         """One pass over the first ``samples`` samples; the first sample that failed, or -1."""
         arrays = (
