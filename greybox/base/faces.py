@@ -37,4 +37,5 @@ def lazy_face(package: str) -> tuple[Callable[[str], Any], list[str]]:
         setattr(sys.modules[package], name, value)
         return value
 
-    return load, sorted(home)
+    # Constants, classes, functions: the order in which a reference lists them.
+    return load, sorted(home, key=lambda name: (not name.isupper(), name[0].islower(), name))

@@ -7,44 +7,21 @@ until a fit, or ``model.start(Fc=1.5)``, says otherwise. The exceptions have no 
 law, ``linear_input`` and ``band_limited_input`` say how the input moves between samples.
 """
 
-from greybox.model.effects.catalogue import CATALOGUE, all_effects, applicable_effects, effect
-from greybox.model.effects.elasticity import CONTACT, ELASTICITY
-from greybox.model.effects.electrical import ELECTRICAL, THERMAL
-from greybox.model.effects.flow import FLOW, LEVEL
-from greybox.model.effects.formula import formula_effect
-from greybox.model.effects.friction import DAMPING, FRICTION
-from greybox.model.effects.placement import EffectListing, Placement, find_placements, place_effect
-from greybox.model.effects.roles import ROLES, SignalRole
-from greybox.model.effects.rotation import LOAD, ROTATION
-from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
-from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "BETWEEN_SAMPLES",
-    "CATALOGUE",
-    "CONTACT",
-    "DAMPING",
-    "ELASTICITY",
-    "ELECTRICAL",
-    "FLOW",
-    "FRICTION",
-    "LEVEL",
-    "LOAD",
-    "ROLES",
-    "ROTATION",
-    "SIGNAL_PATH",
-    "THERMAL",
-    "EffectListing",
-    "Placement",
-    "Scales",
-    "SignalRole",
-    "all_effects",
-    "applicable_effects",
-    "bound_delays",
-    "effect",
-    "find_placements",
-    "formula_effect",
-    "measure_scales",
-    "place_effect",
-    "tailor_to_record",
-]
+from greybox.base.faces import lazy_face
+
+if TYPE_CHECKING:
+    from greybox.model.effects.catalogue import CATALOGUE, all_effects, applicable_effects, effect
+    from greybox.model.effects.elasticity import CONTACT, ELASTICITY
+    from greybox.model.effects.electrical import ELECTRICAL, THERMAL
+    from greybox.model.effects.flow import FLOW, LEVEL
+    from greybox.model.effects.formula import formula_effect
+    from greybox.model.effects.friction import DAMPING, FRICTION
+    from greybox.model.effects.placement import EffectListing, Placement, find_placements, place_effect
+    from greybox.model.effects.roles import ROLES, SignalRole
+    from greybox.model.effects.rotation import LOAD, ROTATION
+    from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
+    from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
+
+__getattr__, __all__ = lazy_face(__name__)

@@ -17,12 +17,10 @@ from greybox.model.effect import Effect
 from greybox.model.effects.elasticity import CONTACT, ELASTICITY
 from greybox.model.effects.electrical import ELECTRICAL, THERMAL
 from greybox.model.effects.flow import FLOW, LEVEL
-from greybox.model.effects.formula import formula_effect
 from greybox.model.effects.friction import DAMPING, FRICTION
-from greybox.model.effects.placement import AT, EffectListing, Placement, find_placements, place_effect
-from greybox.model.effects.roles import ROLES, SignalRole
+from greybox.model.effects.placement import AT, find_placements, place_effect
 from greybox.model.effects.rotation import LOAD, ROTATION
-from greybox.model.effects.scales import Scales, bound_delays, measure_scales, tailor_to_record
+from greybox.model.effects.scales import Scales, tailor_to_record
 from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
 from greybox.model.model import Model
 
@@ -42,36 +40,6 @@ CATALOGUE: tuple[Effect, ...] = (
     *BETWEEN_SAMPLES,
 )
 reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))
-
-__all__ = [
-    "BETWEEN_SAMPLES",
-    "CATALOGUE",
-    "CONTACT",
-    "DAMPING",
-    "ELASTICITY",
-    "ELECTRICAL",
-    "FLOW",
-    "FRICTION",
-    "LEVEL",
-    "LOAD",
-    "ROLES",
-    "ROTATION",
-    "SIGNAL_PATH",
-    "THERMAL",
-    "EffectListing",
-    "Placement",
-    "Scales",
-    "SignalRole",
-    "all_effects",
-    "applicable_effects",
-    "bound_delays",
-    "effect",
-    "find_placements",
-    "formula_effect",
-    "measure_scales",
-    "place_effect",
-    "tailor_to_record",
-]
 
 
 @cache
