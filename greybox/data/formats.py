@@ -22,12 +22,9 @@ import numpy as np
 
 from greybox.base import DataError, Finding, GreyboxError, shorten
 from greybox.base.extensions import ExtensionKind, describe_failures, load_extensions
-from greybox.data.channels import ChannelTable
-from greybox.data.columns import DataTable, check_size, raise_limit
+from greybox.data import channels, columns, text_table, time_base
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import enumerate_first
-from greybox.data.text_table import read_text
-from greybox.data.time_base import Samples
 
 
 @dataclass(frozen=True)
@@ -50,13 +47,13 @@ class FileFormat:
 
     name: str
     suffixes: tuple[str, ...]
-    open: Callable[[Path, ReadingPolicy], DataTable]
+    open: Callable[[Path, ReadingPolicy], columns.DataTable]
     remedy: str
     packages: tuple[tuple[str, str], ...] = ()
 
 
 # The kind that needs no extension.
-TEXT = FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), read_text, "save it again as UTF-8")
+TEXT = FileFormat("text", (".csv", ".tsv", ".txt", ".dat"), text_table.read_text, "save it again as UTF-8")
 
 
 @cache
@@ -85,7 +82,7 @@ class RecordFile:
 
     path: Path
     kind: FileFormat
-    table: DataTable = field(repr=False)
+    table: columns.DataTable = field(repr=False)
 
     def values(self, positions: Sequence[int]) -> ColumnValues:
         """Columns (N,) as float64 with NaN for gaps. Raises DataError for a damaged file."""
@@ -97,12 +94,12 @@ class RecordFile:
         with _guarded(self.path, self.kind):
             return replace(self, table=self.table.rename(["" if n.strip() == "-" else n.strip() for n in names]))
 
-    def load_channel(self, index: int) -> Samples:
+    def load_channel(self, index: int) -> time_base.Samples:
         """The samples of one channel of a file whose signals have stamps of their own. Raises DataError for a damaged file."""
         table = self.table
-        assert isinstance(table, ChannelTable)
+        assert isinstance(table, channels.ChannelTable)
         with _guarded(self.path, self.kind):
-            check_size(2 * table.channels[index].rows, 1, table.policy)
+            columns.check_size(2 * table.channels[index].rows, 1, table.policy)
             return table.load([index])[index]
 
 
@@ -128,7 +125,7 @@ def open_record_file(path: str | os.PathLike[str], *, policy: ReadingPolicy = RE
     if size > policy.largest_file:
         raise DataError(
             f"{file.name}: {size / 1e6:.0f} MB, files of at most {policy.largest_file / 1e6:.0f} MB are read; cut the record, or raise"
-            f" the limit {raise_limit('largest_file')}"
+            f" the limit {columns.raise_limit('largest_file')}"
         )
     kind = next(kind for kind in file_formats() if file.suffix.lower() in kind.suffixes)
     with _guarded(file, kind):

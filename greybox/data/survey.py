@@ -12,15 +12,10 @@ from typing import ClassVar
 import numpy as np
 
 from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, convert, unit_converter
-from greybox.data.array_table import ArrayTable
-from greybox.data.channels import ChannelTable
+from greybox.data import array_table, channels, formats, policy, sampling, sensor_faults
 from greybox.data.columns import TIME, Column, parse_header
 from greybox.data.findings import RecordCode
-from greybox.data.formats import RecordFile, open_record_file
-from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import is_constant
-from greybox.data.sampling import find_sampling_time, find_time_gaps
-from greybox.data.sensor_faults import inspect_signals
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
 # Words of a name that speak for an input.
@@ -115,7 +110,7 @@ def survey_file(
     *,
     names: Sequence[str] | None = None,
     sampling_time: float | None = None,
-    reading: ReadingPolicy = READING_POLICY,
+    reading: policy.ReadingPolicy = policy.READING_POLICY,
 ) -> FileSurvey:
     """Look at a file of any kind that is read, without a model.
 
@@ -140,15 +135,15 @@ def survey_file(
     DataError
         For a file that cannot be read.
     """
-    file = open_record_file(path, policy=reading)
+    file = formats.open_record_file(path, policy=reading)
     if names is not None:
         file = file.rename(names)
-    if isinstance(file.table, ChannelTable):
+    if isinstance(file.table, channels.ChannelTable):
         return _survey_channels(file, file.table)
     return _survey_table(file, sampling_time)
 
 
-def _survey_table(file: RecordFile, sampling_time: float | None) -> FileSurvey:
+def _survey_table(file: formats.RecordFile, sampling_time: float | None) -> FileSurvey:
     table = file.table
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     clock = next((c for c in columns if c.name == "t" or c.name.lower() == TIME), None)
@@ -190,15 +185,15 @@ def _survey_table(file: RecordFile, sampling_time: float | None) -> FileSurvey:
     return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
-def _is_column(file: RecordFile, position: int) -> bool:
+def _is_column(file: formats.RecordFile, position: int) -> bool:
     table = file.table
-    if not isinstance(table, ArrayTable):
+    if not isinstance(table, array_table.ArrayTable):
         return True
     info = table.infos[table.columns[position].array]
     return not info.holds and math.prod(info.shape) > 1
 
 
-def _survey_channels(file: RecordFile, table: ChannelTable) -> FileSurvey:
+def _survey_channels(file: formats.RecordFile, table: channels.ChannelTable) -> FileSurvey:
     signals: list[SignalSurvey] = []
     findings: list[Finding] = list(table.findings)
     used = {TIME}
@@ -243,7 +238,7 @@ def _find_faults(time: np.ndarray, signals: Mapping[str, np.ndarray]) -> list[Fi
         others = {h: v for h, v in signals.items() if h != header and np.isfinite(v).all()}
         if is_held(values):
             continue
-        for finding in inspect_signals(time, others, {header: values}):
+        for finding in sensor_faults.inspect_signals(time, others, {header: values}):
             if finding.subject == header and finding.code not in (RecordCode.INPUT_CONSTANT, RecordCode.OUTPUT_GAPS):
                 findings.append(replace(finding, values={**finding.values, "kind": "signal"}))
     return findings
@@ -264,7 +259,7 @@ def _survey_signal(
             column.header, column.unit, clock, rows, 0, None, False, None, None, None, None, 0, False, "text", ""
         )
     known = values[np.isfinite(values)]
-    regular = time is not None and find_sampling_time(time) is not None
+    regular = time is not None and sampling.find_sampling_time(time) is not None
     held = is_held(values)
     use = _guess_use(column, values, held)
     name = TIME if is_clock else _make_name(column.name, used)
@@ -280,7 +275,7 @@ def _survey_signal(
         float(time[-1]) if time is not None else None,
         float(known.min()) if len(known) else None,
         float(known.max()) if len(known) else None,
-        len(find_time_gaps(time)) if time is not None else 0,
+        len(sampling.find_time_gaps(time)) if time is not None else 0,
         held,
         "time" if is_clock else use,
         name,

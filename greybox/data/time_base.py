@@ -16,14 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, Finding, Severity
+from greybox.data import experiment, policy, sampling
 from greybox.data.columns import SignalKind, check_size
-from greybox.data.experiment import Hold
 from greybox.data.findings import RecordCode
-from greybox.data.policy import (
-    READING_POLICY,
-    ReadingPolicy,
-)
-from greybox.data.sampling import STEP_TOLERANCE, find_sampling_time, find_time_gaps
 
 
 class Samples(NamedTuple):
@@ -39,7 +34,7 @@ class ChannelUse(NamedTuple):
 
     name: str
     kind: SignalKind
-    course: Hold
+    course: experiment.Hold
     mean: bool
 
 
@@ -74,7 +69,7 @@ def bring_to_one_base(
     samples: Mapping[int, Samples],
     uses: Mapping[int, ChannelUse],
     step: float | None = None,
-    reading: ReadingPolicy = READING_POLICY,
+    reading: policy.ReadingPolicy = policy.READING_POLICY,
 ) -> TimeBase:
     """The signals on one time base.
 
@@ -119,7 +114,7 @@ def bring_to_one_base(
     columns: dict[int, np.ndarray] = {}
     problems: list[str] = []
     for k, s in samples.items():
-        if uses[k].course == "band-limited" and find_sampling_time(s.time) is None:
+        if uses[k].course == "band-limited" and sampling.find_sampling_time(s.time) is None:
             problems.append(
                 f"{uses[k].name!r} has irregular times: a band-limited signal needs uniform ones; take it straight (first)"
             )
@@ -187,7 +182,7 @@ def _find_fastest(samples: Mapping[int, Samples], uses: Mapping[int, ChannelUse]
     """The signal with the shortest step; of equal ones an output, whose measurements then stay where they are."""
     steps = {k: _usual_step(s.time) for k, s in samples.items() if uses[k].kind is not SignalKind.CONDITION}
     shortest = min(steps.values())
-    close = [k for k, step in steps.items() if step <= shortest * (1 + STEP_TOLERANCE)]
+    close = [k for k, step in steps.items() if step <= shortest * (1 + sampling.STEP_TOLERANCE)]
     return next((k for k in close if uses[k].kind is SignalKind.OUTPUT), close[0])
 
 
@@ -203,7 +198,7 @@ def _find_window(
         end = float(s.time[-1])
         if uses[k].course == "zero":
             # A held signal stays for its step; one that is written when it changes stays for good.
-            regular = find_sampling_time(s.time) is not None
+            regular = sampling.find_sampling_time(s.time) is not None
             end = end + _usual_step(s.time) if regular else float("inf")
         spans.append((float(s.time[0]), end))
     if outputs:
@@ -213,9 +208,9 @@ def _find_window(
     return start, stop if np.isfinite(stop) else max(float(s.time[-1]) for s in samples.values())
 
 
-def _in_gap(base: np.ndarray, samples: Samples, course: Hold) -> np.ndarray:
+def _in_gap(base: np.ndarray, samples: Samples, course: experiment.Hold) -> np.ndarray:
     """Which rows lie in a gap of an input, where nobody knows it."""
-    after = find_time_gaps(samples.time)
+    after = sampling.find_time_gaps(samples.time)
     known = _usual_step(samples.time) if course == "zero" else 0.0  # a held value stays for its step
     inside = np.zeros(len(base), bool)
     for k in after:

@@ -10,12 +10,9 @@ import numpy as np
 from greybox.base import DataError, decompose_symmetric
 from greybox.data.experiment import Experiment
 from greybox.data.noise.growing import GrowingNoise
-from greybox.estimation.errors import compute_misfits
-from greybox.estimation.noise_loop import estimate_by_simulation_error, solve
+from greybox.estimation import errors, noise_loop, optimum, result_parts
 from greybox.estimation.optim.minimisation import TerminationStatus
-from greybox.estimation.optimum import make_traces
 from greybox.estimation.options import FitOptions, Hessian, Transcription, resolve_options
-from greybox.estimation.result_parts import Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
@@ -61,7 +58,7 @@ def determine_initial_states(problem: EstimationProblem, options: FitOptions, le
 def fit_first_rows(problem: EstimationProblem, rows: Sequence[int], options: FitOptions) -> DecisionVector:
     """The variables of ``problem``, whose constants are known, with initial states from so many first rows of each record."""
     single = replace(options, transcription=Transcription.SINGLE, progressive=False)
-    return estimate_by_simulation_error(_cut_to_first_rows(problem, rows), single).variables
+    return noise_loop.estimate_by_simulation_error(_cut_to_first_rows(problem, rows), single).variables
 
 
 def _initial_state_information(problem: EstimationProblem) -> list[np.ndarray]:
@@ -95,7 +92,7 @@ def validate(
     skip: int = 0,
     initial_rows: int = 0,
     options: FitOptions | None = None,
-) -> Validation:
+) -> result_parts.Validation:
     """Run ``model`` freely over records that were not used to fit it and measure the error; the parameters are kept.
 
     The initial state is the declared one (``options.at_rest``), or estimated from so many first rows that they determine it: half of
@@ -160,7 +157,7 @@ def validate(
         conditions = [e.conditions for e in problem.experiments]
         initial = guess_initial_states(frozen, problem.records, False, conditions)
         problem = replace(problem, variables=replace(problem.variables, initial=initial))
-        runs = solve(problem, replace(options, transcription=Transcription.MULTIPLE)).simulate()
+        runs = noise_loop.solve(problem, replace(options, transcription=Transcription.MULTIPLE)).simulate()
     else:
         variables = problem.variables
         if variables.initial.free.any():
@@ -179,5 +176,5 @@ def validate(
         at_start, policy = replace(problem, variables=variables), options.policy.step_refinement
         problem = solve_with_refined_steps(at_start, evaluate, lambda s: refine_step(s, options), policy).problem
         runs = tuple(problem.shooting(variables).simulate(variables.here))
-    traces = make_traces(problem, runs)
-    return Validation(compute_misfits(problem, traces, skip), traces)
+    traces = optimum.make_traces(problem, runs)
+    return result_parts.Validation(errors.compute_misfits(problem, traces, skip), traces)

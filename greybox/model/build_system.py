@@ -11,12 +11,12 @@ import casadi as ca
 from greybox.base import MissingNameError, ModelError, nearest
 from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.units import ONE, SECOND, format_unit, parse_unit
+from greybox.model import process_noise, ties, unit_check, validation
 from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
-from greybox.model.process_noise import build_diffusion
 from greybox.model.signals import NamedValues, Output, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
 from greybox.model.system import (
@@ -29,9 +29,6 @@ from greybox.model.system import (
     System,
     named_symbols,
 )
-from greybox.model.ties import apply_ties
-from greybox.model.unit_check import check_units
-from greybox.model.validation import check_expressions, check_names
 
 NOWHERE = Site("", PlaceKind.BALANCE, "")
 
@@ -97,8 +94,8 @@ def build_system(statement: Statement) -> System:
     )
 
     plant_symbols = {s.name: x[s.name] for s in statement.states}
-    p = apply_ties(statement.ties, p)
-    diffusion = build_diffusion(dynamic, effects, p)
+    p = ties.apply_ties(statement.ties, p)
+    diffusion = process_noise.build_diffusion(dynamic, effects, p)
     x, u, p, before = _transform_signals(statement, effects, x, u, p)
     items: tuple[Item, ...] = (*statement.states, *statement.inputs, *every)
     units = {item.name: item.unit for item in items}
@@ -449,10 +446,10 @@ def build_checked_system(statement: Statement) -> System:
     Raises ModelError for names that clash or are unknown and for balances or outputs that are no expressions, UnitError for a term whose
     unit is not its balance's.
     """
-    check_names(statement)
-    check_expressions(statement)
+    validation.check_names(statement)
+    validation.check_expressions(statement)
     system = build_system(statement)
-    check_units(statement, system)
+    unit_check.check_units(statement, system)
     return system
 
 

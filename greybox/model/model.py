@@ -12,15 +12,12 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError, Printable, nearest
-from greybox.model import process_noise
-from greybox.model.balance import Balance, ClosedBalances
-from greybox.model.build_system import SYSTEMS, plant_sites
+from greybox.model import balance, build_system, process_noise, validation
 from greybox.model.effect import Effect
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
 from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
 from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, schedule_effect
-from greybox.model.validation import Rule, check_constants, check_measured, check_outputs_known
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +79,11 @@ class Model(Printable):
     inputs: Sequence[Input]
     outputs: Sequence[Output]
     parameters: Sequence[Parameter]
-    balances: Callable[[NamedValues, NamedValues, NamedValues], list[Balance]]
+    balances: Callable[[NamedValues, NamedValues, NamedValues], list[balance.Balance]]
     effects: tuple[Effect, ...] = ()
     description: str = ""
     source: str = ""
-    rules: Sequence[Rule] = ()
+    rules: Sequence[validation.Rule] = ()
     candidates: Sequence[str] = ()
     ties: tuple[Tie, ...] = ()
 
@@ -96,9 +93,9 @@ class Model(Printable):
 
     def __post_init__(self) -> None:
         system, parameters = self.system, self.all_parameters  # writing the equations out checks them
-        check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
+        validation.check_outputs_known(self.title, self.rules, [o.name for o in self.outputs])
         process_noise.check_process_noise(self.title, system, parameters)
-        check_constants(self.title, self.rules, self._present_values)
+        validation.check_constants(self.title, self.rules, self._present_values)
 
     @cached_property
     def statement(self) -> Statement:
@@ -110,7 +107,7 @@ class Model(Printable):
     @cached_property
     def system(self) -> System:
         """The equations as CasADi expressions."""
-        return SYSTEMS.system(self.statement)
+        return build_system.SYSTEMS.system(self.statement)
 
     @cached_property
     def bound_effects(self) -> tuple[BoundEffect, ...]:
@@ -132,7 +129,7 @@ class Model(Printable):
     @cached_property
     def sites(self) -> tuple[Site, ...]:
         """Every balance, input and output of the plant as a place where effects may act."""
-        return plant_sites(self.statement)
+        return build_system.plant_sites(self.statement)
 
     @property
     def all_states(self) -> tuple[State, ...]:
@@ -218,7 +215,7 @@ class Model(Printable):
 
         Raises DataError with rows, the worst value and the remedy.
         """
-        check_measured(subject, self.rules, measured, self._present_values)
+        validation.check_measured(subject, self.rules, measured, self._present_values)
 
     @property
     def auxiliary(self) -> frozenset[str]:
@@ -228,7 +225,7 @@ class Model(Printable):
     @property
     def has_equations(self) -> bool:
         """Whether there are equations; what is run from outside has none."""
-        return not isinstance(self.balances, ClosedBalances)
+        return not isinstance(self.balances, balance.ClosedBalances)
 
     def require_equations(self, purpose: str) -> None:
         """Refuse ``purpose``, which begins the reason, where there are no equations. Raises ModelError."""

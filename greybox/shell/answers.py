@@ -8,13 +8,9 @@ from pathlib import Path
 from typing import ClassVar
 
 from greybox.base import FileKind, Finding, Printable
+from greybox.estimation import residuals, result, result_parts, score, uncertainty
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
-from greybox.estimation.residuals import ResidualTests
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Misfit
-from greybox.estimation.score import Scores
-from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
 from greybox.simulation.simulate import Simulation
 
 
@@ -32,7 +28,7 @@ class RecordMisfit:
 
     record: str
     output: str
-    misfit: Misfit
+    misfit: result_parts.Misfit
 
     KEYS: ClassVar[str] = "record output misfit.*"
 
@@ -61,20 +57,20 @@ class FitAnswer(Printable):
         Misfit of each output of each record, where there are several.
     """
 
-    fit: Fit
+    fit: result.Fit
     remedies: tuple[Finding, ...] = ()
-    profiles: tuple[Profile, ...] = ()
-    regions: tuple[ProfilePair, ...] = ()
+    profiles: tuple[uncertainty.Profile, ...] = ()
+    regions: tuple[uncertainty.ProfilePair, ...] = ()
     zero_noise: tuple[str, ...] = ()
-    bootstrap: Bootstrap | None = None
+    bootstrap: uncertainty.Bootstrap | None = None
     refusal: str = ""
-    scores: Scores | None = None
-    validation_scores: Scores | None = None
-    tests: ResidualTests | None = None
+    scores: score.Scores | None = None
+    validation_scores: score.Scores | None = None
+    tests: residuals.ResidualTests | None = None
     misfits: Sequence[RecordMisfit] = ()
     validation_misfits: Sequence[RecordMisfit] = ()
 
-    FILE: ClassVar[FileKind] = Fit.FILE
+    FILE: ClassVar[FileKind] = result.Fit.FILE
     KEYS: ClassVar[str] = """
         fit.* profiles? regions? zero_noise? bootstrap? refusal? remedies? tests?=tests.tests scores?=scores.outputs
         validation_scores?=validation_scores.outputs record_misfits?=misfits validation_record_misfits?=validation_misfits

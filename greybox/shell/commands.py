@@ -8,22 +8,15 @@ from pathlib import Path
 import click
 
 from greybox.base.extensions import ExtensionKind, load_extensions, reserve
-from greybox.shell.check import CHECK
-from greybox.shell.command_line import make_command
-from greybox.shell.compare import COMPARE
-from greybox.shell.discover import DISCOVER
-from greybox.shell.fit import FIT
+from greybox.shell import check, command_line, compare, discover, fit, simulate, study, terminal
 from greybox.shell.project_commands import DEMO, EFFECTS, EXTENSIONS, INIT, MODELS, SCHEMA
-from greybox.shell.simulate import SIMULATE
-from greybox.shell.study import Command
-from greybox.shell.terminal import CommandGroup
 
-CORE: dict[str, Command] = {
-    "fit": FIT,
-    "compare": COMPARE,
-    "discover": DISCOVER,
-    "simulate": SIMULATE,
-    "check": CHECK,
+CORE: dict[str, study.Command] = {
+    "fit": fit.FIT,
+    "compare": compare.COMPARE,
+    "discover": discover.DISCOVER,
+    "simulate": simulate.SIMULATE,
+    "check": check.CHECK,
     "models": MODELS,
     "effects": EFFECTS,
     "init": INIT,
@@ -33,7 +26,7 @@ CORE: dict[str, Command] = {
 }
 reserve(ExtensionKind.COMMANDS, CORE)
 # Every command by its name, in the order of the help: those of the core, then those of extensions.
-COMMANDS: dict[str, Command] = {**CORE, **load_extensions(ExtensionKind.COMMANDS)}
+COMMANDS: dict[str, study.Command] = {**CORE, **load_extensions(ExtensionKind.COMMANDS)}
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, wanted: bool) -> None:
@@ -77,9 +70,9 @@ def _complete(ctx: click.Context, parameter: click.Parameter, wanted: bool) -> N
     raise click.exceptions.Exit
 
 
-app = CommandGroup(
+app = terminal.CommandGroup(
     "greybox",
-    commands={name: make_command(name, command, COMMANDS) for name, command in COMMANDS.items()},
+    commands={name: command_line.make_command(name, command, COMMANDS) for name, command in COMMANDS.items()},
     params=[
         click.Option([flag], is_flag=True, is_eager=True, expose_value=False, callback=callback, help=text)
         for flag, callback, text in (

@@ -14,30 +14,24 @@ from functools import cache
 from greybox.base import ModelError, nearest
 from greybox.base.extensions import ExtensionKind, load_extensions, reserve
 from greybox.model.effect import Effect
-from greybox.model.effects.elasticity import CONTACT, ELASTICITY
-from greybox.model.effects.electrical import ELECTRICAL, THERMAL
-from greybox.model.effects.flow import FLOW, LEVEL
-from greybox.model.effects.friction import DAMPING, FRICTION
-from greybox.model.effects.placement import AT, find_placements, place_effect
-from greybox.model.effects.rotation import LOAD, ROTATION
+from greybox.model.effects import elasticity, electrical, flow, friction, placement, rotation, signal_path
 from greybox.model.effects.scales import Scales, tailor_to_record
-from greybox.model.effects.signal_path import BETWEEN_SAMPLES, SIGNAL_PATH
 from greybox.model.model import Model
 
 # Every effect that comes with the library, one value each, grouped by domain. Look one up with `effect`.
 CATALOGUE: tuple[Effect, ...] = (
-    *FRICTION,
-    *DAMPING,
-    *ELASTICITY,
-    *CONTACT,
-    *ELECTRICAL,
-    *FLOW,
-    *LEVEL,
-    *LOAD,
-    *ROTATION,
-    *THERMAL,
-    *SIGNAL_PATH,
-    *BETWEEN_SAMPLES,
+    *friction.FRICTION,
+    *friction.DAMPING,
+    *elasticity.ELASTICITY,
+    *elasticity.CONTACT,
+    *electrical.ELECTRICAL,
+    *flow.FLOW,
+    *flow.LEVEL,
+    *rotation.LOAD,
+    *rotation.ROTATION,
+    *electrical.THERMAL,
+    *signal_path.SIGNAL_PATH,
+    *signal_path.BETWEEN_SAMPLES,
 )
 reserve(ExtensionKind.EFFECTS, (entry.name for entry in CATALOGUE))
 
@@ -73,9 +67,9 @@ def effect(name: str) -> Effect:
     '-Fc sign(v)'
     """
     entries = {entry.name: entry for entry in all_effects()}
-    base, at, site = name.partition(AT)
+    base, at, site = name.partition(placement.AT)
     if name not in entries and at and base in entries:
-        return place_effect(entries[base], site)
+        return placement.place_effect(entries[base], site)
     if name not in entries:
         raise ModelError(f"the catalogue has no effect {name!r}; {nearest(name, list(entries))}")
     return entries[name]
@@ -109,8 +103,10 @@ def applicable_effects(model: Model, scales: Scales | None = None) -> list[Effec
         If an effect fits but its term has not the unit of its balance: a mistake in the catalogue.
     """
     wanted = {effect(name).name for name in model.candidates}
-    entries = tuple(e for e in all_effects() if not wanted or any(name.partition(AT)[0] == e.name for name in wanted))
-    placed = [p.effect for p in find_placements(model, entries) if p.effect is not None]
+    entries = tuple(
+        e for e in all_effects() if not wanted or any(name.partition(placement.AT)[0] == e.name for name in wanted)
+    )
+    placed = [p.effect for p in placement.find_placements(model, entries) if p.effect is not None]
     fitting = [entry for entry in placed if not wanted or entry.name in wanted]
     names = {entry.name for entry in (*fitting, *model.effects)}
     fitting = [e for e in fitting if e.name in wanted or not (e.stands_for and names.issuperset(e.stands_for))]

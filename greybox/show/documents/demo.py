@@ -8,11 +8,7 @@ from typing import TYPE_CHECKING
 from greybox.base import format_unit
 from greybox.base.document import Block, BulletList, Document, FigureBlock, Later, Paragraphs, Section, TableBlock
 from greybox.estimation.result_parts import Estimate
-from greybox.show.documents.comparison import comparison_verdict, error_blocks, models_table
-from greybox.show.documents.discovery import discovery_sections, discovery_verdict, holdout_lines
-from greybox.show.documents.fit import fit_verdict
-from greybox.show.documents.linearisation import linear_sections
-from greybox.show.documents.tables import fit_provenance_section, misfit_table, records_section, typeset_equations
+from greybox.show.documents import comparison, discovery, fit, linearisation, tables
 from greybox.show.figures.discovery import plot_holdout_error
 from greybox.show.sentences.wording import format_with_std, join_names
 
@@ -38,26 +34,26 @@ def _brief(demo: Demo) -> Iterator[Block]:
     """Parameters and true values, the missing effect, the errors before and after, the best model, the state space."""
     yield _parameters(demo)
     yield Paragraphs([demo.discovery.story])
-    yield BulletList(holdout_lines(demo.discovery))
+    yield BulletList(discovery.holdout_lines(demo.discovery))
     yield Paragraphs(demo.comparison.verdict[:1])
     yield from demo.plant.describe().brief
 
 
 def _sections(demo: Demo, command: str) -> Iterator[Section]:
     best, plain = demo.discovery.best, demo.plain
-    misfit = misfit_table("Free run on the estimation records", plain.misfit, plain.noise)
-    yield Section("plain", "The plain model", [fit_verdict(plain), misfit])
-    yield from discovery_sections(demo.discovery, beside_verdict=True)
+    misfit = tables.misfit_table("Free run on the estimation records", plain.misfit, plain.noise)
+    yield Section("plain", "The plain model", [fit.fit_verdict(plain), misfit])
+    yield from discovery.discovery_sections(demo.discovery, beside_verdict=True)
     yield Section("truth", "Parameters and true values", [_parameters(demo)])
-    yield Section("extended", "The extended model", [typeset_equations(best.model)])
+    yield Section("extended", "The extended model", [tables.typeset_equations(best.model)])
     yield Section("errors", "Errors", list(_comparison(demo)))
-    yield from linear_sections(demo.plant, None)
-    yield records_section(best)
-    yield fit_provenance_section(best, command)
+    yield from linearisation.linear_sections(demo.plant, None)
+    yield tables.records_section(best)
+    yield tables.fit_provenance_section(best, command)
 
 
 def _verdict(demo: Demo) -> Paragraphs:
-    answer = discovery_verdict(demo.discovery)
+    answer = discovery.discovery_verdict(demo.discovery)
     output, worst = max(demo.plain.misfit.items(), key=lambda item: item[1].noise_ratio)
     names = [name for name in demo.truth if name in demo.deviations]
     deviation = max((abs(demo.deviations[name]) for name in names), default=0.0)
@@ -71,9 +67,9 @@ def _verdict(demo: Demo) -> Paragraphs:
 
 
 def _comparison(demo: Demo) -> Iterator[Block]:
-    yield comparison_verdict(demo.comparison)
-    yield from error_blocks(demo.comparison)
-    yield models_table(demo.comparison)
+    yield comparison.comparison_verdict(demo.comparison)
+    yield from comparison.error_blocks(demo.comparison)
+    yield comparison.models_table(demo.comparison)
 
 
 def _parameters(demo: Demo) -> TableBlock:

@@ -8,13 +8,10 @@ from dataclasses import dataclass
 
 from greybox.base import Finding
 from greybox.base import document as doc
-from greybox.estimation.errors import compute_record_misfits
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation import errors, fit_issues, optimum, result_parts
 from greybox.estimation.identifiability.practical import recommend_after_fit
-from greybox.estimation.optimum import has_free_run
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Misfit, Trace
 from greybox.show.documents import tables
 from greybox.show.figures.fit import (
     plot_correlation,
@@ -89,7 +86,7 @@ def _sections(
     yield tables.fit_provenance_section(fit, command)
 
 
-UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
+UNDETERMINED = (fit_issues.EstimationCode.PARAMETER_UNDETERMINED, fit_issues.EstimationCode.DIRECTION_UNDETERMINED)
 
 
 # Up to so many times the noise a fit is said to explain its records: noise is known to about a tenth.
@@ -126,9 +123,9 @@ def findings_below(fit: Fit) -> list[Finding]:
 def _further(fit: Fit) -> list[Finding]:
     """Findings that say something else than sentences of the page: what is above the noise, open, or widened stands there once."""
     worst = _worst_misfit(fit)
-    known = {EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
+    known = {fit_issues.EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        known.add(EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
+        known.add(fit_issues.EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
     return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
 
 
@@ -150,7 +147,7 @@ def _misfit_note(fit: Fit) -> str:
     )
 
 
-def _over_noise(fit: Fit, misfit: Mapping[str, Misfit]) -> str:
+def _over_noise(fit: Fit, misfit: Mapping[str, result_parts.Misfit]) -> str:
     """``1.02 times the noise in x and 0.98 times the noise in i``; ``at least`` where the noise is only bounded."""
     ceilings = {
         name: bound.level
@@ -187,7 +184,7 @@ def _validated(fit: Fit) -> str:
 class RecordRun:
     """A model's run over one record, for validation or fitted; the first ``skip`` rows do not count."""
 
-    trace: Trace
+    trace: result_parts.Trace
     validation: bool
     skip: int = 0
 
@@ -312,7 +309,7 @@ def not_drawn(records: int) -> str:
     return f"The tables include {count_noun(records, 'more record')} that {'is' if records == 1 else 'are'} not drawn."
 
 
-def _record_figures(fit: Fit, trace: Trace, k: int, stretches: int, *, follow: bool) -> list[doc.Block]:
+def _record_figures(fit: Fit, trace: result_parts.Trace, k: int, stretches: int, *, follow: bool) -> list[doc.Block]:
     """Run, residual, spectrum and inputs of one record, which zoom together and switch their outputs together."""
     units, noise, together = tables.signal_units(fit.model), fit.noise.levels, f"{k}"
     residual = plot_residual(trace, units, noise, f"residual-{k}")
@@ -335,7 +332,7 @@ def _by_record(fit: Fit, runs: Sequence[RecordRun]) -> doc.TableBlock:
             *tables.misfit_cells(m, fit.noise.bound(output)),
         ]
         for run in runs
-        for output, m in compute_record_misfits(fit, run.trace, run.skip).items()
+        for output, m in errors.compute_record_misfits(fit, run.trace, run.skip).items()
     ]
     return doc.TableBlock("Record by record", ["record", "use", "output", *tables.MISFIT_HEADS], rows)
 
@@ -347,7 +344,7 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[doc.Block]:
     if not fit.success:
         yield doc.Paragraphs(["The fit did not succeed, so its residual was not tested."], doc.Tone.CAUTION)
         return
-    if not (has_free_run(fit) or fit.prediction.process_noise):
+    if not (optimum.has_free_run(fit) or fit.prediction.process_noise):
         yield doc.Paragraphs(
             ["The residual was not tested: states that are estimated along the record absorb the missing effects."],
             doc.Tone.CAUTION,
