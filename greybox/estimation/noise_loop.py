@@ -29,8 +29,6 @@ from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.plant import PlantModel
 
-__all__ = ["Solution", "solve"]
-
 
 def solve(problem: EstimationProblem, options: FitOptions, report: FitProgressCallback | None = None) -> Solution:
     """Minimise the noise-weighted simulation error of ``problem``; `Solution.strategy` says how, and why so.

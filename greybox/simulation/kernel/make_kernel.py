@@ -92,18 +92,6 @@ class FallbackKernel:
         return getattr(self._kernel, method)(*arguments, **options)
 
 
-__all__ = [
-    "CompiledKernel",
-    "CompilerError",
-    "GaussNewtonSums",
-    "GreyboxWarning",
-    "InterpretedKernel",
-    "Kernel",
-    "Record",
-    "UnsupportedOperationError",
-    "make_kernel",
-]
-
 # What was reported already: one warning a process is enough, for the compiler and for each operation that C does not have.
 _warned: set[str] = set()
 
