@@ -16,7 +16,7 @@ from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shor
 from greybox.data.findings import RecordCode
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
-from greybox.model.model import Model
+from greybox.model import Model
 
 # A file as named columns that are turned into numbers only when asked for.
 

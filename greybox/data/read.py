@@ -30,7 +30,7 @@ from greybox.data.findings import RecordCode
 from greybox.data.formats import RecordFile, open_record_file
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
-from greybox.model.model import Model
+from greybox.model import Model
 
 Arrays = dict[str, np.ndarray]
 

@@ -21,10 +21,9 @@ from greybox.estimation.identifiability.sensitivity import simulate_generic_reco
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
+from greybox.model import Input, Model, Parameter, State
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import Placement, find_placements
-from greybox.model.model import Model
-from greybox.model.signals import Input, Parameter, State
 from greybox.model.sites import STORE
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.plant import Plant, as_model

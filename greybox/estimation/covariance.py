@@ -16,8 +16,7 @@ from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_co
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.model.model import Model
-from greybox.model.signals import Parameter
+from greybox.model import Model, Parameter
 
 # Standard deviation with the constants at their bounds free, over the one with them held, from which it is told: an interval half as wide
 # as it would be is read as a result of the records, and is one of the bound.

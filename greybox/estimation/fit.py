@@ -38,10 +38,9 @@ from greybox.estimation.transcription.problem import (
     prepare_problem,
 )
 from greybox.estimation.validate import validate
+from greybox.model import Model, equations_text
 from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
-from greybox.model.equations import equations_text
-from greybox.model.model import Model
 from greybox.simulation.plant import Plant, as_model
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments

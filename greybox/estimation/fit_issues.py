@@ -24,8 +24,8 @@ from greybox.estimation.record_trends import find_trend, shared_conditions, tren
 from greybox.estimation.result_parts import Estimate, IntervalKind, Misfit, PriorCheck, RobustReport, Trace
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
+from greybox.model import Model
 from greybox.model.expressions.text import expression_text
-from greybox.model.model import Model
 from greybox.simulation.plant_kernel import PlantKernel
 
 

@@ -29,7 +29,7 @@ from greybox.estimation.options import ColourTreatment, FitOptions, resolve_opti
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 

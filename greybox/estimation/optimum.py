@@ -34,7 +34,7 @@ from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Runs, Solution, prepare_problem
 from greybox.estimation.transcription.simulation_error import Evaluation
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.ndarray]]) -> tuple[Trace, ...]:

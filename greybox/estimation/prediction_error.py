@@ -18,7 +18,7 @@ from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import FitProgressCallback, Solution, prepare_problem
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.filtering.kalman_filter import KalmanFilter
 
 # Intensities of process noise: from which to start, whether zero would do as well, and how large one may be.

@@ -21,7 +21,7 @@ from greybox.estimation.prediction_error import estimate_by_prediction_error
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
 from greybox.estimation.validate import FIRST_ROWS, determine_initial_states
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI
 from greybox.simulation.filtering.smoother import smooth_states
 from greybox.simulation.kernel.record import Record

@@ -15,7 +15,7 @@ from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.model.process_noise import intensity_name
 from greybox.simulation.plant import Plant, as_model
 

@@ -17,7 +17,7 @@ from greybox.estimation.predictor import CorrectionKind, PredictingModel, Predic
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
 from greybox.estimation.validate import validate
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Correction = Predictor | PredictionCorrection | None

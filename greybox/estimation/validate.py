@@ -17,7 +17,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.transcription.single_shooting import refine_step, solve_with_refined_steps
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import Plant, PlantModel, as_model
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.estimation.result import Fit
     from greybox.estimation.transcription.problem import FitProgress
-    from greybox.model.model import Model
+    from greybox.model import Model
 
 
 def compare(study: Study) -> Answer:

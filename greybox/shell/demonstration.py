@@ -25,8 +25,8 @@ from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
+from greybox.model import Model
 from greybox.model.effects.catalogue import effect
-from greybox.model.model import Model
 from greybox.shell.project import find_shipped_model
 from greybox.show.figures.pictures import draw_fit, draw_gap
 from greybox.simulation.simulate import simulate_twin, write_csv

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from greybox.data.signals import SignalLimit
     from greybox.estimation.options import FitOptions
     from greybox.estimation.result import Fit
-    from greybox.model.model import Model
+    from greybox.model import Model
     from greybox.simulation.simulate import Simulation
 
 

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, load_extensions, nearest
 from greybox.data.formats import record_suffixes
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.shell.plants import find_plant_kind
 from greybox.simulation.plant import as_model, is_plant
 

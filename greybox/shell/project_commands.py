@@ -15,8 +15,8 @@ from greybox.shell.study import SHOWING, Answer, Command, Excludes, Idle, Needs,
 from greybox.shell.terminal import CommandCode, exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
+    from greybox.model import Model
     from greybox.model.effects.placement import EffectListing
-    from greybox.model.model import Model
     from greybox.shell.project import ModelListing
 
 
@@ -124,7 +124,7 @@ def _list(listing: ModelListing) -> dict[str, Any]:
 
 def _outline(model: Model) -> dict[str, Any]:
     from greybox.base import to_json_data
-    from greybox.model.equations import equations_text
+    from greybox.model import equations_text
 
     return dict(
         to_json_data(

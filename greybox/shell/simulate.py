@@ -22,7 +22,7 @@ from greybox.shell.terminal import CommandCode, exit_with_error, print_findings,
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
-    from greybox.model.model import Model
+    from greybox.model import Model
     from greybox.simulation.simulate import Simulation
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.integrators.discretisation import DiscretisationPolicy, choose_substeps, discretise, follow_step
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel

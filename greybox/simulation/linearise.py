@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import casadi as ca
 import numpy as np
 
-from greybox.model.system import System
+from greybox.model import System
 
 
 def differentiate_equations(system: System, *, slide: bool = False) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:

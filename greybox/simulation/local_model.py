@@ -14,9 +14,7 @@ import numpy as np
 
 from greybox.base import to_identifiers
 from greybox.data.experiment import Experiment, stack_signals
-from greybox.model.balance import Balance
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter, State
+from greybox.model import Balance, Input, Model, Output, Parameter, State
 from greybox.simulation.plant import LinearResponse, PlantModel
 
 # What comes in from a run of the plant is called so before the name of the output.

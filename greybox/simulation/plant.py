@@ -15,10 +15,8 @@ import numpy as np
 
 from greybox.base import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
+from greybox.model import Effect, Input, Model, Output, Parameter, State
 from greybox.model.balance import ClosedBalances, closed_output
-from greybox.model.effect import Effect
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.record import Record
 

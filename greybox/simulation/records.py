@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.base import TIME_ROUNDING, DataError, nearest
 from greybox.data.experiment import Experiment, number_unnamed_records, refuse_unknown_input, stack_signals
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import PlantModel, to_plant_record
 

@@ -22,7 +22,7 @@ from greybox.data.experiment import UNNAMED, Experiment, Hold
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.free_run import SIMULATION_POLICY, SimulationPolicy, run_freely
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.plant import Plant, PlantModel, as_model, make_plant_step

@@ -46,7 +46,7 @@ from greybox.data.noise.spectrum import (
 )
 from greybox.data.problems import is_constant
 from greybox.data.sampling import find_time_gaps
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 @dataclass(frozen=True)

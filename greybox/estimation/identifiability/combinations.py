@@ -20,7 +20,7 @@ from greybox.estimation.identifiability.sensitivity import (
     SensitivityRank,
     highest_ranks,
 )
-from greybox.model.model import Model
+from greybox.model import Model
 
 # Open directions in words: which constants can change together without any change of the outputs.
 

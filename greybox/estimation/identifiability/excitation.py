@@ -14,7 +14,7 @@ from greybox.base import ROWS_AT_A_TIME, DataError, Finding, Printable, Severity
 from greybox.data.experiment import Experiment
 from greybox.estimation.identifiability.sensitivity import IdentifiabilityCode, fastest_and_slowest_rate
 from greybox.estimation.identifiability.structural import StructuralIdentifiability, analyse_structural_identifiability
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 @dataclass(frozen=True)

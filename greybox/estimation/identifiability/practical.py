@@ -27,7 +27,7 @@ from greybox.estimation.identifiability.transfer_functions import compute_transf
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 @dataclass(frozen=True)

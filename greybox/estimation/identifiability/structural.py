@@ -25,8 +25,7 @@ from greybox.estimation.identifiability.sensitivity import (
     highest_ranks,
 )
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
-from greybox.model.model import Model
-from greybox.model.signals import Output
+from greybox.model import Model, Output
 
 
 class IdentifiabilityVerdict(StrEnum):

@@ -17,7 +17,7 @@ from scipy.linalg import matrix_balance
 
 from greybox.base.numerics import CANCELLED_RESPONSE, INTEGRATING_POLE, TINY
 from greybox.estimation.identifiability.sensitivity import Sensitivity
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.linearise import differentiate_equations
 
 Rows = tuple[list[np.ndarray], list[np.ndarray]]  # along the initial states, and along the constants

@@ -16,7 +16,7 @@ from greybox.estimation.linear.operating_point import ModelFunctions, OperatingP
 from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.plant import CanLinearise, Plant, PlantModel
 from greybox.simulation.simulate import declared_initial_state, simulate
 

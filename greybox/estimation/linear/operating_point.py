@@ -12,10 +12,9 @@ import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, decompose_columns, format_unit, nearest, numerics
 from greybox.estimation.linear.plant import ExportFinding, format_signals
+from greybox.model import Input, Model, State
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches
-from greybox.model.model import Model
-from greybox.model.signals import Input, State
 
 # The equations of a model as numbers at a point: rates, outputs, what each balance lacks, and slopes on either side.
 

@@ -12,7 +12,7 @@ from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.extensions import read_greybox_version
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.plant import Plant, PlantModel, as_model, is_plant
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from greybox.base.errors import ModelError, is_slip_of, nearest
 from greybox.base.numerics import AT_BOUND, ROUNDED_BOUND
-from greybox.model.model import Model
-from greybox.model.signals import Parameter
+from greybox.model import Model, Parameter
 
 # Operating conditions: constants that an experiment brings itself, such as the supply pressure it was run at.
 

@@ -21,7 +21,7 @@ from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_int
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription import simulation_error
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.interface import Kernel

@@ -14,7 +14,7 @@ from scipy.linalg import expm
 from greybox.base import Finding, Severity
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.kernel.record import Record

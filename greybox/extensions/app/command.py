@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from greybox.data.columns import ColumnChoice
     from greybox.data.experiment import Experiment
     from greybox.extensions.app.session import Session
-    from greybox.model.model import Model
+    from greybox.model import Model
 
 
 class PrintedAddress(TypedDict):

@@ -22,10 +22,8 @@ from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Validation
 from greybox.estimation.validate import validate
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model, Parameter
 from greybox.model.effects.scales import bound_delays
-from greybox.model.model import Model
-from greybox.model.signals import Parameter
 
 if TYPE_CHECKING:
     from greybox.discovery.result import Discovery

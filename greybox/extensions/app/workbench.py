@@ -25,11 +25,9 @@ from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
 from greybox.extensions.app.session import LoadedRecord, Session
 from greybox.extensions.export.python_model import to_python
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model, equations_text
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import find_placements
-from greybox.model.equations import equations_text
-from greybox.model.model import Model
 from greybox.model.system import Statement
 from greybox.show.describe import report
 from greybox.show.documents.tables import MISFIT_HEADS, estimate_cells, misfit_cells

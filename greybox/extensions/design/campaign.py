@@ -37,8 +37,8 @@ from greybox.extensions.design.problem import (
     GoalName,
 )
 from greybox.extensions.design.rig import find_broken_limits, read_record, run_rig
+from greybox.model import Model
 from greybox.model.effects.catalogue import applicable_effects, effect
-from greybox.model.model import Model
 from greybox.simulation.simulate import read_inputs
 
 StepCallback = Callable[[Path, Any], None]

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.estimation.options import FitOptions
     from greybox.estimation.result import Fit
-    from greybox.model.model import Model
+    from greybox.model import Model
 
 
 class DesignStudy(Study):

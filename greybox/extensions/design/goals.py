@@ -11,10 +11,9 @@ import numpy as np
 from greybox.base import TINY, DataError, GreyboxError, ModelError
 from greybox.extensions.design.plant import GOAL_PRIOR_SPREAD, PlantScenario, draw_plants, make_plant
 from greybox.extensions.design.problem import CriterionName, DesignProblem
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import applicable_effects, effect
 from greybox.model.effects.scales import Scales, measure_scales, tailor_to_record
-from greybox.model.model import Model
 
 
 class Run(Protocol):

@@ -16,7 +16,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
 from greybox.estimation.transcription.simulation_error import KernelPoint
 from greybox.extensions.design.problem import DesignProblem
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.records import to_record
 from greybox.simulation.simulate import declared_initial_state

@@ -17,7 +17,7 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.show.sentences.wording import limit_text
 from greybox.simulation.simulate import declared_initial_state, write_csv
 

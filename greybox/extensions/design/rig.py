@@ -22,7 +22,7 @@ from greybox.base import DataError, GreyboxError, shorten, write_file
 from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.data.signals import SignalLimit
-from greybox.model.model import Model
+from greybox.model import Model
 
 PLACES = ("{input}", "{record}", "{number}")
 """What a command may hold: the file to read, the file to write, and the number of the experiment."""

@@ -13,10 +13,8 @@ from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.extensions.export.observer import Observer, refuse_sampling
 from greybox.extensions.export.target import ExportTarget, read_template
-from greybox.model.equations import equations_text
+from greybox.model import Input, Model, Output, State, equations_text
 from greybox.model.expressions.printer import c_literal
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, State
 from greybox.simulation.integrators.input_delay import count_history_columns
 from greybox.simulation.kernel.c_routine import CRoutine
 from greybox.simulation.kernel.tape import read_tape

@@ -13,7 +13,7 @@ from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export import discrete_step
 from greybox.extensions.export.target import ExportTarget
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 
 from greybox.base import ModelError
 from greybox.estimation.linear.plant import ExportedModel
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter, State
+from greybox.model import Input, Model, Output, Parameter, State
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
 

@@ -25,9 +25,8 @@ from greybox.extensions.export.discrete_step import (
 )
 from greybox.extensions.export.observer import Observer, refuse_sampling
 from greybox.extensions.export.target import ExportTarget, read_template
+from greybox.model import Input, Model, Output, Parameter, State
 from greybox.model.expressions.printer import c_literal
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter, State
 from greybox.simulation.kernel import c_compiler
 
 PLATFORMS = {"linux": ("linux64", ".so"), "darwin": ("darwin64", ".dylib"), "win32": ("win64", ".dll")}

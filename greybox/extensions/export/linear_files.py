@@ -23,8 +23,7 @@ from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.linear.transfer_channel import TransferChannel, describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
-from greybox.model.model import Model
-from greybox.model.python_text import docstring, literal
+from greybox.model import Model, docstring, literal
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 
 SIGNALS = ("state", "input", "output")

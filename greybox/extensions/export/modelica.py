@@ -15,10 +15,9 @@ from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_lin
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
-from greybox.model.balance import Balance
+from greybox.model import Balance, Model
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, Printed, Printer
-from greybox.model.model import Model
 
 RESERVED = frozenset(
     re.findall(

@@ -27,10 +27,8 @@ from greybox.estimation.predictor import (
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, SteppedSignals, make_discrete_step
 from greybox.extensions.export.target import read_template
+from greybox.model import Input, Model, Output, State, docstring
 from greybox.model.expressions.operations import OPERATIONS
-from greybox.model.model import Model
-from greybox.model.python_text import docstring
-from greybox.model.signals import Input, Output, State
 from greybox.simulation.filtering import kalman_filter as kalman
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.tape import Tape, read_tape

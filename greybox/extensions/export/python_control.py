@@ -16,7 +16,7 @@ from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export import discrete_step
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.kernel.c_compiler import GreyboxWarning
 
 FORMS = ("state_space", "transfer_function", "nonlinear")

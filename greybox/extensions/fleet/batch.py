@@ -33,7 +33,7 @@ from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.simulation.plant import Plant, as_model
 
 Item = Experiment | RecordReference

@@ -18,7 +18,7 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.formats import list_record_files
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.read import read_csv
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 @dataclass(frozen=True)

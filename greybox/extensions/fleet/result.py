@@ -17,7 +17,7 @@ import numpy as np
 from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file, write_json
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate, Misfit
-from greybox.model.model import Model
+from greybox.model import Model
 
 
 class FleetCode(StrEnum):

@@ -17,8 +17,7 @@ from greybox.comparison.input_response import estimate_linear_response
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, read_description
 from greybox.extensions.fmu.simulator import FmuSimulator
-from greybox.model.model import Model
-from greybox.model.signals import Input, Output, Parameter
+from greybox.model import Input, Model, Output, Parameter
 from greybox.simulation.plant import LinearResponse, PlantModel
 from greybox.simulation.plant_kernel import PLANT_DIFFERENCE, PlantKernel
 

@@ -10,7 +10,7 @@ from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
-from greybox.model.equations import equations_text
+from greybox.model import equations_text
 from greybox.show.documents.fit import OPEN_RECORDS
 from greybox.show.documents.tables import format_sampling_time, provenance_section, signal_units, typeset_equations
 from greybox.show.figures.fit import plot_intervals

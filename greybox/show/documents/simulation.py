@@ -9,7 +9,7 @@ import numpy as np
 from greybox.base import ModelError, format_unit
 from greybox.base.document import Document, FigureBlock, Paragraphs, Section, TableBlock, Tone
 from greybox.base.figure import Role
-from greybox.model.model import Model
+from greybox.model import Model
 from greybox.show.documents import tables
 from greybox.show.figures.figure import scale_to_prefix
 from greybox.show.figures.records import plot_signals

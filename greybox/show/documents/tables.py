@@ -15,12 +15,10 @@ from greybox.base import format_unit, read_versions
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
+from greybox.model import Balance, Model, equations_text
 from greybox.model.algebraic import stores_nothing
-from greybox.model.balance import Balance
-from greybox.model.equations import equations_text
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.text import LATEX, expression_latex, symbol_latex
-from greybox.model.model import Model
 from greybox.show.figures.figure import scale_to_prefix, value_range
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, make_formatter
 from greybox.simulation.simulate import Simulation

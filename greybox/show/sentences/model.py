@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING
 
 from greybox.base import format_unit
 from greybox.base.document import Block, Details, TableBlock
+from greybox.model import equations_text
 from greybox.model.effects.placement import AT
 from greybox.model.effects.roles import ROLES
-from greybox.model.equations import equations_text
 from greybox.model.expressions.text import number_text
 from greybox.model.sites import NEEDED
 from greybox.show.sentences.registry import renders
 from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
-    from greybox.model.effect import Effect
+    from greybox.model import Effect, Model, Parameter
     from greybox.model.effects.placement import EffectListing, Placement
     from greybox.model.effects.roles import SignalRole
-    from greybox.model.model import Model
-    from greybox.model.signals import Parameter
 
 
 @renders("Model")

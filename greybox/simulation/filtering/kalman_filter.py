@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from scipy.linalg import expm
 
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.step import CoefficientFunction, Step
 from greybox.simulation.kernel.interface import Kernel
 from greybox.simulation.kernel.make_kernel import make_kernel

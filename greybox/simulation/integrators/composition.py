@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.dry_friction import split_at_standstill
 from greybox.simulation.integrators.input_delay import count_history_columns, delay_input, delay_outputs
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, Step

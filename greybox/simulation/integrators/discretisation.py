@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from greybox.base import ModelError, nearest
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.implicit import midpoint, radau
 from greybox.simulation.integrators.input_delay import add_input_history, require_history

@@ -17,7 +17,7 @@ from functools import reduce
 import casadi as ca
 
 from greybox.base import TINY
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.step import AdvanceFunction, IntegrationMethod
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import matrix_balance
 
 from greybox.base import ModelError
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.input_delay import count_history_columns, delay_outputs, make_delay_function
 from greybox.simulation.integrators.step import InputHistory, Step, call_function
 

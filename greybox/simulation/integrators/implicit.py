@@ -11,7 +11,7 @@ from collections.abc import Callable
 import casadi as ca
 
 from greybox.base import ModelError
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.composition import make_step
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
 

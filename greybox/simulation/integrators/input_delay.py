@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, ModelError
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory
 
 FLAG_COLUMNS = ("parity", "linear", "length")

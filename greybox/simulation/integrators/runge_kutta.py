@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.base import ModelError
 from greybox.base.numerics import PHI_SERIES_BELOW, PHI_SERIES_TERMS
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.composition import make_step
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
 

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError
-from greybox.model.system import System
+from greybox.model import System
 from greybox.simulation.integrators.composition import make_step
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.integrators.step import AdvanceFunction, RateFunction, Step
