@@ -128,6 +128,7 @@ class SymmetricDecomposition(ScaledDecomposition):
     @property
     def root(self) -> np.ndarray:
         """``F`` (n, rank) with ``F F'`` the matrix, but for what does not count."""
+        # D V L^(1/2) of the matrix D V L V' D.
         return self.scale[:, None] * self.strong * np.sqrt(self.values[: self.rank])
 
 
@@ -144,6 +145,7 @@ class ColumnDecomposition(ScaledDecomposition):
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The least-squares solution (n,) for ``right`` (m,), the shortest in scaled unknowns where the columns depend on one another."""
+        # A = U S V' D: the solution is D^-1 V S^-1 U' b.
         return np.asarray(self.strong @ ((self.range_basis.T @ right) / self.values[: self.rank]) / self.scale)
 
 

@@ -36,6 +36,7 @@ ROUNDING_UNITS = 1.2
 
 def find_sampling_time(time: np.ndarray) -> float | None:
     """Sampling time in seconds of the increasing stamps ``time`` (N,), N >= 2, or None when they are irregular."""
+    # The mean step: of the rounding of the stamps only that of the two ends is left.
     step = float(time[-1] - time[0]) / (len(time) - 1)
     on_grid = _measure_grid_offset(time, step) <= GRID_TOLERANCE * step
     off_step = np.diff(time)
@@ -44,6 +45,7 @@ def find_sampling_time(time: np.ndarray) -> float | None:
     if on_grid and off_step.max() <= STEP_TOLERANCE * step:
         return step
     unit = estimate_time_resolution(time)
+    # A step has the rounding of both its stamps, half a unit each.
     allowed = np.maximum(unit[:-1], unit[1:])
     allowed *= ROUNDING_UNITS
     np.maximum(allowed, STEP_TOLERANCE * step, out=allowed)
@@ -73,6 +75,7 @@ def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float) -> f
         return None
     row = np.arange(len(time)) - (len(time) - 1) / 2
     centred = time - time.mean()
+    # Least squares over centred rows: sum(k t) / sum(k^2).
     slope = float(row @ centred / (row @ row))
     on_line = np.abs(centred - slope * row).max() <= ROUNDING_UNITS * unit / 2
     return slope if on_line and np.abs(np.diff(time) - slope).max() <= ROUNDING_UNITS * unit else None
@@ -90,6 +93,7 @@ def inspect_timing(time: np.ndarray, sampling_time: float | None) -> tuple[Findi
     if gap is not None:
         return (gap,)
     usual = float(np.median(step))
+    # A step as long as n usual ones lacks n - 1 rows.
     missing = np.round(step / usual) - 1
     if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
         values = {"rows": int(missing.sum()), "places": int(np.count_nonzero(missing)), "usual_step": usual}
@@ -175,6 +179,7 @@ def estimate_time_resolution(time: np.ndarray) -> np.ndarray:
         printed = seconds * _estimate_printed_unit(time if seconds == 1 else time / seconds)
         unit = max(unit, printed, key=np.median)
     single = time.astype(np.float32)
+    # Stamps that single precision holds exactly were stored in it.
     if np.array_equal(single, time):
         np.maximum(unit, np.spacing(np.abs(single)), out=unit)
     return unit
@@ -204,5 +209,6 @@ def _count_decimals(time: np.ndarray, most: int) -> np.ndarray:
     places = np.full(len(time), most + 8)
     for k in range(most, -1, -1):
         scaled = time * 10.0**k
+        # k places are enough where t 10^k is a whole number, the last bits of the product aside.
         places[np.abs(scaled - np.round(scaled)) <= 4 * np.spacing(np.abs(scaled))] = k
     return places

@@ -90,6 +90,7 @@ def _find_frozen_stretch(values: np.ndarray, inputs: Sequence[np.ndarray]) -> tu
     moves = elsewhere[np.isfinite(elsewhere)]
     if last - first + 1 < FROZEN_ROWS or _repeats_often(moves):
         return None
+    # At an end of its range an output may rest (a stop, an overflow): there only a jump beyond its fastest move shows a frozen sensor.
     at_limit = values[first] in (np.nanmin(values), np.nanmax(values))
     jumps = np.concatenate((step[before:first], step[last : last + 1]))
     if not np.any(jumps > np.quantile(moves, 1.0 if at_limit else 1 - REPEAT_SHARE)):
@@ -134,6 +135,7 @@ def _find_saturation(values: np.ndarray) -> Iterator[tuple[str, np.ndarray, int]
     moves = moves[np.isfinite(moves)]
     for end, at_end in ends.items():
         edges = _find_edges(at_end)
+        # A stay is two rows or more.
         times = int(np.sum(edges[1::2] - edges[::2] > 1))
         rows = np.flatnonzero(at_end)
         often = times >= MIN_STAYS and len(rows) >= MIN_SATURATED_ROWS
@@ -179,7 +181,9 @@ def _measure_offset(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rows = slice(first, min(first + ROWS_AT_A_TIME, len(values) - 1))
         middle, left, right = (values[rows.start + k : rows.stop + k] for k in (0, -1, 1))
         before, after = middle - left, middle - right
+        # |y - (left + right) / 2|.
         offset[rows] = np.abs(before + after) / 2
+        # Above both neighbours or below both, and these are closer to each other than to it.
         alone = (before * after > 0) & (np.abs(before - after) <= offset[rows])
         beyond[rows][alone] = np.minimum(np.abs(before), np.abs(after))[alone]
     return offset, beyond

@@ -55,8 +55,10 @@ def multisine(time: np.ndarray, low: float, high: float, rms: float, generator: 
     if not rms > 0:
         raise DataError(f"a multisine with an RMS value of {rms:g}; give a number above 0")
     n, step = len(time), float(time[1] - time[0])
+    # A band may end at half the sampling rate, the rounding of the times aside.
     _check_highest_frequency("multisine", high, step, high * step > 0.5 * (1 + TIME_ROUNDING))
     frequency = np.fft.rfftfreq(n, step)
+    # Neither the mean nor the line at half the sampling rate: both are real.
     lines = (frequency >= low) & (frequency <= high) & (frequency > 0) & (frequency < 0.5 / step)
     if not lines.any():
         raise DataError(

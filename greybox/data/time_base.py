@@ -157,15 +157,18 @@ def interpolate_band_limited(samples: Samples, at: np.ndarray) -> np.ndarray:
     half = min(BAND_LIMITED_SAMPLES, len(samples.time) - 1)
     step = (samples.time[-1] - samples.time[0]) / (len(samples.time) - 1)
     y = samples.values
+    # Reflected about its end points: value and slope go on there.
     padded = np.concatenate((2 * y[0] - y[half:0:-1], y, 2 * y[-1] - y[-2 : -half - 2 : -1]))
     place = (at - samples.time[0]) / step
     whole = np.floor(place).astype(int)
     result = np.zeros(len(at))
     for shift in range(1 - half, half + 1):
         distance = place - (whole + shift)
+        # Kaiser: I0(beta sqrt(1 - (d / half)^2)) / I0(beta), at the distance d in samples.
         window = np.i0(CHANNEL_KAISER_BETA * np.sqrt(np.maximum(1 - (distance / half) ** 2, 0))) / np.i0(
             CHANNEL_KAISER_BETA
         )
+        # Whittaker and Shannon: the sum of y_k sinc(d_k), cut off by the window.
         result += padded[np.clip(whole + shift + half, 0, len(padded) - 1)] * np.sinc(distance) * window
     return result
 
@@ -229,6 +232,7 @@ def _place_measurements(samples: Samples, base: np.ndarray) -> np.ndarray:
     before = after - 1
     distance = np.minimum(np.abs(base - time[before]), np.abs(base - time[after]))
     steps = np.diff(base)
+    # A row reaches half way to its nearer neighbour.
     reach = np.minimum(np.append(steps, steps[-1]), np.append(steps[0], steps)) / 2
     near = distance <= np.minimum(reach, _usual_step(time)) * (1 + TIME_ROUNDING)
     # A measurement half way between two rows belongs to the earlier one.
@@ -387,6 +391,7 @@ def _correlate(first: Samples, second: Samples) -> tuple[float | None, float]:
     a, b = a - a.mean(), b - b.mean()
     if not (a.any() and b.any()):
         return None, step
+    # The correlation at every lag is a convolution with the reversed copy.
     products = fftconvolve(a, b[::-1])
     lag = int(np.argmax(np.abs(products))) - (len(b) - 1)
     return float(grids[0][0] + lag * step - grids[1][0]), step
@@ -419,12 +424,15 @@ def _refine(first: Samples, second: Samples, offset: float, step: float) -> Cloc
             return None
         correlation = float(np.corrcoef(model, y)[0, 1])
         gain = float(np.polyfit(model, y, 1)[0])
+        # Derivatives by gain, level, offset and drift.
         columns = np.column_stack([model, np.ones_like(t), gain * rate, gain * rate * (t - middle)])
         solution, _, rank, _ = np.linalg.lstsq(columns, y, rcond=None)
         if rank < columns.shape[1]:
             return None
         residual = y - columns @ solution
+        # s^2 (J' J)^-1, of offset and drift; four numbers are fitted.
         covariance = np.linalg.inv(columns.T @ columns)[2:, 2:] * float(residual @ residual) / max(len(t) - 4, 1)
+        # At most a step of the grid at a time: farther away the slope is another.
         move = np.clip(solution[2], -step, step)
         offset, drift = offset + float(move), drift + float(solution[3])
         if abs(move) < OFFSET_RESOLUTION * step:

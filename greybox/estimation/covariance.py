@@ -197,8 +197,10 @@ def estimate_likelihood_covariance(
     )
     values, vectors = np.full(1, np.nan), basis
     if np.isfinite(observed).all():
+        # The observed curvature along the directions that are determined.
         values, vectors = np.linalg.eigh(_symmetrise(basis.T @ observed @ basis))
     if values.min(initial=1.0) > 0:
+        # Its inverse there: W L^-1 W'.
         strong = basis @ vectors
         inverse = (strong / values) @ strong.T
     else:
@@ -315,6 +317,7 @@ def raise_to_larger(covariance: np.ndarray, other: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.sqrt(np.diag(other) / np.diag(covariance))
     factor = np.where(np.isfinite(ratio), np.maximum(ratio, 1.0), 1.0)
+    # S C S with diagonal S: the correlations stay.
     return covariance * np.outer(factor, factor)
 
 
@@ -333,6 +336,7 @@ def _reduce_information(information: np.ndarray, wanted: np.ndarray, others: np.
     """Information on the ``wanted`` unknowns with the ``others`` estimated as well; what is not finite stays so."""
     if not np.isfinite(information).all():
         return np.full((len(wanted), len(wanted)), np.nan)
+    # Schur's complement: A_ww - A_wo A_oo^-1 A_ow.
     return _symmetrise(eliminate(information, wanted, others) @ information[:, wanted])
 
 
@@ -435,6 +439,7 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             others = precision[inside].copy()
             others[j] = 0.0
             row = without[j]
+            # A^-1 S A^-1 of the estimate without this prior, S over the scores of the data and the other priors.
             variance = float(row @ (covariance.scores[block] + np.diag(others)) @ row)
             # The estimate without the prior lies shift / left from its mean (in its standard deviations): what is
             # seen is that pulled back by it.
@@ -467,6 +472,7 @@ def to_model_covariance(variables: DecisionVector, covariance: np.ndarray) -> np
     undetermined = np.isinf(np.diag(covariance))
     missing = np.isnan(np.diag(covariance))
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    # Propagation of errors: J C J'.
     result = mean @ finite @ mean.T
     # Zero times infinity is NaN: what is not finite is put back where its weight is not zero.
     for mask, value in ((undetermined, np.inf), (missing, np.nan)):

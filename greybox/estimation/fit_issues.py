@@ -444,8 +444,10 @@ def find_prior_conflicts(model: Model, priors: Mapping[str, PriorCheck]) -> list
     variances = np.array(
         [((c.factor_std or 0.0) / c.factor) ** 2 + (c.std / c.mean) ** 2 for c in known.values() if c.factor]
     )
+    # Distance of each two factors, in standard deviations of their difference.
     apart = np.abs(logs[:, None] - logs[None, :]) / np.sqrt(variances[:, None] + variances[None, :])
     if apart.max() < PRIOR_CONFLICT:
+        # Weighted by 1 / variance: the most likely common factor.
         common = math.exp(float(np.average(logs, weights=1 / variances)))
         shared = {"parameters": list(known), "factor": common, "inputs": [i.name for i in model.inputs]}
         result.append(Finding(EstimationCode.PRIORS_OFF_ALIKE, Severity.WARNING, "", shared))
@@ -502,6 +504,7 @@ def compute_lag_one_correlation(traces: Sequence[Trace], output: str) -> float:
                 )
                 before, measured = r[: len(following)], np.isfinite(r)
                 pair = np.isfinite(following) & measured[: len(following)]
+                # r_1 = sum r_t r_{t+1} / sum r_t^2.
                 products += float(following[pair] @ before[pair])
                 squares += float(r[measured] @ r[measured])
     return products / squares if squares > 0 else 0.0

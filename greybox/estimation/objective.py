@@ -216,6 +216,7 @@ class PredictionErrorObjective:
             columns, mean, louder = v.columns(e), innovations.mean_slopes, innovations.dlog_variance
             block = np.ix_(columns, columns)
             with np.errstate(over="ignore", invalid="ignore"):
+                # -2 ln L = sum of e^2 + ln s^2 + ln 2 pi over the innovations.
                 added = float(np.sum(innovations.e**2 + innovations.logarithm + LOG_TWO_PI))
                 gradient[columns] += 2 * innovations.e @ innovations.de + louder.sum(axis=0)
                 # 2 J'J + L'L: twice the expected information, as the cost is -2 log L.

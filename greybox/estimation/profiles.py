@@ -278,6 +278,7 @@ def _find_partner(fit: Fit, name: str) -> tuple[str, float]:
         return "", 0.0
     with np.errstate(invalid="ignore", divide="ignore"):
         std = np.sqrt(np.diag(covariance))
+        # rho_ij = C_ij / (s_i s_j).
         row = covariance[free.index(name)] / (std[free.index(name)] * std)
     row[free.index(name)] = np.nan
     if not np.isfinite(row).any():
@@ -298,11 +299,13 @@ class RiseScale:
     @property
     def threshold(self) -> float:
         """The 95 % point of chi-square with one degree of freedom, or of F."""
+        # The square of Student's t with n degrees is F(1, n), that of a normal value chi-square(1).
         return compute_quantile(self.degrees) ** 2
 
     @property
     def threshold_of_two(self) -> float:
         """The same of two constants together."""
+        # 2 F(2, n), which becomes chi-square(2) where the noise is known.
         return float(2 * fdtri(2, self.degrees, 0.95) if np.isfinite(self.degrees) else chdtri(2, 0.05))
 
 

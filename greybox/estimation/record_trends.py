@@ -161,6 +161,7 @@ def find_trend(values: np.ndarray, covariance: np.ndarray, conditions: Mapping[s
 
 def _least_squares(design: np.ndarray, y: np.ndarray, precision: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Coefficients (k,), weighted sum of squares that is left, and covariance (k, k) of the coefficients."""
+    # Generalised least squares: (X'PX)^-1 X'P y, with the covariance (X'PX)^-1.
     covariance = pseudo_inverse(design.T @ precision @ design)
     coefficients = covariance @ (design.T @ precision @ y)
     residual = y - design @ coefficients

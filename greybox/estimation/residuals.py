@@ -97,6 +97,7 @@ class LaggedInput:
         delayed = sliding_window_view(reached, self.lags + 1)[:, ::-1] if last > first else np.zeros((0, self.lags + 1))
         if self.slopes is None or self.share is None:
             return np.ascontiguousarray(delayed)
+        # U - J (J'J)^+ J'U, the rows of this block.
         return delayed - self.slopes[rows] @ self.share
 
 
@@ -164,6 +165,7 @@ def normality_test(*series: np.ndarray) -> tuple[float, float] | None:
         for rows in _blocks(len(part)):
             z = part[rows][np.isfinite(part[rows])] - mean
             moments += [float((z**power).sum()) / count for power in (2, 3, 4)]
+    # S = m3 / m2^(3/2) and K = m4 / m2^2, with the moments about the mean.
     skewness, kurtosis = moments[1] / moments[0] ** 1.5, moments[2] / moments[0] ** 2
     # N / 6 (S^2 + (K - 3)^2 / 4).
     statistic = float(count / 6 * (skewness**2 + (kurtosis - 3) ** 2 / 4))

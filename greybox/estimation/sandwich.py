@@ -177,6 +177,7 @@ def estimate_kernel_score_covariance(
         for part in _split_rows(len(r)):
             measured = np.isfinite(r[part])
             slopes, residual = np.where(measured[:, :, None], jacobian[part], 0.0), np.where(measured, r[part], 0.0)
+            # P J_t' r_t: what each row adds to the score.
             scores[part] = np.einsum("tjk,tj->tk", slopes, residual) @ lanes
         # A fixed share of the record at most: at lags near its length a product of few pairs would be taken for a
         # covariance.

@@ -160,6 +160,7 @@ def bootstrap(
         estimation = FitOptions.from_data(fit.provenance.options).policy
         colour = estimate_residual_colour(residuals.rows, size, True, noise_policy=estimation.noise)
         time = max((t for t, _ in colour.times), default=1.0)
+        # Longer than the residual remembers, and growing with the cube root of the rows (Hall, Horowitz, Jing 1995); yet several of them.
         block = max(
             1,
             min(

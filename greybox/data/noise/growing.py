@@ -89,6 +89,7 @@ class GrowingNoise:
         """The error (N,) of each row over its noise; NaN where nothing was measured."""
         if self.logarithmic:
             with np.errstate(invalid="ignore", divide="ignore"):
+                # ln y = ln f + share e: the error is a share of the reading.
                 return (np.log(measured) - np.log(run)) / self.share
         return (measured - run) / self.std(run)
 
@@ -108,6 +109,7 @@ class GrowingNoise:
             return self
         size = np.abs(run[usable])
         if self.logarithmic:
+            # The most likely variance of normal errors is their mean square.
             errors = np.log(measured[usable] / run[usable]) ** 2 * inflation
             return replace(self, share=float(np.sqrt(errors.mean())), estimated=wanted)
         squares = (measured[usable] - run[usable]) ** 2 * inflation
@@ -121,6 +123,7 @@ class GrowingNoise:
 
             def likelihood(q: np.ndarray) -> np.ndarray:
                 g = shape(q)
+                # -2 ln L / N at the most likely scale, a constant left out: ln mean(e^2 / g^2) + mean(2 ln g).
                 return np.log((squares / g**2).mean(axis=1)) + 2 * np.log(g).mean(axis=1)
 
             q = _find_least(likelihood, 0.0, 1.0)

@@ -83,6 +83,7 @@ class AutoRegression(Printable):
         """Autocorrelation at lags 0 ... count-1."""
         rho = np.ones(1)
         for k, (a, variance) in zip(self.reflection, self.predictors, strict=False):
+            # Levinson and Durbin: rho_m = k_m E_{m-1} + sum_j a_j rho_{m-j}, with a and E of order m - 1.
             rho = np.append(rho, k * variance + a @ rho[:0:-1][: len(a)])
         if count <= len(rho):
             return rho[:count]
@@ -142,6 +143,7 @@ class AutoRegression(Printable):
             rows = np.flatnonzero(measured & ((behind == m) | (behind > m) & (m == self.order)))
             past = np.stack([known[rows - j] for j in range(m)], axis=1)
             for ahead in range(steps):
+                # A prediction stands in for the reading that the next one needs.
                 guess[rows, ahead] = past @ a
                 past = np.column_stack([guess[rows, ahead], past[:, :-1]])
         result = np.zeros(len(known))
@@ -213,6 +215,7 @@ def fit_autoregression(
         energy = float(used_f @ used_f + used_b @ used_b)
         if len(used_f) < SAMPLES_PER_ORDER or energy <= 0:
             break
+        # Burg: k = 2 f'b / (f'f + b'b) leaves least energy of the errors forward and backward.
         k = 2 * float(used_f @ used_b) / energy
         if not abs(k) < 1:
             break
@@ -221,10 +224,12 @@ def fit_autoregression(
             0, len(f), ROWS_AT_A_TIME
         ):  # in their places: a long series is in memory twice, and not five times
             rows = slice(first, first + ROWS_AT_A_TIME)
+            # f - k b and b - k f, both from the errors of the order below.
             change = k * f[rows]
             f[rows] -= k * b[rows]
             b[rows] -= change
         forward, backward = f, b
+        # BIC: N ln of the variance that is left, and ln N for each coefficient.
         criterion += len(used_f) / copies * np.log(1 - k * k) + np.log(count)
         if criterion < best:
             best, chosen = criterion, order

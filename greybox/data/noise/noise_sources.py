@@ -260,6 +260,7 @@ def _estimate_level(
     measured = [e for e in experiments if name in e.outputs]
     columns = [e.outputs[name] for e in measured]
     movement = _measure_movement(columns)
+    # An error of rounding is uniform over a step: its standard deviation is step / sqrt(12).
     rounding = (estimate_resolution(columns) or estimate_written_step(columns)) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)

@@ -81,6 +81,7 @@ def _repeats_after(moving: np.ndarray, lag: int) -> bool:
 
 def _correlate_with_itself(values: np.ndarray) -> np.ndarray:
     """Sum of the products of ``values`` (N,) with themselves, each lag (2 N,) later."""
+    # Wiener and Khinchin; as many zeros behind the values as there are, so that no lag wraps around.
     spectrum = np.fft.rfft(values, 2 * len(values))
     for first in range(0, len(spectrum), ROWS_AT_A_TIME):
         part = spectrum[first : first + ROWS_AT_A_TIME]
@@ -144,6 +145,7 @@ def deviations_from_mean(repeats: list[np.ndarray]) -> list[np.ndarray]:
     if early > SETTLED_RATIO * late:
         difference = difference[:, half:]
     usable = [d for d in difference if np.isfinite(d).any()]
+    # A mean of n periods holds a share of each: a deviation from it has (n - 1) / n of the variance.
     return [(d - np.nanmean(d)) * np.sqrt(len(y) / (len(y) - 1)) for d in usable]
 
 
@@ -151,6 +153,7 @@ def _is_louder(first: np.ndarray, others: np.ndarray) -> bool:
     """Whether ``first`` (n,) is farther from the mean of the ``others`` (m, n) than they are from it, chance allowed for."""
     count = len(others)
     mean = others.mean(axis=0)
+    # A mean of n has 1 / n of the variance: first - mean has 1 + 1 / n of it, others - mean (n - 1) / n.
     distance = np.nanmean((first - mean) ** 2) / (1 + 1 / count)
     return bool(distance > SETTLED_RATIO * np.nanmean((others - mean) ** 2) * count / (count - 1))
 
@@ -214,6 +217,7 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
     counts = np.array([len(piece) - 1 for piece in pieces], float)
     if counts.sum() < FLAT_MIN_SAMPLES:
         return None
+    # s^2 = sum e^2 / (n - 1): the mean of each piece was taken off.
     levels = np.array([float(np.sqrt(piece @ piece / (len(piece) - 1))) for piece in pieces])
     # A sensor that shows one code at rest jumps between codes as soon as it moves: alone this says nothing.
     if levels.max() <= rounding:
@@ -222,6 +226,7 @@ def find_flat_pieces(experiments: Sequence[Experiment], output: str, inputs: Seq
     order = np.argsort(levels)
     below = np.cumsum(counts[order]) / counts.sum()
     low, high = (levels[order][np.searchsorted(below, q)] for q in FLAT_QUANTILES)
+    # Pooled by degrees of freedom.
     std = float(np.sqrt(levels**2 @ counts / counts.sum()))
     return FlatPieces(tuple(pieces), float(high), std, bool(high <= FLAT_RATIO * low))
 
@@ -287,6 +292,7 @@ def _settled_end(values: np.ndarray) -> np.ndarray | None:
         return None
     end = end - end.mean()
     time = np.linspace(-1.0, 1.0, len(end))
+    # Least squares on a line through the middle, and the sum of squares that it explains.
     slope = float(time @ end / (time @ time))
     rest = end - slope * time
     drift = slope**2 * float(time @ time)

@@ -98,6 +98,7 @@ def leftover_spectrum(inputs: np.ndarray, output: np.ndarray) -> LeftoverSpectru
     order = RESPONSE_ORDER + 1
     unknowns = order * (moving.shape[1] + 1)
     width = unknowns + FREE_FREQUENCIES
+    # Y(k) = G(k) U(k) + T(k) + V(k), unitary: |V|^2 is then the variance of white noise.
     y = np.fft.rfft(output - output.mean())[1:] / np.sqrt(rows)
     u = np.fft.rfft(moving - moving.mean(axis=0), axis=0)[1:] / np.sqrt(rows)
     blocks = len(y) // width
@@ -107,6 +108,7 @@ def leftover_spectrum(inputs: np.ndarray, output: np.ndarray) -> LeftoverSpectru
     position, power, freedom, measured = [], [], [], []
     for start, end in pairwise(edges):
         away = np.linspace(-1.0, 1.0, end - start)
+        # G and the transient T are polynomials of the frequency within a band (local polynomial method, Pintelon and Schoukens 2012).
         shape = away[:, None] ** np.arange(order)
         response = (u[start:end, :, None] * shape[:, None, :]).reshape(end - start, -1)
         basis = np.hstack([shape.astype(complex), response])
@@ -114,10 +116,12 @@ def leftover_spectrum(inputs: np.ndarray, output: np.ndarray) -> LeftoverSpectru
         basis = basis[:, scale > 0] / scale[scale > 0]
         left, singular, _ = np.linalg.svd(basis, full_matrices=False)
         left = left[:, singular > SAME_RESPONSE * singular[0]]
+        # Least squares by projection: what the band's response cannot explain, over the degrees of freedom that are left.
         rest = y[start:end] - left @ (left.conj().T @ y[start:end])
         free = end - start - left.shape[1]
         position.append(np.pi * (start + end + 1) / 2 / len(y))
         power.append(float(np.sum(np.abs(rest) ** 2)) / free)
+        # Real and imaginary part count each.
         freedom.append(2 * free)
         measured.append(float(np.mean(np.abs(y[start:end]) ** 2)))
     columns = (np.array(each, float) for each in (position, power, freedom, measured))
@@ -196,6 +200,7 @@ def _join_bands(spectrum: LeftoverSpectrum, most: int) -> LeftoverSpectrum:
 
 def sensor_shape(frequency: np.ndarray, correlation: float) -> np.ndarray:
     """Spectrum of an autoregression of first order with variance one, whose mean over all frequencies is one."""
+    # |1 / (1 - c e^{-jw})|^2 times the variance of its innovations, 1 - c^2.
     return (1 - correlation**2) / np.abs(1 - correlation * np.exp(-1j * frequency)) ** 2
 
 
@@ -220,6 +225,7 @@ def _fit_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -
     if len(power) < FEWEST_NOISE_BANDS or not (power > 0).all():
         return None
     correlations = np.linspace(0.0, NOISE_LONGEST_CORRELATION, CORRELATION_STEPS)
+    # P(w) = sigma^2 S(w; c): for each correlation the most likely variance is the weighted mean of P / S.
     shares = power / np.array([sensor_shape(frequency, c) for c in correlations])
     variances = shares @ freedom / freedom.sum()
     ratios = shares / variances[:, None]
@@ -231,6 +237,7 @@ def _fit_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -
     likely = deviances <= deviances[best] + COLOUR_GAIN
     chosen = 0 if likely[0] else best
     levels = np.sqrt(variances)
+    # A variance from f degrees of freedom scatters by sqrt(2 / f), its root by half of that.
     chance = 1 + SPECTRAL_DEVIATIONS / np.sqrt(2 * freedom.sum())
     high, low = levels[likely].max() * chance, levels[likely].min() / chance
     is_noise = bool(high <= ABOUT_RATIO * low)
@@ -320,6 +327,7 @@ def _estimate_by_order(values: np.ndarray, robust: bool) -> list[float]:
     variance, difference = 1.0, np.asarray(values, float)
     for order in range(1, MAX_DIFFERENCE_ORDER + 1):
         difference = np.diff(difference)
+        # binomial(2 d, d) from binomial(2 d - 2, d - 1): times 2 (2 d - 1) / d.
         variance *= 2 * (2 * order - 1) / order
         usable = difference[np.isfinite(difference)]
         if len(usable) >= MIN_DIFFERENCES:

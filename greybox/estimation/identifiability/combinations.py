@@ -241,6 +241,7 @@ def find_transfer_function_combinations(model: Model) -> list[ParameterCombinati
 
 def is_determined(slope: np.ndarray, rank: SensitivityRank) -> bool:
     """Whether a formula with this slope (nf,) does not change along any open direction."""
+    # Determined: the slope stands at right angles to every open direction.
     size = np.linalg.norm(slope)
     return bool(
         np.isfinite(size) and size > DIRECTION_CUTOFF and np.linalg.norm(rank.null.T @ slope) < DIRECTION_CUTOFF * size

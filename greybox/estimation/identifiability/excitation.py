@@ -177,6 +177,7 @@ def excitation_bandwidth(time: np.ndarray, u: np.ndarray) -> float:
     total = float(power.sum())
     if total <= 0:
         return 0.0
+    # The first line below which this share of the power lies.
     k = int(np.searchsorted(np.cumsum(power, out=power), BAND_POWER * total))
     # Frequency k of n samples h seconds apart: k / (n h).
     return 2 * np.pi * min(k, len(power) - 1) * (count - 1) / (count * duration)

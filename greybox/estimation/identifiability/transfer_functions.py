@@ -78,6 +78,7 @@ def compute_transfer_function_sensitivity(
         b = x0[None, :] + nominal.b[None, :, nu] / s[:, None]
         db = dx0[None] + along.b[None, :, :, nu] / s[:, None, None]
         value, slope, size = _responses(s, nominal, along, b[:, :, None], db[..., None], d[:, :, None], dd[..., None])
+        # Slope of the free response along the first states: C R.
         of_states = nominal.c @ _resolvent(s, nominal.a)
         for j, rows in enumerate(blocks.values()):
             columns = np.zeros((len(s), states), complex)
@@ -122,6 +123,7 @@ def _responses(
 
 
 def _resolvent(s: np.ndarray, a: np.ndarray) -> np.ndarray:
+    # R(s) = (s I - A)^-1.
     return np.linalg.inv(s[:, None, None] * np.eye(len(a)) - a)
 
 

@@ -53,6 +53,7 @@ def _factors(a: np.ndarray) -> np.ndarray:
         before = exponents.copy()
         for k in range(len(a)):
             t = np.ldexp(1.0, exponents)
+            # Sums of the sizes in column and row k of T^-1 A T.
             column, row = size[:, k] @ (1 / t) * t[k], size[k] @ t / t[k]
             if column and row:
                 exponents[k] = np.clip(
@@ -75,6 +76,7 @@ def compute_poles(a: np.ndarray, dt: float) -> np.ndarray:
     """Eigenvalues (n,) of ``a``, slowest first; a pole that integrates is 0 (or 1 in the z-plane) to the last digit."""
     values = np.linalg.eigvals(balance_matrix(a)[0]).astype(complex) if len(a) else np.empty(0, complex)
     values = np.where(is_at_rest(values, dt), 1.0 if dt else 0.0, values)
+    # An imaginary part that is rounding would make a slow oscillation of a real pole.
     values.imag[np.abs(values.imag) <= numerics.REAL_PART_ONLY * np.abs(values)] = 0.0
     # Slowest first, rounded: a conjugate pair whose parts differ in the last digit must not be torn apart.
     speed = np.abs(values - 1.0) if dt else np.abs(values)
@@ -160,6 +162,7 @@ class Linearisation(Printable):
     def frequency_response(self, omega: np.ndarray) -> np.ndarray:
         """Complex response (nw, ny, nu) at the angular frequencies ``omega`` (nw,) in rad/s, delays included."""
         w = np.atleast_1d(np.asarray(omega, float))
+        # s = j w, or z = e^{j w dt} of a sampled model.
         point = np.exp(1j * w * self.dt) if self.dt else 1j * w
         resolvent = point[:, None, None] * np.eye(len(self.A)) - self.A
         # G = (C (p I - A)^-1 B + D) e^{-j w delay}

@@ -98,7 +98,9 @@ class TransferChannel:
 
     def response(self, omega: np.ndarray) -> np.ndarray:
         """Complex response (nw,) at the angular frequencies ``omega`` (nw,) in rad/s, delay included."""
+        # s = j w, or z = e^{j w dt} of a sampled model.
         point = np.exp(1j * omega * self.dt) if self.dt else 1j * omega
+        # factor prod(p - zero) / prod(p - pole), one factor after the other: polynomials of high order lose their digits.
         value = np.full(len(point), complex(self.factor))
         for zero in self.zeros:
             value = value * (point - zero)
@@ -227,6 +229,7 @@ def _find_zeros(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: float) -> tuple[
         if abs(markov) > REACHABILITY_RANK * np.linalg.norm(row):
             directions = np.vstack([r / max(np.linalg.norm(r), TINY) for r in rows])
             zero_states = decompose_columns(directions, REACHABILITY, np.ones(n)).null_basis
+            # Zero dynamics: u = -c A^r x / (c A^(r-1) b) holds the output at zero; what moves then are the states that the rows leave free.
             inner = s.a - s.b @ (row @ s.a) / markov
             factor = float((c @ np.linalg.matrix_power(a, degree - 1) @ b)[0, 0])
             zeros = np.linalg.eigvals(zero_states.T @ inner @ zero_states) if zero_states.shape[1] else np.empty(0)

@@ -40,6 +40,7 @@ class TerminationPolicy:
         """Largest decrease of ``cost`` that changes nothing that matters; ``count``: number of squares, None for a likelihood."""
         if count is None:
             return self.negligible_decrease
+        # A share of the mean square, and what every square may be off in a record without noise.
         return self.negligible_decrease * cost / max(count, 1) + self.perfect_noise_ratio**2 * count
 
 

@@ -125,6 +125,7 @@ class QuadraticModel:
     def decrease_along(self, step: np.ndarray) -> float:
         """By how much the model falls along ``step`` (n,)."""
         if self.factor is None:
+            # -(g'd + d'Hd / 2).
             return -float(self.gradient @ step) - 0.5 * float(step @ self.hessian @ step)
         root, target = self.factor
         # From the factor: g'd + d'Hd / 2 loses half the digits where J is nearly singular.
@@ -160,6 +161,7 @@ class QuadraticModel:
         left, size, right = np.linalg.svd(root / self.scale, full_matrices=False)
         usable = size > NEGLIGIBLE_SINGULAR_VALUE * size.max(initial=0.0)
         size = size[usable]
+        # F = U S V': the matrix F'F has the curvatures S^2, the gradient F't the slopes S U't.
         return right[usable].T, size**2, size * (left[:, usable].T @ target)
 
     @cached_property
@@ -170,6 +172,7 @@ class QuadraticModel:
             return root / self.scale, target, NEGLIGIBLE_SINGULAR_VALUE
         axes, curvature, slope = self._spectrum
         size = np.sqrt(curvature)
+        # F = L^(1/2) V' and t = L^(-1/2) V'g: then F'F is the matrix and F't the gradient.
         return size[:, None] * axes.T, slope / size, np.sqrt(RANK_CUTOFF)
 
     def _free_step(self, damping: float) -> np.ndarray:
@@ -203,6 +206,7 @@ def _solve_bounded_least_squares(
         elif is_free.any():
             left, size, right = np.linalg.svd(root[:, is_free], full_matrices=False)
             kept = int(np.count_nonzero(size > cutoff * size[0]))
+            # What the determined part of the free unknowns can still take away of the residual.
             remainder = left[:, :kept].T @ (target + root @ step)
             # Least-norm Newton step over the free unknowns: of many minima the nearest.
             end[is_free] -= right[:kept].T @ (remainder / size[:kept])
@@ -218,6 +222,7 @@ def _solve_bounded_least_squares(
             is_free[beyond[first]] = False
             continue
         step = end
+        # Gradient of |F d + t|^2 / 2.
         slope = root.T @ (target + root @ step)
         # Lagrange multipliers of the active bounds: positive where the cost falls on leaving.
         pull = np.where(is_free | is_fixed, 0.0, np.where(step <= low, -slope, slope))

@@ -107,6 +107,7 @@ def propose_transcription(
     jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     duration = record.duration
     growth = 0.0 if free_run else estimate_error_growth(system, p, record, policy, jacobians)
+    # exp(rate duration) is the factor by which an error grows over the record.
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
         return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
@@ -144,6 +145,7 @@ def estimate_error_growth(
         jacobians = _linearise_along(system, p, record, LINEARISATION_POINTS)
     if not len(jacobians):
         return 0.0
+    # The largest Re(lambda) in each point.
     rates = np.linalg.eigvals(jacobians).real.max(axis=1)
     duration = record.duration
     if system.linear or rates.max() * duration <= math.log(policy.max_error_growth):

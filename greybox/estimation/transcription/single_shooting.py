@@ -225,6 +225,7 @@ def is_too_coarse(
 
     ``substeps`` of an interval (0: those of the problem's step) tell how much a smaller step would cost.
     """
+    # Misfit of each output over its noise.
     ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
     steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
     few = steps <= FEW_STEPS

@@ -120,12 +120,14 @@ class Precision:
         """Covariance (n, n) of all scaled constants of plant ``number`` after ``run``."""
         plant = self.plants[number]
         n = plant.count
+        # Cramer and Rao: the inverse of the information of this run and the earlier records.
         return np.linalg.inv(add_earlier(plant, information_of(run, scale)))[:n, :n]
 
     def _measure(self, plant: PlantScenario, run: Run, scale: float) -> tuple[float, np.ndarray]:
         """The value for one plant, and its slope along the information (L, L)."""
         total = add_earlier(plant, information_of(run, scale))
         inverse = np.linalg.inv(total)
+        # Covariance of the chosen constants, the others estimated as well.
         c = inverse[np.ix_(self.chosen, self.chosen)]
         values, vectors = np.linalg.eigh((c + c.T) / 2)
         values = np.maximum(values, TINY)
@@ -192,6 +194,7 @@ class Discrimination:
         if not all(run.finite for run in runs):
             return -np.inf
         costs = np.array(self.separations(runs, scale))
+        # The harmonic mean: the pair that is told apart least weighs most.
         return float(-0.5 * np.log(np.mean(1 / np.maximum(costs, TINY))))
 
     def slopes(self, runs: Sequence[Run], scale: float = 1.0) -> list[Slopes]:

@@ -175,6 +175,7 @@ def crest_factor(signal: np.ndarray) -> float:
     float
         At least one; 1.41 for a sine.
     """
+    # Peak over rms.
     return float(np.abs(signal).max() / max(np.sqrt(np.mean(np.square(signal))), TINY))
 
 
@@ -209,6 +210,7 @@ def compress_multisine(
     n = 16 * (int(k.max()) + 1)
     time = np.arange(n) / n
     basis = np.exp(2j * np.pi * np.outer(k, time))
+    # Parseval: each cosine has half the square of its amplitude.
     rms = np.sqrt(np.sum(a**2) / 2)
 
     def norm(phase: np.ndarray, power: float) -> tuple[float, np.ndarray]:

@@ -40,6 +40,7 @@ class PlantRun:
         """Fisher's information (L, L) of the run."""
         rows = self.slopes.reshape(-1, self.slopes.shape[-1])
         rows = rows[np.isfinite(rows).all(axis=1)]
+        # S'S of the slopes over the noise: white noise of known level.
         return rows.T @ rows
 
 
@@ -246,8 +247,10 @@ def draw_plants(plant: PlantScenario, question: DesignProblem, count: int) -> li
     if not n or not count:
         return []
     spread = GOAL_PRIOR_SPREAD if question.earlier else ASSUMED_SPREAD
+    # A normal prior adds 1 / spread^2 on the diagonal.
     information = plant.earlier + np.eye(n) / spread**2
     values, vectors = np.linalg.eigh(information)
+    # Covariance V L^-1 V' has the root V L^(-1/2); no direction is wider than the prior.
     root = vectors / np.sqrt(np.maximum(values, 1 / spread**2))
     # One antithetic pair after the other: few draws, and their mean is the best constants.
     generator = np.random.default_rng(INPUT_SEARCH_SEED)

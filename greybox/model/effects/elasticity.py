@@ -22,6 +22,7 @@ def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
 
 def _hysteresis_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     v = x.velocity
+    # Bouc-Wen with exponent 1: z' = v - beta |v| z - gamma v |z|.
     closing = {"beta": -p.beta * ca.fabs(v) * x.z, "gamma": -p.gamma * v * ca.fabs(x.z)}
     return [Balance("loop", "{velocity}", 1, "z", motion=v, **closing)]
 
@@ -34,6 +35,7 @@ def _hysteresis_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 
 def _coupling_force(x: NamedValues, p: NamedValues) -> Expression:
     """Force of the second mass on the body."""
+    # F = k2 (z1 - x) + c2 (z2 - v), with z1 the position and z2 the velocity of the second mass.
     return p.k2 * (x.z1 - x.displacement) + p.c2 * (x.z2 - x.velocity)
 
 
@@ -61,6 +63,7 @@ def _second_grid(s: Scales) -> Mapping[str, list[float]]:
         "m2": [m2],
         # Neighbours a quarter apart: a refit finds a sharp resonance only from nearby.
         "k2": [m2 * w**2 for w in geometric_grid(low, high, 16)],
+        # c = 2 zeta m w, at the middle of the frequencies tried.
         "c2": [2 * SECOND_DAMPING * m2 * middle],
     }
 
@@ -74,6 +77,7 @@ def _second_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 
     What is faster shows as nothing but a stiffer or a delayed plant, at the price of a thousand substeps.
     """
+    # Half the sampling rate in rad/s; a spring k rings with the mass m at w = sqrt(k / m).
     fastest = math.pi / s.period
     return {
         "m2": (0.003 * s.storage, s.storage),
@@ -263,11 +267,13 @@ STOP_DEPTH = 0.3
 
 
 def _stop_probe(s: Scales) -> Mapping[str, float]:
+    # The visible force at a usual depth: F = kc depth.
     return {"kc": s.visible_force / (STOP_DEPTH * s.displacement)}
 
 
 def _stiffest(s: Scales) -> tuple[float, float]:
     """Stiffer than the samples follow, a stop is a wall: no record shows more."""
+    # k = m w^2 at half the sampling rate.
     return 0.0, s.storage * (math.pi / s.period) ** 2
 
 
@@ -303,11 +309,13 @@ def _one_from_spring(values: Mapping[str, float], s: Scales) -> list[Mapping[str
 
 
 def _both_from_cubic(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
+    # The cubic spring at the end of the travel, K3 x^3; a stop that begins at a gap takes the same force over the rest of the way.
     force = abs(values["K3"]) * s.displacement**3
     return [{"gap": share * s.displacement, "kc": force / ((1 - share) * s.displacement)} for share in STOP_EDGES]
 
 
 def _cogging_force(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # Sine and cosine instead of amplitude and phase: both constants enter linearly.
     turn = 2 * math.pi * x.displacement / p.pitch
     return p.F * ca.sin(turn) + p.Fq * ca.cos(turn)
 
@@ -366,6 +374,7 @@ end_stops = Effect(
         STIFFNESS,
         shape_parameter("gap", "{displacement}", 1.0, (1e-12, 1e9), "distance of both stops from zero"),
     ],
+    # How far beyond the nearer stop: x less its nearest point of [-gap, gap].
     terms=lambda x, u, p: -p.kc * (x.displacement - ca.fmin(ca.fmax(x.displacement, -p.gap), p.gap)),
     equation="-kc (x - min(max(x, -gap), gap))",
     parents=("cubic_stiffness",),

@@ -15,6 +15,7 @@ from greybox.model.signals import Expression, NamedValues, State
 
 
 def _drooping_constants(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    # First even term of the bell: Kf (1 - a x^2).
     left = 1 - p.a * x.displacement**2
     # One constant may stand for both: in SI units they are the same number.
     roles = ("force_constant", "back_emf_constant") if "back_emf_constant" in p else ("force_constant",)
@@ -29,6 +30,7 @@ def _heat_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balanc
 def _amplifier_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
     emf = (p.back_emf_constant if "back_emf_constant" in p else p.force_constant) * x.velocity
+    # u = emf + R i + Re (i - iL), solved for the current i of the amplifier; iL is that of the inductance.
     return (u.drive - emf + p.Re * x.current) / (p.resistance + p.Re)
 
 
@@ -186,6 +188,7 @@ def _celsius_offset(s: Scales) -> Mapping[str, list[float]]:
 
 
 def _radiation_probe(s: Scales) -> Mapping[str, float]:
+    # Stefan and Boltzmann: kr T^4, T in kelvin.
     warm = s.peaks["temperature"] + _celsius_offset(s)["T0"][0]
     return {"kr": s.visible_force / warm**4}
 

@@ -24,6 +24,7 @@ LEAST_PRESSURE = 0.01
 
 
 def _leakage(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    # What one chamber loses the other gains.
     across = p.kl * (x.chamber_a - x.chamber_b)
     return {"pressure_a": -across, "pressure_b": across}
 
@@ -63,6 +64,7 @@ def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
 
 
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
+    # V = V0 +- A x, over half the total volume: what one chamber gains the other loses.
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
     return {
         "pressure_a": ca.fmax(1 + change, LEAST_VOLUME),
@@ -71,6 +73,7 @@ def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
 
 
 def _root_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # c sign(p) sqrt(|p|), with the root smooth about zero: p / (p^2 + p0^2)^(1/4).
     pressure = x.pressure
     return -p.c * pressure / (pressure**2 + p.laminar**2) ** 0.25
 
@@ -247,6 +250,7 @@ def _overflow_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 
 
 def _bend_reading(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # A parabola above the straight scale that is right at the full mark: its empty mark reads y0, and it bows in between.
     share = value / p.full
     return value + (1 - share) * (p.y0 - p.bow * value)
 

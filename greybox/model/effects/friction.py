@@ -28,6 +28,7 @@ def _coulomb_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFric
 
 def _steady_level(x: NamedValues, p: NamedValues) -> Expression:
     """Friction of steady sliding at the present speed: it falls from Fs to Fc. One that rises with speed is a drag, not this effect."""
+    # Stribeck: Fc + (Fs - Fc) exp(-(v / vs)^2).
     return p.Fc + ca.fmax(p.Fs - p.Fc, 0) * ca.exp(-((x.velocity / p.vs) ** 2))
 
 
@@ -54,11 +55,13 @@ def _stribeck_from_coulomb(values: Mapping[str, float], s: Scales) -> list[Mappi
 def _bristle_rate(x: NamedValues, p: NamedValues) -> Expression:
     # Without friction (Fc = Fs = 0) the bristles bend freely and carry nothing: keep the quotient finite.
     level = _steady_level(x, p)
+    # LuGre: z' = v - s0 |v| z / g(v), with g the level of steady sliding.
     return x.velocity - p.s0 * ca.fabs(x.velocity) * x.z / ca.if_else(level > 0, level, ca.inf)
 
 
 def _bristle_grid(level: float, s: Scales) -> list[Mapping[str, float]]:
     """Bristles that give way over a share of the stroke, hardly and well damped against the mass on them."""
+    # Bristles slide where s0 z reaches the level: s0 = level / stretch. s1 = damping sqrt(s0 m): half the critical one at 1.
     stiff = [level / (share * s.displacement) for share in (0.0005, 0.005, 0.05)]
     return [{"s0": s0, "s1": damping * (s0 * s.storage) ** 0.5} for s0, damping in product(stiff, (0.1, 1.0))]
 
@@ -89,6 +92,7 @@ def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
 
 
 def _friction_under_load(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
+    # Amontons beside a constant level: Fc + mu N, where N is the size of what is transmitted.
     level = p.Fc + p.mu * x.transmitted
     return DryFriction(sliding=level, static=level)
 

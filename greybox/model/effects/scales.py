@@ -318,8 +318,10 @@ def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, d
     for k in range(0, len(x), max(1, len(x) // 10)):
         jacobian = model.system.jacobian(x[k], u[k], p).full()
         if np.isfinite(jacobian).all():
+            # |lambda| of the linearised model at about ten points along the record.
             rates.append(np.abs(np.linalg.eigvals(jacobian)))
     magnitudes = np.concatenate([*rates, np.empty(0)])
+    # Integrators have no time constant.
     moving = magnitudes[magnitudes > INTEGRATING_POLE * magnitudes.max(initial=0.0)]
     if not len(moving):
         return duration, duration

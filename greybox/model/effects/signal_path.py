@@ -16,6 +16,7 @@ from greybox.model.signals import Expression, NamedValues, State
 
 
 def _clip(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
+    # u within [-u_max, u_max].
     return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
 
 

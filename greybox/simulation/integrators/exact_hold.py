@@ -132,6 +132,7 @@ def _exponentiate(m: np.ndarray, entries: Generator) -> tuple[np.ndarray, np.nda
         np.matmul(powers[k - 1], m, out=powers[k])
         powers[k] /= k
     nodes, weights = _find_quadrature()
+    # exp(m s) = sum s^k m^k / k!, at every node s.
     at_nodes = (nodes[:, None] ** np.arange(terms + 1) @ powers.reshape(terms + 1, -1)).reshape(-1, size, size)
     e, d = powers.sum(axis=0), np.zeros((entries.along, nx, size))
     # exp(m (1 - s)): the nodes lie symmetrically.

@@ -230,6 +230,7 @@ def run_recursion(phi: np.ndarray, row: np.ndarray, forced: np.ndarray, start: n
             before[k] = powers[-1] @ before[k - 1] + parts[k - 1, -1]
         parts += (np.concatenate(powers) @ before).reshape(parts.shape)
     for k in range(done, n):
+        # x_{k+1} = Phi x_k + forced part, which stands in s already.
         s[k + 1] += phi[row[k]] @ s[k]
     return s
 
