@@ -290,7 +290,8 @@ class Panel:
     def labels(self) -> tuple[str, ...]:
         """The entries of its legend, in their order: those that are listed, then the others."""
         drawn = [s.label for s in self.series if not isinstance(s, (Bars, Heatmap)) and s.label]
-        return tuple(sorted(drawn, key=lambda label: _place(label, self.listing)))
+        listed = self.listing
+        return tuple(sorted(drawn, key=lambda label: listed.index(label) if label in listed else len(listed)))
 
     @property
     def columns(self) -> list[str]:
@@ -341,10 +342,6 @@ class Figure:
     def __getitem__(self, name: str) -> Panel:
         """The panel of this name."""
         return next(panel for panel in self.panels if panel.name == name)
-
-
-def _place(label: str, listing: Sequence[str]) -> int:
-    return listing.index(label) if label in listing else len(listing)
 
 
 def _between(series: Series, low: float, high: float) -> Series:

@@ -17,7 +17,7 @@ from greybox.model.balance import Balance
 from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
-from greybox.model.signals import NamedValues, Output, State
+from greybox.model.signals import NamedValues, State
 from greybox.model.sites import PlaceKind, Site, list_sites, require_site
 from greybox.model.system import (
     DryFrictionTerm,
@@ -100,7 +100,7 @@ def build_system(statement: Statement) -> System:
     items: tuple[Item, ...] = (*statement.states, *statement.inputs, *every)
     units = {item.name: item.unit for item in items}
     balances = {b.name: _in_stated_time(b, units) for b in statement.balances(x, u, p)}
-    outputs = {o.name: _output(o, x, u, p) for o in statement.outputs}
+    outputs = {o.name: ca.SX(o.equation(x, u, p) if o.equation else x[o.name]) for o in statement.outputs}
     plant = _solve_relations(statement, balances.values(), plant_symbols, p)
     # At rest, inputs are zero, where a relation that is not linear may have no solution: its state is at its start value there.
     first = _start_values([a.state for a in plant], p)
@@ -379,10 +379,6 @@ def _fill_unit(unit: str, words: Mapping[str, str], effect: EffectEquations, mod
         ) from None
     except ModelError as error:
         raise ModelError(f"effect {effect.name!r}: {error}") from None
-
-
-def _output(output: Output, x: NamedValues, u: NamedValues, p: NamedValues) -> ca.SX:
-    return ca.SX(output.equation(x, u, p) if output.equation else x[output.name])
 
 
 def _order_balances(

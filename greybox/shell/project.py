@@ -45,7 +45,7 @@ def project_root(start: Path | None = None, *, named: bool = False) -> Path | No
         The root of the project; None where there is none.
     """
     for folder in _searched_folders((start or Path.cwd()).resolve(), named):
-        if _is_project(folder):
+        if any(map(_uses_greybox, model_files(folder))):
             return folder if named or _belongs_to_user(folder) else None
     return None
 
@@ -109,10 +109,6 @@ def _home() -> Path | None:
         return Path.home().resolve()
     except (RuntimeError, OSError):  # no HOME, and a user whom the machine does not know
         return None
-
-
-def _is_project(folder: Path) -> bool:
-    return any(map(_uses_greybox, model_files(folder)))
 
 
 def _uses_greybox(path: Path) -> bool:

@@ -152,10 +152,6 @@ SHAPES = (Study.step, Study.multisine, Study.chirp)
 SHAPING = (Study.offset, Study.duration)
 
 
-def _is_unbanded(study: Study) -> bool:
-    return study.multisine is None and study.chirp is None
-
-
 SIMULATE = Command(
     simulate,
     "Simulate a model and write a record.",
@@ -191,7 +187,7 @@ SIMULATE = Command(
     (
         *(LAYOUT, SUBSTEPS),
         Idle((Study.band, *SHAPING), "beside a file of inputs", lambda study: study.input is not None),
-        Idle((Study.band,), "beside this test signal", _is_unbanded),
+        Idle((Study.band,), "beside this test signal", lambda study: study.multisine is None and study.chirp is None),
         Idle(
             (Study.columns, Study.headers, Study.read_limit),
             "beside this test signal",

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from greybox.base import Finding
 from greybox.base import document as doc
-from greybox.data.experiment import Experiment, collect_record_findings
+from greybox.data.experiment import collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.estimation.check import ModelCheck
 from greybox.estimation.identifiability.practical import ExpectedPrecision
@@ -223,7 +223,10 @@ def _data(check: ModelCheck) -> Iterator[doc.Block]:
     if check.assumed:
         yield doc.Paragraphs([f"No records were given. The check uses a simulated one: {check.assumed}"])
     head = ["record", "rows", "duration", "sampling time", "fingerprint"]
-    rows = [_record(e) for e in check.experiments]
+    rows = [
+        [e.name, str(e.rows), f"{e.duration:.6g} s", format_sampling_time(e.time), e.fingerprint[:12]]
+        for e in check.experiments
+    ]
     yield doc.TableBlock("Records", head, rows, "" if check.assumed else f"Noise: {_noise(check)}")
     # Sensor faults stand in the verdict.
     findings = [finding for finding in collect_record_findings(check.experiments) if not is_sensor_fault(finding)]
@@ -243,10 +246,6 @@ def _data(check: ModelCheck) -> Iterator[doc.Block]:
 
 def _about_record(finding: Finding) -> str:
     return f"Record {finding}"
-
-
-def _record(e: Experiment) -> list[str]:
-    return [e.name, str(e.rows), f"{e.duration:.6g} s", format_sampling_time(e.time), e.fingerprint[:12]]
 
 
 def _noise(check: ModelCheck) -> str:

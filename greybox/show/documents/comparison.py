@@ -140,7 +140,9 @@ def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBl
             _error(s.one_step_rmse),
             *(_error(s.ahead_rmse.get(k, math.nan)) for k in steps),
         ]
-        for name, s in sorted(scores.items(), key=lambda item: _finite_or_last(item[1].rmse))
+        for name, s in sorted(
+            scores.items(), key=lambda item: item[1].rmse if math.isfinite(item[1].rmse) else math.inf
+        )
     ]
     counts = [str(n) for n in sorted({s.samples for s in scores.values()})]
     unequal = ": not the same for every model" if len(counts) != 1 else ""
@@ -167,10 +169,6 @@ def _record_tables(comparison: Comparison) -> Iterator[doc.TableBlock]:
 def _best_fit(entry: ComparisonEntry, record: str, output: str) -> str:
     scores = entry.records.get(record, {})
     return f"{scores[output].best_fit_percent:.2f}" if output in scores else "-"
-
-
-def _finite_or_last(value: float) -> float:
-    return value if math.isfinite(value) else math.inf
 
 
 def _error(value: float) -> str:

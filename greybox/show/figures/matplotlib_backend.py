@@ -148,9 +148,11 @@ def _draw(axes: Axes, series: fig.Series, panel: fig.Panel, style: PictureStyle)
         case fig.Bars():
             _draw_bars(axes, series, panel, style)
         case fig.Band():
-            _draw_band(axes, series)
+            axes.axhspan(series.low, series.high, color=_colour(series.role), lw=0, label=series.label or None)
         case fig.Area():
-            _draw_area(axes, series)
+            axes.fill_between(
+                series.x, series.low, series.high, color=_colour(series.role), lw=0, label=series.label or None
+            )
         case fig.Reference():
             _draw_reference(axes, series, style)
         case fig.Heatmap():
@@ -201,14 +203,6 @@ def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel, style: PictureStyle
         axes.bar(places, bars.lengths, width=bars.width, color=colours)
     for place, length, text in zip(places, bars.lengths, bars.texts, strict=False):
         axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=style.numbers)
-
-
-def _draw_band(axes: Axes, band: fig.Band) -> None:
-    axes.axhspan(band.low, band.high, color=_colour(band.role), lw=0, label=band.label or None)
-
-
-def _draw_area(axes: Axes, area: fig.Area) -> None:
-    axes.fill_between(area.x, area.low, area.high, color=_colour(area.role), lw=0, label=area.label or None)
 
 
 def _draw_reference(axes: Axes, line: fig.Reference, style: PictureStyle) -> None:

@@ -113,15 +113,11 @@ def write_open_direction(direction: OpenDirection) -> str:
         return f"{listed} scale together"
 
     def factors(sign: int) -> list[str]:
-        return [f"{n} by {_power(w * sign)}" for n, w in direction.weights.items() if w * sign > 0]
+        return [n + " by c" + f"^{w * sign:g}" * (w * sign != 1) for n, w in direction.weights.items() if w * sign > 0]
 
     down = factors(-1)
     divided = f" and dividing {join_names(down)}" if down else ""
     return f"multiplying {join_names(factors(1))}{divided} leaves the outputs unchanged, for any c"
-
-
-def _power(exponent: float) -> str:
-    return "c" if exponent == 1 else f"c^{exponent:g}"
 
 
 def describe_verdict(structure: StructuralIdentifiability) -> str:

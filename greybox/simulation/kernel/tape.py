@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -401,9 +401,5 @@ def find_needed(tape: Tape, with_tangents: bool = True) -> tuple[set[int], set[i
         k = sources.pop()
         if k not in nodes:
             nodes.add(k)
-            sources += _arguments(tape.nodes[k])
+            sources += () if tape.nodes[k].op == ca.OP_INPUT else tape.nodes[k].args
     return nodes, tangents
-
-
-def _arguments(node: Node) -> Iterable[int]:
-    return () if node.op == ca.OP_INPUT else node.args
