@@ -81,10 +81,7 @@ FEW_ROWS = 10
 
 
 def find_measurement_problems(
-    inputs: Mapping[str, np.ndarray],
-    outputs: Mapping[str, np.ndarray],
-    rows: int,
-    allow_constant_input: bool,
+    inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray], rows: int, allow_constant_input: bool
 ) -> list[str]:
     """Problems of a measured record from which nothing can be learnt."""
     problems: list[str] = []

@@ -17,9 +17,7 @@ from greybox.data.problems import FEW_ROWS, is_constant
 
 
 def inspect_signals(
-    time: np.ndarray,
-    inputs: Mapping[str, np.ndarray],
-    outputs: Mapping[str, np.ndarray],
+    time: np.ndarray, inputs: Mapping[str, np.ndarray], outputs: Mapping[str, np.ndarray]
 ) -> Iterator[Finding]:
     """What is accepted but should be known: few rows, what is constant, sensors in doubt, gaps."""
     if len(time) < FEW_ROWS:

@@ -171,9 +171,7 @@ def estimate_covariance(
 
 
 def estimate_likelihood_covariance(
-    optimum: LikelihoodMaximum,
-    residuals: ResidualRows,
-    colour: ResidualColour,
+    optimum: LikelihoodMaximum, residuals: ResidualRows, colour: ResidualColour
 ) -> ParameterCovariance:
     """Covariance of the constants and of the noise levels at the optimum, the first states estimated as well.
 

@@ -113,11 +113,7 @@ def locate_simulation_failure(
     finite = np.isfinite(states).all(axis=1)
     last = min(sample, max(int(np.argmin(finite)) - 1, 0)) if not finite.all() else sample
     x, u = states[last], record.u[last, : len(model.inputs)]
-    place = {
-        "experiment": experiment + 1,
-        "time": float(problem.experiments[experiment].time[last]),
-        "row": last + 1,
-    }
+    place = {"experiment": experiment + 1, "time": float(problem.experiments[experiment].time[last]), "row": last + 1}
     # The states, and those at which an RK4 step asks for their rates: k2 and k3 half a step on, k4 a whole one.
     h = float(record.h[min(last, len(record.h) - 1)]) if len(record.h) else 0.0
     points = [x]

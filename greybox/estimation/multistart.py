@@ -78,11 +78,7 @@ def list_model_identity(model: Model) -> list[Any]:
 
 
 def hash_start(
-    model: Model,
-    experiments: Sequence[Experiment],
-    noise: NoiseModel,
-    options: FitOptions,
-    begin: Mapping[str, float],
+    model: Model, experiments: Sequence[Experiment], noise: NoiseModel, options: FitOptions, begin: Mapping[str, float]
 ) -> str:
     """The hash by which a start is known: equal if everything that decides its end is."""
     identity = [

@@ -236,10 +236,7 @@ class SimulationOptimum(Optimum):
         """Colour and variance of the residuals."""
         problem = self.problem
         return estimate_residual_colour(
-            self._linearised[1],
-            self.solution.unknowns,
-            problem.noise.known,
-            problem.variance_floor,
+            self._linearised[1], self.solution.unknowns, problem.noise.known, problem.variance_floor
         )
 
     @cached_property

@@ -227,11 +227,7 @@ RESIDUALS_PER_UNKNOWN = 10
 
 
 def _step_to_optimum(
-    variables: DecisionVector,
-    rows: Runs,
-    part: DataPart,
-    colour: ResidualColour,
-    inside: np.ndarray,
+    variables: DecisionVector, rows: Runs, part: DataPart, colour: ResidualColour, inside: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Step of the parameters ``inside`` to the part's own optimum and its variance (k,), both in ``z``; None if it is too short."""
     n, shared = len(variables.which), len(inside)

@@ -50,9 +50,7 @@ START_SPACING = 0.5
 
 
 def guess_intensities(
-    cost: objective.PredictionErrorObjective,
-    names: Sequence[str],
-    sizes: Mapping[str, float],
+    cost: objective.PredictionErrorObjective, names: Sequence[str], sizes: Mapping[str, float]
 ) -> objective.PredictionErrorObjective:
     """``cost`` with ``z = 0`` at the most likely of some start values of the intensities ``names``, the other unknowns as they are.
 

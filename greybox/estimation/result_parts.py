@@ -162,13 +162,7 @@ class Trace(ReadOnly):
     def experiment(self) -> Experiment:
         """The record without the model's run."""
         return Experiment(
-            self.name,
-            self.time,
-            self.inputs,
-            self.measured,
-            self.hold,
-            conditions=self.conditions,
-            noise=self.noise,
+            self.name, self.time, self.inputs, self.measured, self.hold, conditions=self.conditions, noise=self.noise
         )
 
     def residual(self, output: str) -> np.ndarray:

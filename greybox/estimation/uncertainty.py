@@ -12,14 +12,7 @@ from greybox.base import DataError, FileKind, FitError, Interval, Matrix, from_j
 from greybox.estimation.optimum import restore_residuals
 from greybox.estimation.options import FitOptions
 from greybox.estimation.profile_pairs import ProfilePair, load_profile_pair, profile_pair
-from greybox.estimation.profiles import (
-    IntervalFile,
-    Profile,
-    ProfilePolicy,
-    ProfileShape,
-    load_profile,
-    profile,
-)
+from greybox.estimation.profiles import IntervalFile, Profile, ProfilePolicy, ProfileShape, load_profile, profile
 from greybox.estimation.result import Fit
 from greybox.estimation.sandwich import estimate_residual_colour
 

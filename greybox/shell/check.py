@@ -42,11 +42,7 @@ def check(study: Study) -> Answer:
     records, _ = inputs.read_records(study, model)
     folder = inputs.result_folder(study, model.name)
     result = check_model(
-        model,
-        records,
-        noise=dict(study.noise),
-        outputs=list(study.outputs) or None,
-        options=inputs.fit_options(study),
+        model, records, noise=dict(study.noise), outputs=list(study.outputs) or None, options=inputs.fit_options(study)
     )
     saved = result.save(folder / "check.json")
     return Answer(
@@ -92,10 +88,7 @@ CHECK = Command(
         Study.output.but(help="Folder for check.json and report.html. [default: results/MODEL-check]"),
         *SHOWING,
     ),
-    (
-        "greybox check micro_actuator",
-        "greybox check micro_actuator record.csv --fix M=0.01",
-    ),
+    ("greybox check micro_actuator", "greybox check micro_actuator record.csv --fix M=0.01"),
     (
         Idle(UNUSED, "on a look at a file", is_record),
         Idle((Study.output, Study.no_report), "on a look at a file, which writes nothing", is_record),

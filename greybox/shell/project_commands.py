@@ -40,10 +40,7 @@ INIT = Command(
     init,
     "Create a project with example files.",
     (Study.directory, Study.plant, Study.force, Study.json),
-    (
-        "greybox init my_rig",
-        "cd my_rig && greybox models",
-    ),
+    ("greybox init my_rig", "cd my_rig && greybox models"),
 )
 
 # `greybox demo`.
@@ -87,10 +84,7 @@ DEMO = Command(
         Study.output.but(help="Folder for records and results. [default: results/demo]"),
         *(Study.opened, *SHOWING, Study.figures),
     ),
-    (
-        "greybox demo",
-        "greybox demo --output somewhere",
-    ),
+    ("greybox demo", "greybox demo --output somewhere"),
     (Excludes(Study.opened, Study.no_report, "there is a report to open, or none"),),
 )
 
@@ -159,11 +153,7 @@ MODELS = Command(
         Study.some_model.but(help="The model to print: its name or its file. Without MODEL, all are listed."),
         *(Study.added, Study.json),
     ),
-    (
-        "greybox models",
-        "greybox models micro_actuator",
-        "greybox models my/rig.py",
-    ),
+    ("greybox models", "greybox models micro_actuator", "greybox models my/rig.py"),
 )
 
 # `greybox effects`.
@@ -277,10 +267,7 @@ SCHEMA = Command(
     schema,
     "Print the JSON Schema of what a command prints with --json.",
     (Study.json_command, Study.json),
-    (
-        "greybox schema fit",
-        "greybox schema changed > changed.schema.json",
-    ),
+    ("greybox schema fit", "greybox schema changed > changed.schema.json"),
 )
 
 

@@ -26,13 +26,7 @@ def differentiate_equations(system: System, *, slide: bool = False) -> tuple[ca.
 
 
 def linearise_along(
-    system: System,
-    x: np.ndarray,
-    u: np.ndarray,
-    p: np.ndarray,
-    *,
-    slide: bool = False,
-    others: Sequence[ca.SX] = (),
+    system: System, x: np.ndarray, u: np.ndarray, p: np.ndarray, *, slide: bool = False, others: Sequence[ca.SX] = ()
 ) -> list[np.ndarray]:
     """``A`` (R, nx, nx), ``B``, ``C``, ``D`` along a run, and ``others``; one entry each (R = 1) where they are the same all along.
 

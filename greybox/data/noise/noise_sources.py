@@ -305,12 +305,7 @@ def _level_of_records(
 
 
 def _repeated_level(
-    experiments: Sequence[Experiment],
-    name: str,
-    inputs: Sequence[str],
-    robust: bool,
-    alike: bool,
-    policy: NoisePolicy,
+    experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, alike: bool, policy: NoisePolicy
 ) -> _Level | None:
     """The noise from periods of a periodic input, or from experiments with the same input."""
     periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs))]

@@ -167,9 +167,7 @@ class ParameterCombination:
 
 
 def find_determined_combinations(
-    model: Model,
-    ranks: Sequence[SensitivityRank],
-    points: Sequence[np.ndarray],
+    model: Model, ranks: Sequence[SensitivityRank], points: Sequence[np.ndarray]
 ) -> list[ParameterCombination]:
     """Independent combinations that every point determines, the plainest first; at most as many as the rank.
 
@@ -265,11 +263,7 @@ EASILY_MEASURED = ("mass", "resistance", "inductance")  # roles of constants tha
 
 
 def find_recommendations(
-    model: Model,
-    points: Sequence[Sensitivity],
-    measured: Sequence[str],
-    others: Sequence[str],
-    sensors: Sequence[str],
+    model: Model, points: Sequence[Sensitivity], measured: Sequence[str], others: Sequence[str], sensors: Sequence[str]
 ) -> list[Finding]:
     """What would determine more constants, the most effective first.
 

@@ -52,10 +52,7 @@ MIN_BAND_SHARE = 0.5
 
 
 def analyse_excitation(
-    experiment: Experiment,
-    model: Model | None = None,
-    *,
-    structure: StructuralIdentifiability | None = None,
+    experiment: Experiment, model: Model | None = None, *, structure: StructuralIdentifiability | None = None
 ) -> Excitation:
     """Persistent excitation of the inputs of a record, against what a model asks for.
 

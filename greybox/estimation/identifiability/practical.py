@@ -168,8 +168,7 @@ DIRECTION_WEIGHT = 0.3
 
 
 def analyse_problem(
-    problem: EstimationProblem,
-    structure: StructuralIdentifiability | None,
+    problem: EstimationProblem, structure: StructuralIdentifiability | None
 ) -> PracticalIdentifiability:
     """`analyse_practical_identifiability` for a problem that is laid out already; ``structure`` is None where it is not known."""
     variables, n = problem.variables, len(problem.variables.names)

@@ -426,11 +426,7 @@ INTERPRETED_OPERATIONS = 100
 
 
 def _compute_sensitivity(
-    model: Model,
-    experiments: list[Experiment],
-    starts: np.ndarray,
-    at_rest: bool,
-    finer: int,
+    model: Model, experiments: list[Experiment], starts: np.ndarray, at_rest: bool, finer: int
 ) -> Sensitivity | None:
     """Slopes of the outputs over the records with ``finer`` times the usual substeps; None where a run overflows."""
     records = tuple(to_record(model, e) for e in experiments)

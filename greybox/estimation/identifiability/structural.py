@@ -19,11 +19,7 @@ from greybox.estimation.identifiability.combinations import (
     find_recommendations,
     free_parameter_indices,
 )
-from greybox.estimation.identifiability.sensitivity import (
-    compute_free_run_sensitivities,
-    draw_constants,
-    highest_ranks,
-)
+from greybox.estimation.identifiability.sensitivity import compute_free_run_sensitivities, draw_constants, highest_ranks
 from greybox.estimation.identifiability.transfer_functions import compute_transfer_function_sensitivity
 from greybox.model import Model, Output
 
@@ -97,11 +93,7 @@ IDENTIFIABILITY_POINTS = 3
 
 
 def analyse_structural_identifiability(
-    model: Model,
-    outputs: Sequence[str] | None = None,
-    seed: int = 0,
-    *,
-    at_rest: bool = False,
+    model: Model, outputs: Sequence[str] | None = None, seed: int = 0, *, at_rest: bool = False
 ) -> StructuralIdentifiability:
     """Structural identifiability of the free constants of a model from its inputs and the measured outputs.
 

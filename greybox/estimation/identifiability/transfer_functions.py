@@ -42,12 +42,7 @@ FREE_RESPONSES = 2
 
 
 def compute_transfer_function_sensitivity(
-    system: System,
-    p: np.ndarray,
-    which: np.ndarray,
-    slopes: np.ndarray,
-    at_rest: bool,
-    generator: np.random.Generator,
+    system: System, p: np.ndarray, which: np.ndarray, slopes: np.ndarray, at_rest: bool, generator: np.random.Generator
 ) -> Sensitivity:
     """Slopes at the parameters ``p`` (np,), along those numbered ``which`` in steps of ``slopes``; ``at_rest``: known x0."""
     nominal, along = _matrices(system, p, which, slopes)
@@ -94,13 +89,7 @@ def compute_transfer_function_sensitivity(
 
 
 def _responses(
-    s: np.ndarray,
-    nominal: _Matrices,
-    along: _Matrices,
-    b: np.ndarray,
-    db: np.ndarray,
-    d: np.ndarray,
-    dd: np.ndarray,
+    s: np.ndarray, nominal: _Matrices, along: _Matrices, b: np.ndarray, db: np.ndarray, d: np.ndarray, dd: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """``C R b + d`` (k, ny, m), its slopes (k, ny, m, np), and the size of the terms that it is the sum of.
 

@@ -226,12 +226,7 @@ def minimal_realisation(model: Linearisation) -> Linearisation:
         reduced, unobserved = _with_states(reduced, rows @ reduced.A[:, keep], rows @ reduced.B, shown, keep, names)
     if not (unreached or unobserved):
         return model
-    values = {
-        "states": len(reduced.A),
-        "of": len(model.A),
-        "unreached": unreached,
-        "unobserved": unobserved,
-    }
+    values = {"states": len(reduced.A), "of": len(model.A), "unreached": unreached, "unobserved": unobserved}
     return replace(reduced, findings=(*model.findings, Finding(ExportFinding.STATES_REMOVED, values=values)))
 
 

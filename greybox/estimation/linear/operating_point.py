@@ -235,9 +235,7 @@ def find_operating_point(model: Model, at: Mapping[str, float] | None = None) ->
 
 
 def solve_operating_point(
-    functions: ModelFunctions,
-    p: np.ndarray,
-    at: Mapping[str, float] | None = None,
+    functions: ModelFunctions, p: np.ndarray, at: Mapping[str, float] | None = None
 ) -> OperatingPoint:
     """`find_operating_point` of a model whose ``functions`` are made already, at the parameters ``p`` (np,)."""
     given = _check_point(functions, at or {})
@@ -392,11 +390,7 @@ OPERATING_POINT_HALVINGS = 30
 
 
 def _run_newton(
-    functions: ModelFunctions,
-    z: np.ndarray,
-    p: np.ndarray,
-    free: np.ndarray,
-    rows: Sequence[int],
+    functions: ModelFunctions, z: np.ndarray, p: np.ndarray, free: np.ndarray, rows: Sequence[int]
 ) -> np.ndarray:
     """Gauss-Newton steps of least length, halved until they help, within the bounds of the states."""
     start, direction = z, functions.direction(z)

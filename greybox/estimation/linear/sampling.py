@@ -19,13 +19,7 @@ METHODS = ("zoh", "tustin")
 MOST_DELAY_STATES = 1000
 
 
-def sample(
-    model: Linearisation,
-    dt: float,
-    method: str = "zoh",
-    *,
-    delay: float = 0.0,
-) -> Linearisation:
+def sample(model: Linearisation, dt: float, method: str = "zoh", *, delay: float = 0.0) -> Linearisation:
     """Sample a continuous linear model.
 
     Parameters

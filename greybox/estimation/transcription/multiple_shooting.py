@@ -136,11 +136,7 @@ class _SegmentSearch:
     """A search over segments at one integration step after the other, each from the optimum of the one before."""
 
     def __init__(
-        self,
-        segmented: SegmentedProblem,
-        continuity: bool,
-        options: FitOptions,
-        report: FitProgressCallback | None,
+        self, segmented: SegmentedProblem, continuity: bool, options: FitOptions, report: FitProgressCallback | None
     ) -> None:
         self.segmented, self.continuity, self.options, self.report = segmented, continuity, options, report
         self.result: MultipleShootingResult | None = None
@@ -214,11 +210,7 @@ class MultipleShooting:
             self.with_ends = SingleShooting(self.variables, step, make_kernel(step), records, weight)
 
     def solve(
-        self,
-        options: FitOptions | None = None,
-        *,
-        initialise: bool = True,
-        report: FitProgressCallback | None = None,
+        self, options: FitOptions | None = None, *, initialise: bool = True, report: FitProgressCallback | None = None
     ) -> MultipleShootingResult:
         """Minimise the cost from the present point.
 

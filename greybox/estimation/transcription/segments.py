@@ -99,12 +99,7 @@ def cut_in_rows(problem: EstimationProblem, rows: int | Sequence[int]) -> Cuts:
     """Segments of so many samples: one number, or one for each record."""
     numbers = [rows] * len(problem.records) if isinstance(rows, int) else rows
     return tuple(
-        place_cuts(
-            f"record {e + 1}",
-            np.arange(len(r.u), dtype=float),
-            rows=n,
-            rows_per_sample=r.rows_per_sample,
-        )
+        place_cuts(f"record {e + 1}", np.arange(len(r.u), dtype=float), rows=n, rows_per_sample=r.rows_per_sample)
         for e, (r, n) in enumerate(zip(problem.records, numbers, strict=True))
     )
 
@@ -127,12 +122,7 @@ LEAST_ARC_ROWS = 3
 
 
 def place_cuts(
-    name: str,
-    since: np.ndarray,
-    *,
-    seconds: float | None = None,
-    rows: int | None = None,
-    rows_per_sample: int = 1,
+    name: str, since: np.ndarray, *, seconds: float | None = None, rows: int | None = None, rows_per_sample: int = 1
 ) -> tuple[int, ...]:
     """First rows of the arcs and, at the end, the number of rows, for rows ``since`` (N,) seconds after the first.
 

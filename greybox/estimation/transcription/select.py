@@ -193,11 +193,7 @@ EXPLICIT_STEP = 0.5
 MAX_COLLOCATION_SAMPLES = 10000
 
 
-def _propose_for_stiff(
-    system: System,
-    jacobians: np.ndarray,
-    record: Record,
-) -> TranscriptionProposal | None:
+def _propose_for_stiff(system: System, jacobians: np.ndarray, record: Record) -> TranscriptionProposal | None:
     """Implicit steps or collocation, where a fast mode rules explicit steps out."""
     fastest = max((compute_fastest_rate(jacobian, system.relaxing) for jacobian in jacobians), default=0.0)
     # So many explicit steps keep |h lambda| where they are stable and accurate.

@@ -66,10 +66,7 @@ FORETOLD_SHARE = 0.8
 
 
 def choose_next_share(
-    problem: EstimationProblem,
-    share: float,
-    reached: Evaluation,
-    measure: Callable[[float], Evaluation],
+    problem: EstimationProblem, share: float, reached: Evaluation, measure: Callable[[float], Evaluation]
 ) -> tuple[float, Evaluation]:
     """The next share and the evaluation there: as much more of the record as the present part foretells."""
     # A part that is fitted below the noise foretells no more than the noise.
@@ -215,12 +212,7 @@ FEW_STEPS = 2000
 NOISE_SHARE_OF_FEW = 1e-06
 
 
-def is_too_coarse(
-    error: np.ndarray,
-    problem: EstimationProblem,
-    evaluation: Evaluation,
-    substeps: int = 0,
-) -> bool:
+def is_too_coarse(error: np.ndarray, problem: EstimationProblem, evaluation: Evaluation, substeps: int = 0) -> bool:
     """Whether an ``error`` over the noise (ny,), left by the integrator, matters beside noise and misfit.
 
     ``substeps`` of an interval (0: those of the problem's step) tell how much a smaller step would cost.

@@ -33,13 +33,7 @@ MESSAGE_LENGTH = 200
 
 
 def run_rig(
-    command: str,
-    asked: Path,
-    target: Path,
-    number: int,
-    duration: float,
-    timeout: float,
-    held: BinaryIO | None = None,
+    command: str, asked: Path, target: Path, number: int, duration: float, timeout: float, held: BinaryIO | None = None
 ) -> None:
     """Run a rig program once; its record becomes ``target`` when it is whole.
 

@@ -183,10 +183,7 @@ INPUT_SEARCH_AMPLITUDES: tuple[float, ...] = (1.0, 0.4)
 
 
 def try_shapes(
-    question: DesignProblem,
-    keeper: LimitKeeper,
-    goal: Goal,
-    shapes: Sequence[Mapping[str, InputShape]],
+    question: DesignProblem, keeper: LimitKeeper, goal: Goal, shapes: Sequence[Mapping[str, InputShape]]
 ) -> list[TriedInput]:
     """Each of the shapes at the best of the amplitudes that the limits allow, the best first.
 

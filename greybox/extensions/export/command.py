@@ -194,18 +194,10 @@ EXPORT = Command(
     ),
     (
         Idle(LINEAR, "with --to {s.to}", _unless(lambda kind, _: kind.linear)),
-        Idle(
-            (OWN.dt,),
-            "with --to {s.to}",
-            _unless(lambda kind, study: kind.linear or _is_sampled(kind, study)),
-        ),
+        Idle((OWN.dt,), "with --to {s.to}", _unless(lambda kind, study: kind.linear or _is_sampled(kind, study))),
         Idle((Study.substeps,), "with --to {s.to}", _unless(_is_sampled)),
         Idle((OWN.observer,), "with --to {s.to}", _unless(lambda kind, _: "observer" in kind.options)),
-        Idle(
-            (OWN.samples,),
-            "with --to {s.to}",
-            _unless(lambda kind, _: "samples" in kind.options),
-        ),
+        Idle((OWN.samples,), "with --to {s.to}", _unless(lambda kind, _: "samples" in kind.options)),
         Needs(OWN.sampling, (OWN.dt,), "it samples the model"),
         Needs(OWN.sample_seed, (OWN.samples,), "no models are drawn"),
         Needs(OWN.observer_noise, (OWN.observer,), "it is the noise of a Kalman filter"),

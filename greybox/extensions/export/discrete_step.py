@@ -91,11 +91,7 @@ DISCRETE_STEP_ROWS = 2000
 
 
 def make_discrete_step(
-    plant: ExportedModel,
-    dt: float | None = None,
-    *,
-    substeps: int = 0,
-    method: str = "automatic",
+    plant: ExportedModel, dt: float | None = None, *, substeps: int = 0, method: str = "automatic"
 ) -> DiscreteStep:
     """The sampling interval of ``plant``: ``dt`` seconds, or that of the fitted records.
 

@@ -237,10 +237,7 @@ def write_linear(
 
 
 def to_mat(
-    plant: Fit | Model,
-    path: str | Path,
-    at: Mapping[str, float] | None = None,
-    **options: Unpack[LinearExportOptions],
+    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
 ) -> Path:
     """Write a linear model as MATLAB's ``.mat`` file (see `write_mat` for its contents).
 
@@ -273,10 +270,7 @@ def to_mat(
 
 
 def to_json(
-    plant: Fit | Model,
-    path: str | Path,
-    at: Mapping[str, float] | None = None,
-    **options: Unpack[LinearExportOptions],
+    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
 ) -> Path:
     """Write a linear model as JSON: matrices, names, units, poles, zeros, parameters, covariance.
 
@@ -309,10 +303,7 @@ def to_json(
 
 
 def to_numpy(
-    plant: Fit | Model,
-    path: str | Path,
-    at: Mapping[str, float] | None = None,
-    **options: Unpack[LinearExportOptions],
+    plant: Fit | Model, path: str | Path, at: Mapping[str, float] | None = None, **options: Unpack[LinearExportOptions]
 ) -> Path:
     """Write a linear model as arrays of NumPy.
 

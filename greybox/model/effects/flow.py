@@ -66,10 +66,7 @@ def _venting(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Exp
 def _volumes(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Expression]:
     # V = V0 +- A x, over half the total volume: what one chamber gains the other loses.
     change = p.scale * p.piston_area * x.displacement / (p.total_volume / 2)
-    return {
-        "pressure_a": ca.fmax(1 + change, LEAST_VOLUME),
-        "pressure_b": ca.fmax(1 - change, LEAST_VOLUME),
-    }
+    return {"pressure_a": ca.fmax(1 + change, LEAST_VOLUME), "pressure_b": ca.fmax(1 - change, LEAST_VOLUME)}
 
 
 def _root_leak(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
@@ -369,12 +366,7 @@ sensor_saturation = Effect(
     site="sensor",
     parameters=[
         shape_parameter(
-            "y_max",
-            "{sensor}",
-            OUT_OF_REACH,
-            (1e-9, OUT_OF_REACH),
-            "largest reading",
-            "large: absent until fitted",
+            "y_max", "{sensor}", OUT_OF_REACH, (1e-9, OUT_OF_REACH), "largest reading", "large: absent until fitted"
         )
     ],
     on_output=lambda value, x, u, p: ca.fmin(value, p.y_max),

@@ -259,7 +259,5 @@ def _data(comparison: Comparison, fingerprints: Mapping[str, str], known: Sequen
     note = f"The comparison omits the first {comparison.skip} rows of each record." if comparison.skip else ""
     table = doc.TableBlock("Records", ["record", "use", "rows", "duration", "fingerprint"], rows, note)
     return doc.Section(
-        "data",
-        "Data",
-        [table, *([doc.BulletList([f"Record {text}" for text in known])] if known else [])],
+        "data", "Data", [table, *([doc.BulletList([f"Record {text}" for text in known])] if known else [])]
     )

@@ -139,10 +139,7 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
         doc.FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
     if discovery.surrogate is not None:
-        signals += [
-            doc.Paragraphs([str(discovery.surrogate)]),
-            doc.FigureBlock(plot_surrogate(discovery.surrogate)),
-        ]
+        signals += [doc.Paragraphs([str(discovery.surrogate)]), doc.FigureBlock(plot_surrogate(discovery.surrogate))]
     if signals:
         yield doc.Section("missing", "The missing signal", signals)
     if discovery.refinement is not None:
@@ -285,12 +282,7 @@ def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.FigureBlock(unexplained)
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
     rows = [
-        [
-            s.label,
-            str(sets[s.label]),
-            f"{s.gain:.4g}",
-            f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip(),
-        ]
+        [s.label, str(sets[s.label]), f"{s.gain:.4g}", f"{s.size:.3g} {typeset_unit(s.unit)}".rstrip()]
         for s in localisation.sites
     ]
     if rows:

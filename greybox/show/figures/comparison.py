@@ -87,12 +87,7 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
         ]
         panels.append(
             Panel(
-                output,
-                (measured, *curves),
-                TIME,
-                Axis(output, unit),
-                height=Height.TALL,
-                listing=("measured", *runs),
+                output, (measured, *curves), TIME, Axis(output, unit), height=Height.TALL, listing=("measured", *runs)
             )
         )
     return Figure(

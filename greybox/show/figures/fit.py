@@ -13,13 +13,7 @@ from scipy.special import ndtri
 from greybox.base import ROWS_AT_A_TIME
 from greybox.base import figure as fig
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.residuals import (
-    ResidualSeries,
-    ResidualTest,
-    ResidualTestKind,
-    ResidualTests,
-    measure_mean,
-)
+from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests, measure_mean
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
 from greybox.show.figures.figure import choose_evenly, draw_over_time
@@ -48,10 +42,7 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> fig.Fig
         _along_records(series, _of_kind(of_output, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )
     return fig.Figure(
-        name,
-        panels,
-        f"Tests of the residual of {output}.",
-        tuple(title for panel in panels for title in panel.titles),
+        name, panels, f"Tests of the residual of {output}.", tuple(title for panel in panels for title in panel.titles)
     )
 
 

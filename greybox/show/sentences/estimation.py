@@ -457,7 +457,7 @@ register(
         ResultCode.FOREIGN_FINDING: lambda f: (
             f"{f.subject + ': ' if f.subject else ''}the file holds a finding that this version has no sentence for"
             f" ({f.values['code']})"
-        ),
+        )
     }
 )
 
@@ -667,10 +667,7 @@ _SENTENCES: dict[ResidualTestKind, tuple[Callable[[ResidualTest], str], Callable
         lambda t: "equally large throughout",
         lambda t: "larger in some parts of the record than in others",
     ),
-    ResidualTestKind.EQUAL_MEAN: (
-        lambda t: "no drift",
-        lambda t: "its mean drifts, or an offset changes",
-    ),
+    ResidualTestKind.EQUAL_MEAN: (lambda t: "no drift", lambda t: "its mean drifts, or an offset changes"),
 }
 
 

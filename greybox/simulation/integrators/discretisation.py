@@ -114,12 +114,7 @@ def refine_substeps(
 
 
 def run_step(
-    step: Step,
-    p: np.ndarray,
-    x0: np.ndarray,
-    inputs: np.ndarray,
-    length: float,
-    rows: int = ERROR_ROWS,
+    step: Step, p: np.ndarray, x0: np.ndarray, inputs: np.ndarray, length: float, rows: int = ERROR_ROWS
 ) -> np.ndarray:
     """States (N, nx) at the first ``rows`` of ``inputs`` (., nu), held over intervals of ``length`` seconds, without a kernel."""
     u = np.asarray(inputs, float)[:rows]

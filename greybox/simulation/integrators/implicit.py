@@ -16,11 +16,7 @@ from greybox.simulation.integrators.composition import make_step
 from greybox.simulation.integrators.step import AdvanceFunction, InputHistory, IntegrationMethod, RateFunction, Step
 
 
-def midpoint(
-    system: System,
-    substeps: int = 1,
-    past: InputHistory | None = None,
-) -> Step:
+def midpoint(system: System, substeps: int = 1, past: InputHistory | None = None) -> Step:
     """``x+ = x + h f((x + x+) / 2)``: order 2, symplectic, stable for every decaying mode (A-stable), damps none of them.
 
     A mode much faster than the step rings on without decay: take `radau` for those. Raises ModelError beyond the states that
@@ -29,11 +25,7 @@ def midpoint(
     return make_step("implicit midpoint", _require_few_states(system), midpoint_step(), substeps, past)
 
 
-def radau(
-    system: System,
-    substeps: int = 1,
-    past: InputHistory | None = None,
-) -> Step:
+def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -> Step:
     """Radau IIA with two stages: order 3, L-stable, modes much faster than the step die out at once.
 
     Hairer, Wanner, Solving Ordinary Differential Equations II, table IV.5.5. Raises ModelError beyond the states that ``policy`` allows.
