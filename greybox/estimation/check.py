@@ -22,8 +22,7 @@ from greybox.estimation.identifiability.structural import StructuralIdentifiabil
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model import Input, Model, Parameter, State
-from greybox.model.effects.catalogue import all_effects
-from greybox.model.effects.placement import Placement, find_placements
+from greybox.model.effects import Placement, all_effects, find_placements
 from greybox.model.sites import STORE
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.plant import Plant, as_model

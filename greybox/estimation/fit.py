@@ -10,8 +10,7 @@ import numpy as np
 
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
-from greybox.data.noise.growing import GrowingNoise
-from greybox.data.noise.noise_model import NoiseModel, NoiseSource
+from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
 from greybox.estimation import fit_issues, result_parts
 from greybox.estimation.covariance import (
     check_priors,

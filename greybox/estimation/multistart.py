@@ -19,8 +19,7 @@ from greybox.base.errors import GreyboxError, ModelError, WorkersLostError
 from greybox.base.files import add_entry, read_journal
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.data.experiment import Experiment, as_records
-from greybox.data.noise.growing import GrowingNoise
-from greybox.data.noise.noise_model import NoiseModel
+from greybox.data.noise import GrowingNoise, NoiseModel
 from greybox.estimation.fit import draw_starts, fit
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.noise_loop import solve

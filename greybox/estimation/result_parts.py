@@ -14,8 +14,7 @@ from greybox.base import Finding
 from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, Hold
-from greybox.data.noise.growing import GrowingNoise
-from greybox.data.noise.noise_model import BoundDirection, NoiseBound, NoiseSource
+from greybox.data.noise import BoundDirection, GrowingNoise, NoiseBound, NoiseSource
 
 
 class IntervalKind(StrEnum):

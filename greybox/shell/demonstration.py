@@ -11,20 +11,17 @@ import numpy as np
 
 from greybox.base import Printable
 from greybox.base.extensions import ExtensionKind, load_extension
-from greybox.comparison.blackbox.best_models import best_black_boxes
-from greybox.comparison.blackbox.structure_scan import BlackBoxKind
+from greybox.comparison.blackbox import BlackBoxKind, best_black_boxes
 from greybox.comparison.compare import ComparedModel, compare
 from greybox.comparison.result import Comparison, save_comparison
-from greybox.data.experiment import Experiment
-from greybox.data.read import read_csv
+from greybox.data import Experiment, read_csv
 from greybox.data.signals import chirp, multisine
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
+from greybox.estimation import Fit, FitOptions
 from greybox.estimation.fit import fit
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
 from greybox.model import Model
 from greybox.model.effects.catalogue import effect
 from greybox.shell.project import find_shipped_model

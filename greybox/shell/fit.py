@@ -28,9 +28,8 @@ from greybox.shell.terminal import hold_interrupts, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
+    from greybox.estimation import Fit, Trace
     from greybox.estimation.residuals import ResidualTests
-    from greybox.estimation.result import Fit
-    from greybox.estimation.result_parts import Trace
     from greybox.estimation.uncertainty import Bootstrap, Profile, ProfilePair
     from greybox.shell.answers import FitAnswer, RecordMisfit
 

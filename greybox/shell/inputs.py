@@ -17,8 +17,7 @@ from greybox.shell.terminal import CommandCode, exit_with_error, print_findings,
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
     from greybox.data.signals import SignalLimit
-    from greybox.estimation.options import FitOptions
-    from greybox.estimation.result import Fit
+    from greybox.estimation import Fit, FitOptions
     from greybox.model import Model
     from greybox.simulation.simulate import Simulation
 

@@ -169,8 +169,7 @@ def effects(study: Study) -> Answer:
 
     Prints name, site, parameters with units, and equation of each, and why an effect has no place.
     """
-    from greybox.model.effects.catalogue import all_effects
-    from greybox.model.effects.placement import EffectListing, find_placements
+    from greybox.model.effects import EffectListing, all_effects, find_placements
     from greybox.shell.own_effects import find_own_effects, keep_effect
     from greybox.shell.project import find_model
 

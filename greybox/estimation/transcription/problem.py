@@ -13,9 +13,7 @@ import numpy as np
 from greybox.base import Finding, ModelError, Severity, nearest
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
-from greybox.data.noise.growing import GrowingNoise
-from greybox.data.noise.noise_model import AutoRegression, NoiseModel
-from greybox.data.noise.noise_sources import estimate_noise
+from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
 from greybox.data.problems import is_constant
 from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss

@@ -22,9 +22,8 @@ from greybox.data.experiment import Experiment, Hold
 from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict
 from greybox.discovery.pipeline import discover
+from greybox.estimation import Fit, FitOptions
 from greybox.estimation.fit import fit
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
 from greybox.extensions.design.next_record import answer, fit_explanation, fit_rival
 from greybox.extensions.design.problem import (
     CAMPAIGN_POLICY,

@@ -14,8 +14,7 @@ from greybox.shell.terminal import exit_with_error, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
-    from greybox.estimation.options import FitOptions
-    from greybox.estimation.result import Fit
+    from greybox.estimation import Fit, FitOptions
     from greybox.model import Model
 
 

@@ -19,8 +19,7 @@ from typing import BinaryIO
 import numpy as np
 
 from greybox.base import DataError, GreyboxError, shorten, write_file
-from greybox.data.experiment import Experiment
-from greybox.data.read import read_csv
+from greybox.data import Experiment, read_csv
 from greybox.data.signals import SignalLimit
 from greybox.model import Model
 

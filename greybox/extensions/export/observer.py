@@ -16,15 +16,14 @@ import numpy as np
 
 from greybox.base import ModelError, nearest, to_identifier
 from greybox.base.numerics import LARGEST_VALUE
+from greybox.estimation import Fit, FitOptions
 from greybox.estimation.linear.plant import ExportedModel, to_plant
-from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import (
     CorrectionKind,
     FixedParameterModel,
     identify_correction,
     restore_integration_options,
 )
-from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, SteppedSignals, make_discrete_step
 from greybox.extensions.export.target import read_template
 from greybox.model import Input, Model, Output, State, docstring

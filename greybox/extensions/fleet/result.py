@@ -15,8 +15,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.base import FileKind, Finding, GreyboxError, Printable, Severity, read_json, write_file, write_json
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate, Misfit
+from greybox.estimation import Estimate, Fit, Misfit
 from greybox.model import Model
 
 

@@ -40,9 +40,7 @@ from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, record_text
 
 if TYPE_CHECKING:
-    from greybox.discovery.holdout import HoldoutError
-    from greybox.discovery.refinement import Refinement
-    from greybox.discovery.result import Discovery
+    from greybox.discovery import Discovery, HoldoutError, Refinement
 
 # How the answer is marked; every other verdict asks for caution.
 TONES = {Verdict.COMPLETE: doc.Tone.GOOD, Verdict.NAMED: doc.Tone.GOOD}

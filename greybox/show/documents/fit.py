@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 from greybox.base import Finding
 from greybox.base import document as doc
-from greybox.estimation import errors, fit_issues, optimum, result_parts
+from greybox.estimation import Fit, errors, fit_issues, optimum, result_parts
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
-from greybox.estimation.result import Fit
 from greybox.show.documents import tables
 from greybox.show.figures.fit import (
     plot_correlation,

@@ -12,9 +12,7 @@ import numpy as np
 
 from greybox.base import document as doc
 from greybox.base import format_unit, read_versions
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Trace
+from greybox.estimation import Fit, FitOptions, Trace
 from greybox.model import Balance, Model, equations_text
 from greybox.model.algebraic import stores_nothing
 from greybox.model.expressions.operations import Binding

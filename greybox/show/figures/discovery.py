@@ -22,19 +22,14 @@ from greybox.base.figure import (
     Scale,
     Series,
 )
-from greybox.discovery.decision import Verdict
-from greybox.discovery.localisation import ResidualLocalisation, estimate_residual_spectrum
+from greybox.discovery import ResidualLocalisation, Verdict, estimate_residual_spectrum
 from greybox.show.figures.figure import draw_sizes, scale_to_prefix, size_axis, typeset_exponents
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import capitalise, change_text, value_with_unit
 
 if TYPE_CHECKING:
-    from greybox.discovery.curve_shape import Dependence
-    from greybox.discovery.effect_signal import EffectSignal
-    from greybox.discovery.holdout import HoldoutError
-    from greybox.discovery.result import Discovery
-    from greybox.discovery.surrogate import Surrogate
+    from greybox.discovery import Dependence, Discovery, EffectSignal, HoldoutError, Surrogate
 
 
 def plot_holdout_error(discovery: Discovery) -> Figure:

@@ -13,9 +13,8 @@ from scipy.special import ndtri
 from greybox.base import ROWS_AT_A_TIME
 from greybox.base import figure as fig
 from greybox.data.noise.noise_model import AutoRegression
+from greybox.estimation import Estimate, Fit
 from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests, measure_mean
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate
 from greybox.show.figures.figure import choose_evenly, draw_over_time
 from greybox.show.sentences.estimation import name_test
 

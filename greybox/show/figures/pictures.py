@@ -12,10 +12,9 @@ import numpy as np
 
 from greybox.base.figure import Axis, Curve, Dash, Panel, Reference, Role, Scale
 from greybox.comparison.result import Comparison
+from greybox.estimation import Fit, Misfit, Trace
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Misfit, Trace
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
 from greybox.show.figures.discovery import (
     describe_candidates,
@@ -41,8 +40,7 @@ from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import record_text
 
 if TYPE_CHECKING:
-    from greybox.discovery.effect_signal import EffectSignal
-    from greybox.discovery.result import Discovery
+    from greybox.discovery import Discovery, EffectSignal
 
 
 def draw_fit(fit: Fit, directory: str | Path, *, skip: int = 0) -> list[Path]:

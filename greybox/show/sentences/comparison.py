@@ -17,14 +17,10 @@ from greybox.show.sentences.wording import format_number
 
 if TYPE_CHECKING:
     from greybox.base import Check
+    from greybox.comparison.blackbox import MonteCarloSmoothing, PolynomialModel, StateSpaceModel, StructureScan
     from greybox.comparison.blackbox.hammerstein import HammersteinModel, StaticNonlinearity
-    from greybox.comparison.blackbox.monte_carlo_smoothing import MonteCarloSmoothing
-    from greybox.comparison.blackbox.polynomial import PolynomialModel
     from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
-    from greybox.comparison.blackbox.structure_scan import StructureScan
-    from greybox.comparison.blackbox.subspace import StateSpaceModel
-    from greybox.comparison.frequency.best_linear_approximation import BestLinearApproximation
-    from greybox.comparison.frequency.response import FrequencyResponse
+    from greybox.comparison.frequency import BestLinearApproximation, FrequencyResponse
 
 
 MEASURE = {"free_run": "free run", "one_step": "one sample ahead"}

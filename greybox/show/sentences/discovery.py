@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import Check, Finding, format_unit
 from greybox.base.json_shape import to_values
 from greybox.data.signals import InputKind
-from greybox.discovery.claims import Depth
+from greybox.discovery import Depth, Grade
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
-from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
@@ -19,13 +18,8 @@ from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import MOST_PERCENT, change_text, join_names, quantity_text, value_with_unit
 
 if TYPE_CHECKING:
-    from greybox.discovery.claims import Claim
-    from greybox.discovery.curve_shape import Dependence
-    from greybox.discovery.effect_test import EffectTest
-    from greybox.discovery.holdout import HoldoutError
+    from greybox.discovery import Claim, Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
-    from greybox.discovery.refinement import Refinement, RefinementStep
-    from greybox.discovery.surrogate import Surrogate
 
 
 def _percent(share: float, digits: int = 3) -> str:

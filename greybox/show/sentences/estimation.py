@@ -22,10 +22,9 @@ from greybox.show.sentences.data import describe_source
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 
 if TYPE_CHECKING:
-    from greybox.estimation.multistart import MultiStartResult
+    from greybox.estimation import FitNoise, MultiStartResult, SolverReport
     from greybox.estimation.predictor import PredictionCorrection, SmoothedStates
     from greybox.estimation.residuals import ResidualTest, ResidualTests
-    from greybox.estimation.result_parts import FitNoise, SolverReport
     from greybox.estimation.score import Scores
     from greybox.estimation.uncertainty import Profile, ProfilePair
 

@@ -11,9 +11,7 @@ from greybox.show.sentences.registry import register, renders, sentence
 from greybox.show.sentences.wording import join_names
 
 if TYPE_CHECKING:
-    from greybox.estimation.identifiability.combinations import OpenDirection
-    from greybox.estimation.identifiability.excitation import Excitation
-    from greybox.estimation.identifiability.structural import StructuralIdentifiability
+    from greybox.estimation.identifiability import Excitation, OpenDirection, StructuralIdentifiability
 
 
 def _describe_relation(relation: Mapping[str, Any]) -> str:

@@ -19,8 +19,7 @@ from greybox.show.sentences.wording import count_noun
 
 if TYPE_CHECKING:
     from greybox.model import Effect, Model, Parameter
-    from greybox.model.effects.placement import EffectListing, Placement
-    from greybox.model.effects.roles import SignalRole
+    from greybox.model.effects import EffectListing, Placement, SignalRole
 
 
 @renders("Model")
