@@ -8,17 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from greybox.base.errors import ModelError, nearest
-from greybox.base.findings import Finding
+from greybox.base import Finding, ModelError, nearest
 from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate, StartValues
-from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import all_effects, applicable_effects
+from greybox.model import Effect, Model
+from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
 from greybox.model.effects.placement import AT
-from greybox.model.effects.scales import Scales, measure_scales, tailor_to_record
 from greybox.model.effects.starts import list_effect_values, within_bounds
-from greybox.model.model import Model
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,9 @@ from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, TONE
 from greybox.discovery.table import Draws, FittedSet
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import all_effects
 from greybox.model.effects.placement import AT
-from greybox.model.model import Model
 from greybox.model.system import BoundEffect
 
 

@@ -20,8 +20,7 @@ from greybox.base.numerics import SAME_DIRECTION
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.problem import FittedCandidate
 from greybox.estimation.transcription.simulation_error import SingleShooting
-from greybox.model.model import Model
-from greybox.model.system import System
+from greybox.model import Model, System
 from greybox.simulation.linearise import linearise_along
 
 

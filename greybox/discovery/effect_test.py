@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from greybox.base.errors import DataError
-from greybox.base.findings import Check
+from greybox.base import Check, DataError
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment, as_records
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
@@ -15,15 +14,13 @@ from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, vali
 from greybox.discovery.plant_search import fit_with_plant, view_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.estimation import Fit, FitOptions
 from greybox.estimation.fit import fit as fit_model
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
 from greybox.estimation.validate import validate
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.scales import tailor_to_record
 from greybox.model.effects.starts import AMPLITUDE_GRID
-from greybox.model.model import Model
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
-from greybox.base.findings import Check, Finding, Severity
+from greybox.base import Check, DataError, Finding, ModelError, Severity
 from greybox.base.json_shape import to_values
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
@@ -100,12 +99,9 @@ from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_r
 from greybox.discovery.selection import AUTOCORRELATION_LAGS, MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.discovery.surrogate import Surrogate, find_missing_sites, fit_surrogate
 from greybox.discovery.table import FitTable
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
-from greybox.model.effect import Effect
-from greybox.model.effects.catalogue import applicable_effects
-from greybox.model.effects.scales import Scales
-from greybox.model.model import Model
+from greybox.estimation import Fit, FitOptions
+from greybox.model import Effect, Model
+from greybox.model.effects import Scales, applicable_effects
 from greybox.simulation.plant import Plant, PlantModel, as_model
 
 Records = Experiment | Sequence[Experiment]

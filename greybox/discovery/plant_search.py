@@ -12,20 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base.errors import DataError, ModelError
-from greybox.base.findings import Finding, Severity
+from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.discovery.decision import Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import ValidationSet, compare_holdout_errors
 from greybox.discovery.result import Discovery, quote_test_error
+from greybox.estimation import Fit, FitOptions, Trace
 from greybox.estimation.fit import fit
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Trace
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import applicable_effects
-from greybox.model.model import Model
 from greybox.simulation.local_model import build_local_model, extend_record
 from greybox.simulation.plant import LinearResponse, PlantModel
 from greybox.simulation.plant_kernel import PlantKernel

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.base.findings import Finding, Severity
-from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
-from greybox.base.numerics import TINY
+from greybox.base import TINY, Finding, Severity, decompose_symmetric, pseudo_inverse
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import InputKind, chirp, multisine

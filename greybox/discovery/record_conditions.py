@@ -7,11 +7,10 @@ from dataclasses import replace
 
 from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
+from greybox.estimation import Fit, FitOptions
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.fit_issues import EstimationCode
-from greybox.estimation.options import FitOptions
 from greybox.estimation.record_trends import shared_conditions
-from greybox.estimation.result import Fit
 
 
 def follow_conditions(fit: Fit, records: Sequence[Experiment], options: FitOptions) -> tuple[Finding, ...]:

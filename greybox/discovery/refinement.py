@@ -16,8 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base.findings import Check, Finding
-from greybox.base.numerics import TINY
+from greybox.base import TINY, Check, Finding
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression
@@ -33,9 +32,8 @@ from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem,
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SCREENING_ITERATIONS, MessageCallback, list_extension_starts, rank_extensions
 from greybox.estimation.result import Fit
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.scales import Scales
-from greybox.model.model import Model
 
 
 @dataclass(frozen=True)

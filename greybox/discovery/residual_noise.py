@@ -12,14 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.data.noise.noise_model import (
-    AutoRegression,
-    BoundDirection,
-    NoiseModel,
-    NoiseSource,
-    fit_autoregression,
-    join_series,
-)
+from greybox.data.noise import AutoRegression, BoundDirection, NoiseModel, NoiseSource, fit_autoregression, join_series
 from greybox.discovery.candidates import generate_starting_points
 from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbance_sites
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals

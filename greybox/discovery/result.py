@@ -7,10 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, NotRequired, TypedDict
 
-from greybox.base.findings import Check, Finding
-from greybox.base.json_file import StoredResult, read_json
-from greybox.base.json_shape import FileKind, Finite, Interval
-from greybox.base.values import Printable
+from greybox.base import Check, FileKind, Finding, Finite, Interval, Printable, StoredResult, read_json
 from greybox.discovery.claims import Claim, name_claim
 from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
@@ -25,9 +22,7 @@ from greybox.discovery.refinement import Refinement
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
-from greybox.estimation.options import FitOptions
-from greybox.estimation.result import Fit
-from greybox.estimation.result_parts import Estimate
+from greybox.estimation import Estimate, Fit, FitOptions
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,9 @@ from greybox.discovery.problem import (
     StartValues,
 )
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.scales import Scales
 from greybox.model.effects.starts import AMPLITUDE_GRID, FEW_SHAPES, MANY_SHAPES, MANY_SHAPES_STARTS, count_shapes
-from greybox.model.model import Model
 
 # Which further effects are worth a refit: those whose predicted cost is lowest.
 

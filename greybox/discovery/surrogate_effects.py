@@ -22,8 +22,7 @@ from greybox.base.linear_algebra import decompose_columns
 from greybox.discovery.curve_shape import TIME, Dependence, find_levels
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
-from greybox.model.balance import Balance
-from greybox.model.effect import Effect
+from greybox.model import Balance, Effect
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
 # Names of the effects.

@@ -20,8 +20,7 @@ import numpy as np
 
 from greybox.base.numerics import OFF_REST, TINY
 from greybox.discovery.problem import DiscoveryProblem
-from greybox.model.model import Model
-from greybox.model.system import System
+from greybox.model import Model, System
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,10 +20,9 @@ import numpy as np
 
 from greybox.base.linear_algebra import decompose_columns
 from greybox.base.units import ONE, parse_unit
-from greybox.model.effect import Effect
+from greybox.model import Effect, Model
 from greybox.model.effects.formula import formula_effect
 from greybox.model.expressions.text import evaluate_formula, number_text
-from greybox.model.model import Model
 from greybox.model.signals import Expression, NamedValues, Parameter
 
 LAW = "law"
