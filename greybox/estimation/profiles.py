@@ -278,7 +278,6 @@ def _find_partner(fit: Fit, name: str) -> tuple[str, float]:
         return "", 0.0
     with np.errstate(invalid="ignore", divide="ignore"):
         std = np.sqrt(np.diag(covariance))
-        # rho_ij = C_ij / (s_i s_j).
         row = covariance[free.index(name)] / (std[free.index(name)] * std)
     row[free.index(name)] = np.nan
     if not np.isfinite(row).any():

@@ -10,9 +10,16 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base import NUMBERS_AT_A_TIME
+from greybox.base.numerics import NUMBERS_AT_A_TIME
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel import interface
+from greybox.simulation.kernel.interface import (
+    GaussNewtonSums,
+    KernelArguments,
+    RunningSums,
+    StepSizes,
+    chain_coefficients,
+    check_arguments,
+)
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import Tape, read_tape, simplify_tape
 
@@ -41,7 +48,7 @@ class InterpretedKernel:
         self.step = step
         self.reason = reason
         self.description = f"CasADi virtual machine, {step.label} (no compiled code: {reason})"
-        self.sizes = interface.StepSizes.of(step)
+        self.sizes = StepSizes.of(step)
         self._mapped_samples: dict[tuple, ca.Function] = {}
 
     @cached_property
@@ -56,11 +63,11 @@ class InterpretedKernel:
 
     def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
-        return interface.chain_coefficients(self.step, record.lengths, p, dp)
+        return chain_coefficients(self.step, record.lengths, p, dp)
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0)
+        arguments = check_arguments(self.sizes, record, q, p, x0)
         chunks = list(self._chunks(record, len(record.y), arguments))
         return np.concatenate([chunk.y for chunk in chunks]), np.concatenate([chunk.x for chunk in chunks])
 
@@ -75,11 +82,11 @@ class InterpretedKernel:
         dx0: np.ndarray,
         weight: np.ndarray,
         rows: int | None = None,
-    ) -> interface.GaussNewtonSums:
+    ) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         sample_count, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
-        totals, failed_at = interface.RunningSums(self.sizes.ny, directions), None
+        totals, failed_at = RunningSums(self.sizes.ny, directions), None
         with np.errstate(all="ignore"):  # what is not finite is found and reported
             # Chunk by chunk: J is never in memory as a whole, as in the compiled pass.
             for chunk in self._chunks(record, sample_count, arguments):
@@ -101,7 +108,7 @@ class InterpretedKernel:
         weight: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         r = np.full(record.y.shape, np.nan)
         jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
         with np.errstate(all="ignore"):  # what is not finite is left NaN
@@ -117,7 +124,7 @@ class InterpretedKernel:
                     break
         return r, jacobian
 
-    def _chunks(self, record: Record, n: int, arguments: interface.KernelArguments) -> Iterator[RecordChunk]:
+    def _chunks(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordChunk]:
         """The record in chunks, each started where the one before ended."""
         sizes, directions = self.sizes, arguments.directions
         # By its pattern over all rows: one function serves every chunk of the pass.

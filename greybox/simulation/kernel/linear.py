@@ -13,9 +13,16 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.base import NUMBERS_AT_A_TIME
+from greybox.base.numerics import NUMBERS_AT_A_TIME
 from greybox.simulation.integrators.step import Step, call_function
-from greybox.simulation.kernel import interface
+from greybox.simulation.kernel.interface import (
+    GaussNewtonSums,
+    KernelArguments,
+    RunningSums,
+    StepSizes,
+    chain_coefficients,
+    check_arguments,
+)
 from greybox.simulation.kernel.record import Record
 
 
@@ -42,7 +49,7 @@ class LinearKernel:
 
     def __init__(self, step: Step) -> None:
         assert step.regressors is not None
-        self.step, self.sizes, self._regressors = step, interface.StepSizes.of(step), step.regressors
+        self.step, self.sizes, self._regressors = step, StepSizes.of(step), step.regressors
         self.description = f"products of matrices, {step.label}"
         x, u, p = (
             ca.SX.sym(name, size)
@@ -66,11 +73,11 @@ class LinearKernel:
 
     def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
-        return interface.chain_coefficients(self.step, record.lengths, p, dp)
+        return chain_coefficients(self.step, record.lengths, p, dp)
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0)
+        arguments = check_arguments(self.sizes, record, q, p, x0)
         parts = list(self._run(record, len(record.y), arguments))
         return np.concatenate([part.y for part in parts]), np.concatenate([part.x for part in parts])
 
@@ -85,11 +92,11 @@ class LinearKernel:
         dx0: np.ndarray,
         weight: np.ndarray,
         rows: int | None = None,
-    ) -> interface.GaussNewtonSums:
+    ) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         samples, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
-        totals, failed_at = interface.RunningSums(self.sizes.ny, directions), None
+        totals, failed_at = RunningSums(self.sizes.ny, directions), None
         with np.errstate(all="ignore"):  # what is not finite is found and reported
             for part in self._run(record, samples, arguments):
                 failed_at = _find_failure(part)
@@ -110,7 +117,7 @@ class LinearKernel:
         weight: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
         r = np.full(record.y.shape, np.nan)
         jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
         with np.errstate(all="ignore"):  # what is not finite is left NaN
@@ -126,7 +133,7 @@ class LinearKernel:
                     break
         return r, jacobian
 
-    def _run(self, record: Record, n: int, arguments: interface.KernelArguments) -> Iterator[RecordPart]:
+    def _run(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordPart]:
         """The first ``n`` samples of a record, some at a time: memory does not grow beyond one part."""
         sizes, directions = self.sizes, arguments.directions
         nx, columns = sizes.nx, sizes.nq // sizes.nx
@@ -175,9 +182,7 @@ class LinearKernel:
         # CasADi stores column by column, hence row by row of the transposes.
         return [result.T for result in call_function(self._mapped[key], *(a.T for a in arguments))]
 
-    def _linearise(
-        self, record: Record, part: RecordPart, arguments: interface.KernelArguments
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n, ny) and their Jacobian (n, ny, L)."""
         sizes, count, directions = self.sizes, len(part.x), arguments.directions
         rows = slice(part.start, part.start + count)
@@ -230,7 +235,6 @@ def run_recursion(phi: np.ndarray, row: np.ndarray, forced: np.ndarray, start: n
             before[k] = powers[-1] @ before[k - 1] + parts[k - 1, -1]
         parts += (np.concatenate(powers) @ before).reshape(parts.shape)
     for k in range(done, n):
-        # x_{k+1} = Phi x_k + forced part, which stands in s already.
         s[k + 1] += phi[row[k]] @ s[k]
     return s
 
