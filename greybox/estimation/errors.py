@@ -10,6 +10,7 @@ from typing import ClassVar, NamedTuple, Self
 import numpy as np
 from scipy.linalg import norm
 
+from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.growing import GrowingNoise
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
@@ -22,10 +23,6 @@ class ErrorSize(NamedTuple):
     rmse: float
     best_fit_percent: float
     samples: int
-
-
-# Rows that are worked on at once: a long record is not in memory once more for each difference.
-ROWS_AT_A_TIME = 1 << 16
 
 
 def measure_errors(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> ErrorSize:

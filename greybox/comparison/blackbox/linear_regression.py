@@ -88,7 +88,7 @@ def find_runs(wanted: np.ndarray) -> list[slice]:
 
 # Rows that are worked on at once: what is computed of them (a column for each coefficient) stays small beside a long record, and what
 # is done for each block by itself does not count.
-BLOCK_ROWS = 1 << 15
+BLOCK_ROWS = 1 << 14
 
 
 def each_block(rows: int, first: int = 0) -> Iterator[slice]:
@@ -263,8 +263,10 @@ def to_orders(
 
 
 def build_regressors(record: SampledRecord, orders: Orders, offset: bool, rows: slice) -> np.ndarray:
-    """Columns ``-y(k-1) ... -y(k-na)``, ``u(k-nk) ...`` of each input and, with ``offset``, ones: those ``rows`` (n, p) of them; zero before
-    the record."""
+    """Columns ``-y(k-1) ... -y(k-na)``, ``u(k-nk) ...`` of each input and, with ``offset``, ones, of these ``rows`` (n, p).
+
+    All is zero before the record.
+    """
     columns = [-value for value in delayed_columns(record.y, rows, range(1, orders.na + 1))]
     for signal, nb, nk in zip(record.signals, orders.nb, orders.nk, strict=True):
         columns += delayed_columns(signal, rows, range(nk, nk + nb))

@@ -291,7 +291,7 @@ def _project(responses: np.ndarray) -> _Projection:
 
 @dataclass(eq=False)
 class _Slopes:
-    """Derivatives of the errors in the order of the structure's vector: filtered signals, each filter with its memory from block to block."""
+    """Derivatives of the errors in the order of the vector: filtered signals, each filter with its memory from block to block."""
 
     structure: PolynomialStructure
     model: PolynomialModel
@@ -345,7 +345,9 @@ class _Slopes:
         """Those of the next block (n, p), from its signals (n,) and the functions (n, m) of each input."""
         orders, structure = self.structure.orders, self.structure
 
-        def columns(letter: str, place: int, signal: np.ndarray, delays: Sequence[int], sign: float) -> list[np.ndarray]:
+        def columns(
+            letter: str, place: int, signal: np.ndarray, delays: Sequence[int], sign: float
+        ) -> list[np.ndarray]:
             if not len(delays):
                 return []
             delay = self.delays[letter][place]
