@@ -65,7 +65,7 @@ class RowTriangle:
         """Take in further rows (m, n)."""
         if len(block):
             stacked = block if self.values is None else np.vstack([self.values, block])
-            self.values = np.linalg.qr(stacked, mode="r")
+            self.values = np.asarray(np.linalg.qr(stacked, mode="r"))
             self.rows += len(block)
 
 

@@ -354,8 +354,10 @@ class _HammersteinProblem:
             return errors
         # The largest weight of each curve sets its scale and stays: curve and gain could trade a factor for ever.
         fixed = (n + np.cumsum([0, *(len(c.weights) for c in self.curves)])[:-1] + self.fixed_weights).astype(int)
+        assert errors.triangle is not None
         # Without some of its columns a triangle is one no longer: reduced again.
-        return replace(errors, triangle=np.linalg.qr(np.delete(errors.triangle, fixed, axis=1), mode="r"))
+        kept = np.delete(errors.triangle, fixed, axis=1)
+        return replace(errors, triangle=np.asarray(np.linalg.qr(kept, mode="r")))
 
     def minimise(self, theta: np.ndarray, policy: PredictionErrorPolicy, iterations: int) -> PredictionErrorMinimum:
         """The search from ``theta`` (p,)."""

@@ -47,7 +47,7 @@ class QuadraticModel:
             Cost ``r'r``, gradient ``2 J'r``, curvature ``2 J'J``, and their factor.
         """
         # A reflection leaves what it does not touch: the last column of the triangle is Q'r.
-        triangle = np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")
+        triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
         return cls.from_triangle(triangle, float(residual @ residual))
 
     @classmethod
