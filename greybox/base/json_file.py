@@ -6,10 +6,14 @@ import json
 import math
 import os
 import re
+import secrets
+from array import array
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
+
+import numpy as np
 
 from greybox.base.errors import DataError, shorten
 from greybox.base.files import write_file
@@ -64,7 +68,7 @@ def read_json(path: str | Path, kind: type[Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        What the schema says of this kind, in any version so far.
+        What the schema says of this kind, in any version so far. A list of very many numbers is an array (N,), NaN for null.
 
     Raises
     ------
@@ -81,7 +85,8 @@ def read_json(path: str | Path, kind: type[Any]) -> dict[str, Any]:
         if source.stat().st_size > LARGEST_FILE:
             size = f"{source.stat().st_size / 1e6:.0f} MB"
             raise DataError(f"{source}: {size}, at most {LARGEST_FILE / 1e6:.0f} MB are read; give the {remedy}")
-        data = parse_json(source.read_bytes())
+        with source.open("rb") as stream:
+            data = _parse_stream(stream)
     except OSError as error:
         raise DataError(f"{refusal} ({error.strerror}); give the {remedy}") from None
     except ValueError as error:
@@ -111,6 +116,102 @@ def parse_json(text: bytes) -> Any:
     return data
 
 
+# Bytes that are read at once, and from which on a list of numbers is read as an array: as a list, with its text, it would take twenty times
+# the memory.
+CHUNK = 1 << 20
+# What a list of numbers and nulls is written with; anything else in it ends such a list.
+_FLAT_LIST_ENDS = re.compile(rb"[^-+0-9.eE,nul \t\r\n]")
+_QUOTE_OR_LIST, _STRING_ENDS = re.compile(rb'["\[]'), re.compile(rb'["\\]')
+
+
+def _parse_stream(stream: BinaryIO) -> Any:
+    """`parse_json` of a file whose long lists of numbers become arrays on the way: they are never in memory as text."""
+    mark, arrays = secrets.token_hex(16), list[np.ndarray]()
+    # All of the text but those lists, each of which has its mark there.
+    text, numbers = bytearray(), _NumberList()
+    in_string = False
+    while chunk := stream.read(CHUNK):
+        at = 0
+        while at < len(chunk):
+            if numbers.open:
+                end = _FLAT_LIST_ENDS.search(chunk, at)
+                numbers.add(chunk[at : end.start() if end else len(chunk)])
+                at = end.start() if end else len(chunk)
+                if end and end.group() == b"]" and numbers.values:
+                    arrays.append(numbers.finish())
+                    text += f'"{mark}{len(arrays) - 1}"'.encode()
+                    at += 1
+                elif end:
+                    text += numbers.give_up()
+            elif in_string:
+                end = _STRING_ENDS.search(chunk, at)
+                stop = end.end() if end else len(chunk)
+                if end and end.group() == b"\\":
+                    # What stands behind it ends no text, even where it is a quotation mark.
+                    chunk += stream.read(1) if stop == len(chunk) else b""
+                    stop += 1
+                in_string = not (end and end.group() == b'"')
+                text += chunk[at:stop]
+                at = stop
+            else:
+                begin = _QUOTE_OR_LIST.search(chunk, at)
+                stop = begin.start() if begin else len(chunk)
+                text += chunk[at:stop]
+                at = stop + bool(begin)
+                if begin and begin.group() == b"[":
+                    numbers.begin()
+                elif begin:
+                    text += b'"'
+                    in_string = True
+    if numbers.open:
+        text += numbers.give_up()
+    data = parse_json(bytes(text))
+    return _put_back(data, {f"{mark}{k}": array for k, array in enumerate(arrays)}) if arrays else data
+
+
+class _NumberList:
+    """A list of numbers as it is read: its ``text`` so far, of which that of many numbers has become ``values``."""
+
+    def __init__(self) -> None:
+        self.open, self.text, self.values = False, bytearray(), array("d")
+
+    def begin(self) -> None:
+        self.open, self.text, self.values = True, bytearray(), array("d")
+
+    def add(self, text: bytes) -> None:
+        self.text += text
+        if len(self.text) > CHUNK // 2 and (last := self.text.rfind(b",")) >= 0:
+            self._convert(last)
+            del self.text[: last + 1]
+
+    def _convert(self, end: int) -> None:
+        if not (part := bytes(self.text[:end])).strip():
+            raise ValueError("a list lacks a number between two commas")
+        values = np.array(json.loads(b"[" + part + b"]", parse_constant=_refuse_constant), float)
+        self.values.frombytes(values.tobytes())
+
+    def finish(self) -> np.ndarray:
+        """All its numbers (N,), NaN for null."""
+        self._convert(len(self.text))
+        self.open = False
+        return np.frombuffer(self.values)
+
+    def give_up(self) -> bytes:
+        """It as text: it is short, or holds something else than numbers."""
+        self.open = False
+        before = "".join(f"{'null' if math.isnan(value) else value!r}," for value in self.values)
+        return b"[" + before.encode() + bytes(self.text)
+
+
+def _put_back(data: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+    """``data`` with its arrays in the place of their marks."""
+    if isinstance(data, dict):
+        return {name: _put_back(value, arrays) for name, value in data.items()}
+    if isinstance(data, list):
+        return [_put_back(value, arrays) for value in data]
+    return arrays.get(data, data) if isinstance(data, str) else data
+
+
 def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is no JSON number; what is not finite is written as null")
 
@@ -127,7 +228,13 @@ def _validator(kind: Any) -> Any:
     from jsonschema import Draft202012Validator
     from jsonschema.validators import extend
 
-    quick = extend(Draft202012Validator, {"items": _quick_items(Draft202012Validator.VALIDATORS["items"])})
+    quick = extend(
+        Draft202012Validator,
+        {"items": _quick_items(Draft202012Validator.VALIDATORS["items"])},
+        type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
+            "array", lambda _, value: isinstance(value, (list, np.ndarray))
+        ),
+    )
     (schema,), definitions = make_definitions(kind)
     return quick({**schema, "$defs": definitions})
 
@@ -138,6 +245,11 @@ def _quick_items(check: Callable[..., Iterator[Any] | None]) -> Callable[..., It
 
     def check_items(validator: Any, items: Any, instance: Any, schema: Any) -> Iterator[Any]:
         nothing = numbers.get(str(items.get("$ref"))) if isinstance(items, dict) else None
+        if isinstance(instance, np.ndarray):
+            # null was read as NaN, and a number beyond all doubles as infinity.
+            if nothing is not None and not np.isinf(instance).any() and (nothing or not np.isnan(instance).any()):
+                return
+            instance = [None if math.isnan(value) else value for value in instance.tolist()]
         plain = nothing is not None and isinstance(instance, list) and {*map(type, instance)} <= {float, *nothing}
         if not (plain and math.inf not in instance and -math.inf not in instance):
             yield from check(validator, items, instance, schema) or ()
@@ -182,7 +294,7 @@ def _write_place(path: Sequence[str | int]) -> str:
 
 
 def _write_value(value: Any) -> str:
-    if isinstance(value, dict | list):
+    if isinstance(value, dict | list | np.ndarray):
         return "an object" if isinstance(value, dict) else f"a list of {len(value)}"
     if isinstance(value, int) and not isinstance(value, bool) and abs(value) > 10**15:
         return "a number out of range"

@@ -312,10 +312,10 @@ def _restorer(hint: Any) -> Callable[[Any], Any]:
     return lambda value: value
 
 
-def _to_array(values: list[Any], null: float | None, axes: int) -> np.ndarray:
+def _to_array(values: list[Any] | np.ndarray, null: float | None, axes: int) -> np.ndarray:
+    array = np.asarray(values, dtype=float)  # None becomes NaN
     if null == math.inf:
-        values = [null if value is None else value for value in values]
-    array = np.array(values, dtype=float)  # None becomes NaN
+        array = np.where(np.isnan(array), null, array)
     return array if array.ndim == axes else array.reshape(len(values), *(0,) * (axes - 1))
 
 

@@ -43,6 +43,32 @@ class RankTolerance:
     certain: float
 
 
+@dataclass(eq=False)
+class RowTriangle:
+    """``R`` of a QR factorisation of rows that come block by block: all that least squares needs of them.
+
+    Each block is stacked under the triangle of those before and reduced again by reflections (Golub and Van Loan, Matrix computations,
+    section 5.2): as exact as one factorisation of all rows, where sums of products would square the condition number.
+
+    Parameters
+    ----------
+    values
+        The triangle so far (at most n, n); None before the first block.
+    rows
+        How many rows it stands for.
+    """
+
+    values: np.ndarray | None = None
+    rows: int = 0
+
+    def add(self, block: np.ndarray) -> None:
+        """Take in further rows (m, n)."""
+        if len(block):
+            stacked = block if self.values is None else np.vstack([self.values, block])
+            self.values = np.asarray(np.linalg.qr(stacked, mode="r"))
+            self.rows += len(block)
+
+
 INFORMATION_RANK = RankTolerance(RANK_CUTOFF, CERTAIN_INFORMATION)
 COLUMN_RANK = RankTolerance(COLUMN_CUTOFF, CERTAIN_COLUMN)
 DIRECTION_RANK = RankTolerance(DIRECTION_CUTOFF, DIRECTION_CUTOFF)

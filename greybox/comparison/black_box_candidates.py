@@ -82,8 +82,7 @@ def fit_black_boxes(
         records, sparse = _select_rows(regular, output)
         findings += sparse
         # Zeros before a record that begins elsewhere would be an input that never was.
-        readings = [y[np.isfinite(y)] for y in (record.outputs[output] for record in records)]
-        rest = at_rest and not any(len(y) and abs(y[0]) > REST_SHARE * np.ptp(y) for y in readings)
+        rest = at_rest and not any(_begins_elsewhere(record.outputs[output]) for record in records)
         try:
             scans = best_black_boxes(
                 records, output=output, inputs=inputs, at_rest=rest, units=units, report=report_kind, policy=policy.scan
@@ -111,6 +110,12 @@ def fit_black_boxes(
             seconds[SMOOTHING] = seconds.get(SMOOTHING, 0.0) + time.perf_counter() - began
     named = tuple(NamedModel(name, tuple(boxes), seconds[name]) for name, boxes in models.items())
     return named, tuple(findings)
+
+
+def _begins_elsewhere(y: np.ndarray) -> bool:
+    """Whether an output (N,) that was measured somewhere begins away from zero."""
+    first = y[np.argmax(np.isfinite(y))]
+    return bool(abs(first) > REST_SHARE * (np.nanmax(y) - np.nanmin(y)))
 
 
 def check_sampling_times(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -24,13 +25,13 @@ from greybox.comparison.result import (
     ComparisonScore,
 )
 from greybox.data.experiment import Experiment, name_records
-from greybox.estimation.errors import OutputRun
+from greybox.estimation.errors import OutputRun, PredictionsAhead
 from greybox.estimation.optimum import has_free_run
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import PredictionCorrection, Predictor, predictor
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Trace
-from greybox.estimation.score import check_steps_ahead, colour_correction, run_by_itself, run_model
+from greybox.estimation.score import check_steps_ahead, colour_correction, run_model
 from greybox.model.model import Model
 from greybox.simulation.linearise import linearise_along
 from greybox.simulation.plant import PlantModel, as_model
@@ -375,7 +376,11 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
             }
             first_time = experiment.time[min(setup.skip, experiment.rows - 1)]
             skip = 0 if training else int(np.searchsorted(record.time, first_time))
-            group += run_by_itself(box, record, (1, *setup.steps), skip, **begin)
+            # Neither run nor predictions are kept: as many of them as there are models would be larger than the record.
+            ahead = PredictionsAhead((1, *setup.steps), partial(_predict_box, box, record, begin))
+            free = partial(_run_box, box, record, begin)
+            measured = record.outputs[box.output]
+            group.append(OutputRun(record.name, box.output, record.time, measured, free, skip, ahead))
     return _assemble_entry(
         named,
         BoxKind.BLACK,
@@ -387,6 +392,14 @@ def _black_box_entry(named: NamedModel, setup: _Setup) -> ComparisonEntry:
         runs=runs,
         units=setup.units,
     )
+
+
+def _run_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any]) -> np.ndarray:
+    return box.simulate(record, **begin)[box.output]
+
+
+def _predict_box(box: BlackBoxModel, record: Experiment, begin: Mapping[str, Any], steps: int) -> np.ndarray:
+    return box.predict(record, steps=steps, **begin)[box.output]
 
 
 def _assemble_entry(
@@ -403,13 +416,19 @@ def _assemble_entry(
 ) -> ComparisonEntry:
     """A model with the scores of its runs over the estimation and the validation records."""
 
-    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, ComparisonScore]:
-        outputs = dict.fromkeys(run.output for run in runs)
-        return {n: ComparisonScore.of([r for r in runs if r.output == n], units.get(n, "")) for n in outputs}
-
     records: dict[str, dict[str, ComparisonScore]] = {}
-    for run in (*runs[0], *runs[1]):
-        records.setdefault(run.record, {})[run.output] = ComparisonScore.of([run], units.get(run.output, ""))
+
+    def score_outputs(runs: Sequence[OutputRun]) -> dict[str, ComparisonScore]:
+        scores = {}
+        for name in dict.fromkeys(run.output for run in runs):
+            of_output, unit = [run for run in runs if run.output == name], units.get(name, "")
+            scores[name] = ComparisonScore.of(of_output, unit)
+            for run in of_output:
+                # That of a single record is that of them all.
+                alone = scores[name] if len(of_output) == 1 else ComparisonScore.of([run], unit)
+                records.setdefault(run.record, {})[name] = alone
+        return scores
+
     training, validation = map(score_outputs, runs)
     count, bic = sum(s.samples for s in training.values()), np.nan
     if count:

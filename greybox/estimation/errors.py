@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from scipy.linalg import norm
 
+from greybox.base.numerics import ROWS_AT_A_TIME
 from greybox.data.noise.growing import GrowingNoise
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Misfit, Trace
@@ -33,16 +34,17 @@ def measure_errors(pairs: Iterable[tuple[np.ndarray, np.ndarray]]) -> ErrorSize:
     samples = 0
     for y, computed in pairs:
         measured = np.isfinite(y)
-        if not measured.all():
-            y, computed = y[measured], computed[measured]
-        if not len(y):
-            continue
-        # Lengths of vectors by BLAS: squares of a run that has left its record overflow, lengths do not.
-        with np.errstate(over="ignore", invalid="ignore"):
-            size = math.hypot(size, norm(y - computed, check_finite=False))
-        # About each record's own mean: records at different levels would make any model look good.
-        movement = math.hypot(movement, norm(y - y.mean(), check_finite=False))
-        samples += len(y)
+        # Where all was measured nothing is copied.
+        mean = float(np.mean(y, where=True if measured.all() else measured)) if measured.any() else np.nan
+        for first in range(0, len(y), ROWS_AT_A_TIME):
+            rows = slice(first, first + ROWS_AT_A_TIME)
+            seen, run = y[rows][measured[rows]], computed[rows][measured[rows]]
+            # Lengths of vectors by BLAS: squares of a run that has left its record overflow, lengths do not.
+            with np.errstate(over="ignore", invalid="ignore"):
+                size = math.hypot(size, norm(seen - run, check_finite=False)) if len(seen) else size
+            # About each record's own mean: records at different levels would make any model look good.
+            movement = math.hypot(movement, norm(seen - mean, check_finite=False)) if len(seen) else movement
+            samples += len(seen)
     if not samples:
         return ErrorSize(np.nan, np.nan, 0)
     # 100 (1 - |y - yhat| / |y - mean y|)
@@ -102,6 +104,30 @@ def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, M
 
 
 @dataclass(frozen=True, eq=False)
+class PredictionsAhead(Mapping[int, np.ndarray]):
+    """Predictions (N,) by the numbers ``steps`` of samples ahead, each made by ``predict`` when it is asked for.
+
+    The first so many rows have no measurement to go by: NaN.
+    """
+
+    steps: tuple[int, ...]
+    predict: Callable[[int], np.ndarray]
+
+    def __getitem__(self, ahead: int) -> np.ndarray:
+        if ahead not in self.steps:
+            raise KeyError(ahead)
+        predicted = np.array(self.predict(ahead))
+        predicted[:ahead] = np.nan
+        return predicted
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self.steps)
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+
+@dataclass(frozen=True, eq=False)
 class OutputRun:
     """One output of one record beside the free run of a model and its predictions.
 
@@ -109,8 +135,10 @@ class OutputRun:
     ----------
     record, output
         Their names.
-    time, measured, simulated
-        Seconds, what was measured (NaN in gaps), and the free run (N,).
+    time, measured
+        Seconds, and what was measured (N,), NaN in gaps.
+    free
+        The free run (N,), or what makes it: of a long record it is not kept for each of many models.
     skip
         First rows that do not count.
     ahead
@@ -121,9 +149,14 @@ class OutputRun:
     output: str
     time: np.ndarray
     measured: np.ndarray
-    simulated: np.ndarray
+    free: np.ndarray | Callable[[], np.ndarray]
     skip: int = 0
     ahead: Mapping[int, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> np.ndarray:
+        """The free run (N,)."""
+        return self.free if isinstance(self.free, np.ndarray) else self.free()
 
 
 @dataclass(frozen=True)
@@ -169,19 +202,33 @@ class OutputScore:
             return cls(np.nan, np.nan, 0, unit, predictor=predictor)
         ahead = {}
         for steps in dict.fromkeys(k for run in runs for k in run.ahead):
-            pairs = [
-                (y, run.ahead[steps][run.skip :]) for y, run in zip(measured, runs, strict=True) if steps in run.ahead
-            ]
+            pairs = (
+                (np.where(np.isnan(p[rows]), np.nan, y[rows]), p[rows])
+                for y, run in zip(measured, runs, strict=True)
+                if steps in run.ahead
+                for p in [run.ahead[steps][run.skip :]]
+                for rows in (slice(k, k + ROWS_AT_A_TIME) for k in range(0, len(p), ROWS_AT_A_TIME))
+            )
             # NaN is no prediction; an infinite one is a wrong one.
-            ahead[steps] = measure_errors((np.where(np.isnan(p), np.nan, y), p) for y, p in pairs).rmse
+            ahead[steps] = measure_errors(pairs).rmse
         # A free run that is no number has gone beyond all numbers.
         rmse, best_fit = (np.inf, -np.inf) if np.isnan(rmse) else (rmse, best_fit)
-        return cls(rmse, best_fit, samples, unit, ahead, float(np.nanstd(np.concatenate(measured))), predictor)
+        return cls(rmse, best_fit, samples, unit, ahead, _measure_movement(measured), predictor)
 
     @property
     def one_step_rmse(self) -> float:
         """Error of the prediction one sample ahead."""
         return self.ahead.get(1, np.nan)
+
+
+def _measure_movement(records: Sequence[np.ndarray]) -> float:
+    """Standard deviation of an output over its records, NaN in gaps."""
+    parts = [y[k : k + ROWS_AT_A_TIME] for y in records for k in range(0, len(y), ROWS_AT_A_TIME)]
+    if len(parts) == len(records):
+        return float(np.nanstd(np.concatenate(parts)))
+    samples = sum(int(np.isfinite(part).sum()) for part in parts)
+    mean = math.fsum(float(np.nansum(part)) for part in parts) / samples
+    return math.sqrt(math.fsum(float(np.nansum((part - mean) ** 2)) for part in parts) / samples)
 
 
 def errors_by_block(

@@ -50,13 +50,13 @@ def ljung_box_test(series: np.ndarray, lags: int) -> tuple[float, float]:
     return statistic, float(chdtrc(lags, statistic))
 
 
-def measure_mean(parts: Sequence[np.ndarray], power: int = 1) -> tuple[float, int]:
-    """Mean of a power of the finite values of all ``parts`` (N,), and how many there are; NaN of none."""
+def measure_mean(parts: Sequence[np.ndarray], power: int = 1, about: float = 0.0) -> tuple[float, int]:
+    """Mean of a power of the finite values of all ``parts`` (N,), ``about`` a value, and how many there are; NaN of none."""
     total, count = 0.0, 0
     for part in parts:
         for rows in _blocks(len(part)):
             known = part[rows][np.isfinite(part[rows])]
-            total, count = total + float((known**power).sum()), count + len(known)
+            total, count = total + float(((known - about) ** power).sum()), count + len(known)
     return total / count if count else np.nan, count
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from greybox.base import DataError, Printable
 from greybox.data.experiment import Experiment, as_records
-from greybox.data.noise.noise_model import fit_autoregression, join_series
-from greybox.estimation.errors import OutputRun, OutputScore
+from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
+from greybox.estimation.errors import OutputRun, OutputScore, PredictionsAhead
 from greybox.estimation.options import FitOptions
 from greybox.estimation.predictor import CorrectionKind, PredictingModel, PredictionCorrection, Predictor, predictor
 from greybox.estimation.result import Fit
@@ -122,9 +123,13 @@ def score(
 def colour_correction(fit: Fit) -> PredictionCorrection:
     """The autoregression of the error of each output on the estimation records: it forecasts the error of a run, which stays as it is."""
     names = dict.fromkeys(name for trace in fit.traces for name in trace.measured)
-    series = {n: join_series([t.residual(n) for t in fit.traces if n in t.measured]) for n in names}
     policy = FitOptions.from_data(fit.provenance.options).policy.noise
-    colours = {n: fit_autoregression(values, policy=policy) for n, values in series.items()}
+    colours = {
+        n: fit_autoregression(
+            join_series(t.residual(n) for t in fit.traces if n in t.measured), overwrite_input=True, policy=policy
+        )
+        for n in names
+    }
     return PredictionCorrection(fit.model, fit.noise.std, CorrectionKind.AUTOREGRESSION, colours)
 
 
@@ -171,13 +176,19 @@ def run_model(
             by_filter = {k: correction.predict(e, k, initial=trace.initial_state) for k in steps}
         for name, y in trace.measured.items():
             if isinstance(correction, Predictor):
-                ahead = {k: by_filter[k][name] for k in steps}
+                ahead: Mapping[int, np.ndarray] = _without_history({k: by_filter[k][name] for k in steps})
             else:
-                # y(k|k-n) = free run + predicted error; of white error nothing is predicted.
-                colour, error = correction.colours.get(name) if correction else None, trace.residual(name)
-                ahead = {k: trace.simulated[name] + (colour.predict(error, k) if colour else 0.0) for k in steps}
-            runs.append(OutputRun(e.name, name, trace.time, y, trace.simulated[name], skip, _without_history(ahead)))
+                colour = correction.colours.get(name) if correction else None
+                ahead = PredictionsAhead(tuple(steps), partial(_predict_by_colour, trace, name, colour))
+            runs.append(OutputRun(e.name, name, trace.time, y, trace.simulated[name], skip, ahead))
     return runs
+
+
+def _predict_by_colour(trace: Trace, output: str, colour: AutoRegression | None, steps: int) -> np.ndarray:
+    """``y(k|k-n)`` = free run + predicted error; of white error nothing is predicted."""
+    if not colour:
+        return trace.simulated[output]
+    return trace.simulated[output] + colour.predict(trace.residual(output), steps)
 
 
 def run_by_itself(

@@ -104,3 +104,22 @@ def test_correlations_are_those_of_whole_records():
     ]
     np.testing.assert_allclose(found, expected, atol=1e-12)
     assert count == 250_028
+
+
+@pytest.mark.parametrize(
+    "fit_black_box",
+    [
+        lambda r: gb.blackbox.arx(r, na=3, nb=3, focus="simulation"),
+        lambda r: gb.blackbox.output_error(r, nb=1, nf=1),
+    ],
+    ids=["arx", "output error"],
+)
+def test_black_boxes_are_fitted_in_blocks(record, fit_black_box):
+    # The record's own bytes are three numbers a row; blocks of all coefficients are the rest.
+    assert measure_peak(lambda: fit_black_box(record)) < 1.5 * 3 * NUMBER * ROWS + 1e7
+
+
+def test_long_lists_of_a_result_file_are_read_without_their_text(tmp_path):
+    path = gb.fit(lag(), lag_record(ROWS, 1), noise={"x": 1e-3}).save(tmp_path / "fit.json")
+    # Time, input, output and run; one of them once more while it grows.
+    assert measure_peak(lambda: gb.load_fit(path, lag())) < 6 * NUMBER * ROWS + 2e7

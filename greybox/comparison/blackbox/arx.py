@@ -7,16 +7,15 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
-from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Finding, Severity
+from greybox.base.linear_algebra import RowTriangle
 from greybox.comparison.blackbox.linear_regression import (
     Orders,
     RegressionHistory,
     SampledData,
-    build_regressors,
-    find_usable_rows,
+    each_equation_block,
     name_regressors,
     refuse_few_rows,
     solve_least_squares,
@@ -171,25 +170,17 @@ def _estimate(
     data: SampledData, orders: Orders, history: RegressionHistory, offset: bool, prefilter: np.ndarray | None
 ) -> PolynomialModel:
     """The least-squares estimate, its equations filtered by ``1 / prefilter`` from the first one of each record or segment on."""
-    blocks, targets = [], []
+    equations = RowTriangle()
     for record in data.records:
-        rows = find_usable_rows(record, orders, history)
-        # The prefilter has a memory: it begins anew behind each gap.
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1):
-            if len(run):
-                block, target = build_regressors(record, orders, offset)[run], record.y[run]
-                if prefilter is not None:
-                    block, target = (lfilter([1.0], prefilter, part, axis=0) for part in (block, target))
-                blocks.append(block)
-                targets.append(target)
+        for block in each_equation_block(record, orders, offset, history, prefilter):
+            equations.add(block)
     names = name_regressors(data, orders, offset)
     na, nb, nk = orders.na, orders.nb, orders.nk
     label = f"arx({na}, {list(nb)}, {list(nk)})" if len(nb) > 1 else f"arx({na}, {nb[0]}, {nk[0]})"
-    refuse_few_rows(data, label, sum(map(len, targets)), len(names), history)
-    phi, y = np.concatenate(blocks), np.concatenate(targets)
-    theta, inverse, squares = solve_least_squares(phi, y, names, label)
+    refuse_few_rows(data, label, equations.rows, len(names), history)
+    theta, inverse, squares = solve_least_squares(equations, names, label)
     # s^2 = V / (N - p), cov theta = s^2 (Phi'Phi)^-1
-    variance = squares / (len(y) - len(theta))
+    variance = squares / (equations.rows - len(theta))
     a, remainder = theta[:na], theta[na:]
     ends = np.cumsum(nb)
     numerators = np.split(remainder[: ends[-1]], ends[:-1])
@@ -204,7 +195,7 @@ def _estimate(
         constant=float(remainder[-1]) if offset else None,
         noise_std=float(np.sqrt(variance)),
         covariance=variance * inverse,
-        samples=len(y),
-        loss=squares / len(y),
+        samples=equations.rows,
+        loss=squares / equations.rows,
         history=history,
     )

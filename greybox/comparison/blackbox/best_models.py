@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.comparison.blackbox.hammerstein import find_levels
 from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
 from greybox.comparison.blackbox.structure_scan import (
     DEFAULT_SCAN,
@@ -192,7 +193,7 @@ def _choices(
         if kind == BlackBoxKind.BOX_JENKINS:
             yield from ({**linear, "nc": nc, "nd": nd} for nc, nd in ((0, 1), (1, 1), (2, 2)))
             return
-        levels = min(len(np.unique(np.concatenate([r.u[:, i] for r in data.records]))) for i in range(len(data.inputs)))
+        levels = min(len(find_levels([r.signals[i] for r in data.records])) for i in range(len(data.inputs)))
         for shape, sizes in policy.nonlinearities.items():
             for basis_size in (size for size in sizes if size < levels):
                 for nf in sorted({linear["nf"], min(linear["nf"] + 1, policy.largest_searched_poles)}):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Literal, NoReturn, get_args
 
 import numpy as np
@@ -14,9 +15,12 @@ from greybox.base.findings import Finding
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import find_instability, find_unfinished_search
 from greybox.comparison.blackbox.linear_regression import (
+    FunctionSignal,
     Orders,
+    RowSignal,
     SampledData,
     SampledRecord,
+    each_block,
     refuse_few_rows,
     to_orders,
     to_sampled_data,
@@ -75,6 +79,12 @@ class StaticNonlinearity:
     def with_weights(self, weights: np.ndarray) -> StaticNonlinearity:
         """The same functions with other weights (m,)."""
         return replace(self, weights=tuple(map(float, weights)))
+
+
+def find_levels(signals: Sequence[RowSignal]) -> np.ndarray:
+    """The distinct values of an input over its records, ascending."""
+    parts = (np.unique(signal[rows]) for signal in signals for rows in each_block(len(signal)))
+    return reduce(np.union1d, parts, np.empty(0))
 
 
 def make_linear_nonlinearity(shape: NonlinearityShape, u: np.ndarray, basis_size: int) -> StaticNonlinearity:
@@ -273,11 +283,14 @@ def fit_hammerstein(
 ) -> HammersteinModel:
     """The model of this structure with nonlinearities of ``basis_size`` functions in front."""
     curves = tuple(
-        make_linear_nonlinearity(shape, np.concatenate([r.u[:, i] for r in data.records]), basis_size)
+        make_linear_nonlinearity(shape, find_levels([r.signals[i] for r in data.records]), basis_size)
         for i in range(len(data.inputs))
     )
-    bases = (tuple(c.basis(r.u[:, i]) for i, c in enumerate(curves)) for r in data.records)
-    data = replace(data, records=tuple(replace(r, basis=b) for r, b in zip(data.records, bases, strict=True)))
+    records = tuple(
+        replace(r, basis=tuple(FunctionSignal(u[:], c.basis) for u, c in zip(r.signals, curves, strict=True)))
+        for r in data.records
+    )
+    data = replace(data, records=records)
     problem = _HammersteinProblem(structure, data, split_records(data, structure), history == "zero", curves)
     label = HammersteinModel(curves, structure.model(np.zeros(structure.size), data)).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
@@ -329,8 +342,10 @@ class _HammersteinProblem:
 
     def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
         n, weights = self.structure.size, self.weights(theta)
+        curves = [c.with_weights(w) for c, w in zip(self.curves, weights, strict=True)]
         parts = [
-            replace(p, u=np.column_stack([b @ w for b, w in zip(p.basis, weights, strict=True)])) for p in self.parts
+            replace(p, signals=tuple(FunctionSignal(b.values, c) for b, c in zip(p.basis, curves, strict=True)))
+            for p in self.parts
         ]
         errors = compute_prediction_errors(
             self.structure, theta[:n], self.data, parts, rest=self.rest, with_gradient=with_gradient
@@ -339,7 +354,10 @@ class _HammersteinProblem:
             return errors
         # The largest weight of each curve sets its scale and stays: curve and gain could trade a factor for ever.
         fixed = (n + np.cumsum([0, *(len(c.weights) for c in self.curves)])[:-1] + self.fixed_weights).astype(int)
-        return replace(errors, gradient=np.delete(errors.gradient, fixed, axis=1))
+        assert errors.triangle is not None
+        # Without some of its columns a triangle is one no longer: reduced again.
+        kept = np.delete(errors.triangle, fixed, axis=1)
+        return replace(errors, triangle=np.asarray(np.linalg.qr(kept, mode="r")))
 
     def minimise(self, theta: np.ndarray, policy: PredictionErrorPolicy, iterations: int) -> PredictionErrorMinimum:
         """The search from ``theta`` (p,)."""
@@ -351,7 +369,17 @@ class _HammersteinProblem:
         orders, counts = self.structure.orders, [len(c.weights) for c in self.curves]
         wide_orders = Orders(orders.na, tuple(np.repeat(orders.nb, counts)), tuple(np.repeat(orders.nk, counts)))
         wide = replace(self.structure, orders=wide_orders, nf=tuple(np.repeat(self.structure.nf, counts)))
-        records = tuple(replace(r, u=np.hstack(r.basis), basis=()) for r in self.data.records)
+        single = [[c.with_weights(w) for w in np.eye(m)] for c, m in zip(self.curves, counts, strict=True)]
+        records = tuple(
+            replace(
+                r,
+                signals=tuple(
+                    FunctionSignal(b.values, c) for b, each in zip(r.basis, single, strict=True) for c in each
+                ),
+                basis=(),
+            )
+            for r in self.data.records
+        )
         names = tuple(f"{name} {j}" for name, m in zip(self.data.inputs, counts, strict=True) for j in range(m))
         data = replace(self.data, inputs=names, records=records)
         estimate_starts = estimate_armax_starts if orders.na else estimate_output_error_starts
@@ -386,13 +414,17 @@ def _finish(
     several = len(data.inputs) > 1
     for name, c in zip(data.inputs, problem.curves, strict=True):
         names += [f"curve{f'[{name}]' if several else ''} {j}" for j in range(1, len(c.weights))]
-    refuse_collinear(best.errors.gradient, names, label)
+    refuse_collinear(best.errors, names, label)
     curves, b = [], []
     for i, (curve, weights) in enumerate(zip(problem.curves, problem.weights(best.theta), strict=True)):
-        u = np.concatenate([r.u[:, i] for r in data.records])
-        v = curve.with_weights(weights)(u)
+        products = np.zeros((2, 2))
+        for record in data.records:
+            for rows in each_block(record.rows):
+                u = record.signals[i][rows]
+                both = np.stack([u, curve.with_weights(weights)(u)])
+                products += both @ both.T
         # Curve as large as its input over the records and rising with it; the numerator takes the factor back.
-        scale = np.sqrt(np.mean(u**2) / np.mean(v**2)) * (1.0 if u @ v >= 0 else -1.0)
+        scale = np.sqrt(products[0, 0] / products[1, 1]) * (1.0 if products[0, 1] >= 0 else -1.0)
         curves.append(curve.with_weights(weights * scale))
         b.append(model.b[i] / scale)
     freedom = count - problem.size - best.errors.states

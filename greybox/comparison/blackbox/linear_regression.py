@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, nearest
+from greybox.base.linear_algebra import RowTriangle
 from greybox.base.numerics import COLLINEAR_COLUMNS, DEPENDENT_COLUMN_SHARE, SAME_SAMPLING_TIME
 from greybox.data.experiment import Experiment, as_records
 
@@ -16,32 +18,120 @@ from greybox.data.experiment import Experiment, as_records
 
 
 @dataclass(frozen=True, eq=False)
+class FunctionSignal:
+    """A ``function`` of a signal ``values`` (N,), one value or several (N, m) for each row, computed of the rows that are asked for."""
+
+    values: np.ndarray
+    function: Callable[[np.ndarray], np.ndarray]
+
+    def __getitem__(self, rows: slice) -> np.ndarray:
+        return self.function(self.values[rows])
+
+    def __len__(self) -> int:
+        return len(self.values)
+
+
+RowSignal = np.ndarray | FunctionSignal
+"""An input row by row: as it was recorded, or as a function of that."""
+
+
+def cut_signal(signal: RowSignal, rows: slice) -> RowSignal:
+    """These ``rows`` as a signal of its own."""
+    if isinstance(signal, FunctionSignal):
+        return FunctionSignal(signal.values[rows], signal.function)
+    return signal[rows]
+
+
+@dataclass(frozen=True, eq=False)
 class SampledRecord:
-    """One record: ``y`` (N,), NaN where nothing was measured, ``u`` (N, nu), every ``sampling_time`` seconds.
+    """One record: ``y`` (N,), NaN where nothing was measured, and its ``signals``, one an input (N,), every ``sampling_time`` seconds.
 
     ``basis``: for each input the functions (N, m) that it is a sum of, where that is so.
     """
 
     name: str
     y: np.ndarray
-    u: np.ndarray
+    signals: tuple[RowSignal, ...]
     sampling_time: float
-    basis: tuple[np.ndarray, ...] = ()
+    basis: tuple[FunctionSignal, ...] = ()
 
     @property
     def rows(self) -> int:
         """Number of rows N."""
         return len(self.y)
 
+    @property
+    def u(self) -> np.ndarray:
+        """The inputs side by side (N, nu)."""
+        return np.column_stack([np.empty((self.rows, 0)), *(signal[:] for signal in self.signals)])
+
     def segments(self, least: int) -> list[SampledRecord]:
         """Parts without gaps in ``y`` of at least ``least`` rows."""
-        measured = np.flatnonzero(np.isfinite(self.y))
-        runs = np.split(measured, np.flatnonzero(np.diff(measured) > 1) + 1) if len(measured) else []
         return [
-            replace(self, y=self.y[r], u=self.u[r], basis=tuple(b[r] for b in self.basis))
-            for r in runs
-            if len(r) >= least
+            replace(
+                self,
+                y=self.y[rows],
+                signals=tuple(cut_signal(signal, rows) for signal in self.signals),
+                basis=tuple(FunctionSignal(each.values[rows], each.function) for each in self.basis),
+            )
+            for rows in find_runs(np.isfinite(self.y))
+            if rows.stop - rows.start >= least
         ]
+
+
+def find_runs(wanted: np.ndarray) -> list[slice]:
+    """The stretches of rows over which ``wanted`` (N,) holds."""
+    # Where it begins and ends to hold: a list of row numbers would be as large as a signal.
+    edges = np.flatnonzero(np.diff(wanted, prepend=False, append=False))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+# Rows that are worked on at once: what is computed of them (a column for each coefficient) stays small beside a long record, and what
+# is done for each block by itself does not count.
+BLOCK_ROWS = 1 << 14
+
+
+def each_block(rows: int, first: int = 0) -> Iterator[slice]:
+    """All ``rows`` in blocks; the first one holds at least as many as ``first``."""
+    end = 0
+    while end < rows:
+        begin, end = end, min(rows, end + max(BLOCK_ROWS, 0 if end else first))
+        yield slice(begin, end)
+
+
+@dataclass(eq=False)
+class BlockFilter:
+    """The filter ``b / a`` over signals (n,) or (n, m) that come block by block: what one leaves in it meets the next."""
+
+    b: np.ndarray
+    a: np.ndarray
+    memory: np.ndarray | None = field(default=None, init=False)
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """The filtered block."""
+        if self.memory is None:
+            self.memory = np.zeros((max(len(self.a), len(self.b)) - 1, *values.shape[1:]))
+        filtered, self.memory = lfilter(self.b, self.a, values, axis=0, zi=self.memory)
+        return filtered
+
+
+@dataclass(eq=False)
+class BlockDelay:
+    """A signal (n,) that comes block by block, up to ``longest`` rows later; zero before it begins."""
+
+    longest: int
+    held: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.held = np.zeros(self.longest)
+
+    def take(self, values: np.ndarray) -> None:
+        """The next block."""
+        self.held = np.concatenate([self.held[len(self.held) - self.longest :], values])
+
+    def delayed(self, by: int) -> np.ndarray:
+        """That block ``by`` rows later."""
+        return self.held[self.longest - by : len(self.held) - by]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,9 +172,9 @@ def to_sampled_record(
             f"experiment {experiment.name!r}: output {output!r} was not measured;"
             f" {nearest(output, experiment.outputs)}, or run it from rest with initial='zero'"
         )
-    u = np.column_stack([np.empty((experiment.rows, 0)), *(experiment.inputs[n] for n in inputs)])
+    signals = tuple(experiment.inputs[n] for n in inputs)
     return SampledRecord(
-        experiment.name, np.full(experiment.rows, np.nan) if y is None else y, u, experiment.sampling_time
+        experiment.name, np.full(experiment.rows, np.nan) if y is None else y, signals, experiment.sampling_time
     )
 
 
@@ -172,16 +262,24 @@ def to_orders(
     return result
 
 
-def build_regressors(record: SampledRecord, orders: Orders, offset: bool) -> np.ndarray:
-    """Columns ``-y(k-1) ... -y(k-na)``, ``u(k-nk) ...`` of each input and, with ``offset``, ones (N, p); zero before the record."""
-    columns = [-delay_rows(record.y, i) for i in range(1, orders.na + 1)]
-    columns += [
-        delay_rows(record.u[:, i], nk + j)
-        for i, (nb, nk) in enumerate(zip(orders.nb, orders.nk, strict=True))
-        for j in range(nb)
-    ]
-    columns += [np.ones(record.rows)] if offset else []
+def build_regressors(record: SampledRecord, orders: Orders, offset: bool, rows: slice) -> np.ndarray:
+    """Columns ``-y(k-1) ... -y(k-na)``, ``u(k-nk) ...`` of each input and, with ``offset``, ones, of these ``rows`` (n, p).
+
+    All is zero before the record.
+    """
+    columns = [-value for value in delayed_columns(record.y, rows, range(1, orders.na + 1))]
+    for signal, nb, nk in zip(record.signals, orders.nb, orders.nk, strict=True):
+        columns += delayed_columns(signal, rows, range(nk, nk + nb))
+    columns += [np.ones(rows.stop - rows.start)] if offset else []
     return np.column_stack(columns)
+
+
+def delayed_columns(signal: RowSignal, rows: slice, delays: Sequence[int]) -> list[np.ndarray]:
+    """These ``rows`` of a signal as it was each of ``delays`` before, zero before it begins."""
+    longest = max(delays, default=0)
+    before = min(longest, rows.start)
+    values = np.concatenate([np.zeros(longest - before), signal[rows.start - before : rows.stop]])
+    return [values[longest - by : len(values) - by] for by in delays]
 
 
 def name_regressors(data: SampledData, orders: Orders, offset: bool) -> list[str]:
@@ -197,16 +295,41 @@ def name_regressors(data: SampledData, orders: Orders, offset: bool) -> list[str
     return names + (["1"] if offset else [])
 
 
-def find_usable_rows(record: SampledRecord, orders: Orders, history: RegressionHistory) -> np.ndarray:
-    """Rows (m,) whose equation is known: with ``measured`` history those that have one, with ``zero`` also the first ones."""
-    gaps = np.isnan(record.y)
-    known = ~gaps
-    for i in range(1, orders.na + 1):
+def each_equation_block(
+    record: SampledRecord,
+    orders: Orders,
+    offset: bool,
+    history: RegressionHistory,
+    prefilter: np.ndarray | None = None,
+) -> Iterator[np.ndarray]:
+    """The equations of a record that are known, block by block: the regressors and, in the last column, the output (n, p + 1).
+
+    With ``measured`` history those that have one, with ``zero`` also the first ones. The filter ``1 / prefilter`` has a memory: it begins
+    anew behind each gap.
+    """
+    smoothing: BlockFilter | None = None
+    end = -1
+    for rows in each_block(record.rows):
         # A gap of y(k - i) spoils the equation of row k.
-        known &= ~delay_rows(gaps, i)
-    if history == "measured":
-        known[: orders.reach] = False
-    return np.flatnonzero(known)
+        window = slice(max(rows.start - orders.na, 0), rows.stop)
+        gaps, before = np.isnan(record.y[window]), rows.start - window.start
+        known = ~gaps[before:]
+        for i in range(1, orders.na + 1):
+            known &= ~delay_rows(gaps, i)[before:]
+        if history == "measured":
+            known[: max(orders.reach - rows.start, 0)] = False
+        runs = find_runs(known)
+        if not runs:
+            continue
+        equations = np.column_stack([build_regressors(record, orders, offset, rows), record.y[rows]])
+        if prefilter is None:
+            yield equations if known.all() else equations[known]
+            continue
+        for run in runs:
+            if smoothing is None or rows.start + run.start != end:
+                smoothing = BlockFilter(np.ones(1), prefilter)
+            yield smoothing(equations[run])
+            end = rows.start + run.stop
 
 
 def refuse_few_rows(data: SampledData, label: str, equations: int, unknowns: int, history: str) -> None:
@@ -224,12 +347,15 @@ def refuse_few_rows(data: SampledData, label: str, equations: int, unknowns: int
 
 
 def solve_least_squares(
-    phi: np.ndarray, target: np.ndarray, names: Sequence[str], label: str
+    equations: RowTriangle, names: Sequence[str], label: str
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """``argmin |target - phi theta|``: theta (p,), ``(phi'phi)^-1`` (p, p) and the sum of squares.
+    """``argmin |y - phi theta|`` of the equations ``phi, y``: theta (p,), ``(phi'phi)^-1`` (p, p) and the sum of squares.
 
     Raises DataError that names the columns that are linearly dependent.
     """
+    assert equations.values is not None
+    # Reflections keep lengths and products: |y - phi theta| is |rho - R theta| and what no column reaches.
+    phi, target = equations.values[:, :-1], equations.values[:, -1]
     scale = np.linalg.norm(phi, axis=0)
     unexcited = [n for n, s in zip(names, scale, strict=True) if s == 0]
     if unexcited:
@@ -239,7 +365,7 @@ def solve_least_squares(
         )
     # Columns of length one: whether they are collinear must not hang on the units of the signals.
     left, size, right = np.linalg.svd(phi / scale, full_matrices=False)
-    if size[-1] <= COLLINEAR_COLUMNS * max(1.0, size[0]) * np.sqrt(len(phi)):
+    if size[-1] <= COLLINEAR_COLUMNS * max(1.0, size[0]) * np.sqrt(equations.rows):
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()
         dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
         raise DataError(

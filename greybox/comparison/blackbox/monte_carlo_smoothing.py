@@ -718,7 +718,7 @@ def _extract_step(experiment: Experiment, output: str | None, input: str | None)
         raise DataError(
             f"experiment {experiment.name!r}: several inputs; name the one that steps with input=...; known: {', '.join(data.inputs)}"
         )
-    u, name = record.u[:, 0], data.inputs[0]
+    u, name = record.signals[0][:], data.inputs[0]
     changes = np.flatnonzero(np.diff(u, prepend=0.0))
     if len(changes) != 1:
         movement = (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property, reduce
@@ -15,6 +15,7 @@ from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Finding
 from greybox.base.numerics import (
     CONFINED_ROOT_MARGIN,
+    FADED_RESPONSE,
     FREE_RESPONSE_GROWTH,
     NEGLIGIBLE_SINGULAR_VALUE,
     REFLECTED_ROOT_MARGIN,
@@ -24,10 +25,12 @@ from greybox.base.numerics import (
 from greybox.base.texts import to_identifiers
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import (
+    BlockFilter,
     Orders,
     SampledData,
     SampledRecord,
     delay_rows,
+    each_block,
     to_sampled_record,
 )
 from greybox.data.experiment import Experiment
@@ -363,10 +366,7 @@ class PolynomialPlant:
         past = np.array([values[state.name] for state in self.states])
         if past.any():
             with np.errstate(over="ignore", invalid="ignore"):
-                y = (
-                    y
-                    + np.hstack(compute_initial_responses(equation, sampled.rows, [len(equation.a)], equation.a)) @ past
-                )
+                _add_past(equation, y, lambda _: past)
         return {equation.output: y}
 
 
@@ -464,16 +464,26 @@ def simulate_free_run(
 ) -> np.ndarray:
     """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
     _check_initial(initial)
-    constant = np.full(record.rows, model.constant or 0.0)
+    y = np.empty(record.rows)
     with np.errstate(over="ignore", invalid="ignore"):
         # A y = sum B / F u + constant, hence y = sum B / (A F) u + constant / A
-        y = lfilter([1.0], model.a, constant)
-        for b, f, u in zip(model.b, model.f, record.u.T, strict=True):
-            y = y + lfilter(b, np.convolve(model.a, f), u)
+        constant = BlockFilter(ONE, model.a)
+        inputs = [BlockFilter(b, np.convolve(model.a, f)) for b, f in zip(model.b, model.f, strict=True)]
+        for part in each_block(record.rows):
+            y[part] = constant(np.full(part.stop - part.start, model.constant or 0.0))
+            for through, signal in zip(inputs, record.signals, strict=True):
+                y[part] += through(signal[part])
         if initial == "zero":
             return y
-        free = np.hstack(compute_initial_responses(model, record.rows, [len(model.a)], model.a))
-        return y + free @ estimate_initial_state(free, record.y - y, initial, rows)
+        _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows))
+        return y
+
+
+def _add_past(model: PolynomialModel, y: np.ndarray, find_shares: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Add to a free run (N,) what the time before it adds, by its shares (m,) of the responses to that time (k, m)."""
+    memory = count_rows_of_memory(model, len(y), model.a)
+    free = np.hstack(compute_initial_responses(model, memory, [len(model.a)], model.a))
+    y[:memory] += free @ find_shares(free)
 
 
 def predict_ahead(
@@ -485,27 +495,58 @@ def predict_ahead(
     measurement's place. With ``initial="measured"`` the rows without a history are NaN.
     """
     _check_initial(initial)
-    alpha = np.convolve(model.a, model.d)
-    driven = lfilter(model.d, [1.0], np.full(record.rows, model.constant or 0.0))
-    for b, f, u in zip(model.b, model.f, record.u.T, strict=True):
-        driven = driven + lfilter(np.convolve(b, model.d), f, u)
-    past = np.empty((record.rows, 0))
-    if initial != "zero":
-        past = np.hstack(compute_initial_responses(model, record.rows, [len(alpha), len(model.c)]))
+    alpha, gaps = np.convolve(model.a, model.d), np.isnan(record.y)
+    responses = in_gaps = np.empty((0, 0))
     with np.errstate(over="ignore", invalid="ignore"):
-        e, filled = _innovations(alpha, model.c, record.y, np.column_stack([driven, past]))
-        state = estimate_initial_state(-e[:, 1:], e[:, 0], initial, rows)
-        innovation, complete = (part[:, 0] + part[:, 1:] @ state for part in (e, filled))
+        e, filled = _innovations(alpha, model.c, gaps, record.y, _drive(model, record)[:, None])
+        if initial != "zero":
+            # In a gap what was before the record lives on in the value that takes the measurement's place, as long as A and D have it.
+            memory = count_rows_of_memory(model, record.rows, model.c, *[alpha] * bool(gaps.any()))
+            past = np.hstack(compute_initial_responses(model, memory, [len(alpha), len(model.c)]))
+            responses, in_gaps = _innovations(alpha, model.c, gaps[:memory], np.zeros(memory), past)
+        memory = len(responses)
+        state = estimate_initial_state(-responses, e[:, 0], np.zeros(memory), initial, rows)
+        innovation, complete = e[:, 0], filled[:, 0]
+        innovation[:memory] += responses @ state
+        if gaps.any():
+            complete[:memory] += in_gaps @ state
         # y(k) less the part of e(k), ..., e(k - steps + 1): the first ``steps`` coefficients of C / (A D) (Ljung
         # 1999, section 3.2).
-        share = lfilter(model.c, alpha, np.eye(1, steps)[0])
-        ahead = complete - np.convolve(share, innovation)[: record.rows]
-    innovation = np.where(np.isfinite(record.y), innovation, np.nan)
+        share = BlockFilter(lfilter(model.c, alpha, np.eye(1, steps)[0]), ONE)
+        ahead = np.empty(record.rows)
+        for part in each_block(record.rows):
+            ahead[part] = complete[part] - share(innovation[part])
+    innovation[gaps] = np.nan
     if initial == "measured":
-        without_history = np.flatnonzero(np.isfinite(record.y))[: past.shape[1]]
+        without_history = np.flatnonzero(~gaps[: len(state) + int(gaps.sum())])[: len(state)]
         innovation[without_history] = np.nan
         ahead[: without_history.max(initial=-1) + 1] = np.nan
     return ahead, innovation
+
+
+def _drive(model: PolynomialModel, record: SampledRecord) -> np.ndarray:
+    """``sum D B / F u + D constant`` (N,), from rest."""
+    driven = np.empty(record.rows)
+    constant = BlockFilter(model.d, ONE)
+    inputs = [BlockFilter(np.convolve(b, model.d), f) for b, f in zip(model.b, model.f, strict=True)]
+    for part in each_block(record.rows):
+        driven[part] = constant(np.full(part.stop - part.start, model.constant or 0.0))
+        for through, signal in zip(inputs, record.signals, strict=True):
+            driven[part] += through(signal[part])
+    return driven
+
+
+def count_rows_of_memory(model: PolynomialModel, rows: int, *through: np.ndarray) -> int:
+    """Rows after which what was before the record is forgotten, at most ``rows``: by then the slowest root has faded, of every ``F`` and of
+    the polynomials that errors or outputs pass ``through``."""
+    slowest = max((float(np.abs(np.roots(p)).max(initial=0.0)) for p in (*through, *model.f)), default=0.0)
+    longest = max(len(model.a) + len(model.d), len(model.c), *(len(b) + len(model.d) for b in model.b)) + len(model.d)
+    if slowest <= 0:
+        return min(rows, longest)
+    if slowest >= 1:
+        return rows
+    # Half as long again, for roots of several filters that meet.
+    return int(min(rows, longest + 10 + 1.5 * np.log(FADED_RESPONSE) / np.log(slowest)))
 
 
 def compute_initial_responses(
@@ -532,12 +573,13 @@ def compute_initial_responses(
 
 def estimate_initial_state(
     free: np.ndarray,
-    target: np.ndarray,
+    measured: np.ndarray,
+    run: np.ndarray,
     initial: InitialChoice,
     rows: int | None,
     largest_amplification: float = 10.0,
 ) -> np.ndarray:
-    """Shares (m,) of the free responses (N, m) that meet ``target`` (N,), NaN in gaps, on the first rows.
+    """Shares (m,) of the free responses (k, m), over after k rows, that meet ``measured - run`` (N,), NaN in gaps, on the first rows.
 
     ``"measured"`` meets as many rows as there are responses exactly; ``"estimated"`` the first ``rows`` by least squares. A
     direction that these rows barely determine, and that the rest of the record would show more than ``largest_amplification`` times
@@ -545,6 +587,8 @@ def estimate_initial_state(
     """
     if not free.shape[1]:
         return np.zeros(0)
+    memory = len(free)
+    target = measured[:memory] - run[:memory]
     # Responses of an unstable predictor grow beyond what least squares can tell apart.
     bounded = np.all(np.abs(free) < FREE_RESPONSE_GROWTH, axis=1)
     usable = np.isfinite(target) & bounded
@@ -553,32 +597,37 @@ def estimate_initial_state(
         return np.linalg.lstsq(free[first], target[first], rcond=None)[0]
     if rows is not None:
         usable[rows:] = False
-    if not usable.any():
+    # Rows behind the memory have no response, and count.
+    later = slice(memory, rows)
+    count = int(usable.sum()) + int(np.isfinite(measured[later]).sum())
+    if not count:
         return np.zeros(free.shape[1])
     # Coordinates z = R x of responses that are orthogonal over the whole record and of unit size there
-    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(bounded.sum())
+    triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(len(measured) - np.count_nonzero(~bounded))
     # Fewer rows than responses, where these grow fast, tell of as many directions alone.
     _, size, right = np.linalg.svd(triangle, full_matrices=False)
     significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
-    u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(usable.sum()), full_matrices=False)
+    u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(count), full_matrices=False)
     # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would
     # amplify.
     shown = s * largest_amplification > 1
-    z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(usable.sum())
+    z = v[shown].T @ (u[:, shown].T @ target[usable] / s[shown]) / np.sqrt(count)
     return back @ z
 
 
-def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """``C e = alpha y - driven`` for every column of ``driven`` (N, m), of which only the first has ``y`` (N,); e and y (N, m).
+def _innovations(
+    alpha: np.ndarray, c: np.ndarray, gaps: np.ndarray, y: np.ndarray, driven: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """``C e = alpha y - driven`` for every column of ``driven`` (N, m), and of ``y`` (N,); e and y (N, m).
 
-    In a gap of ``y`` the innovation is zero and ``y`` what follows from that.
+    In ``gaps`` (N,) of ``y`` the innovation is zero and ``y`` what follows from that. ``driven`` may hold e then.
     """
-    measured = np.zeros_like(driven)
-    measured[:, 0] = y
-    gaps = np.isnan(y)
     if not gaps.any():
-        return lfilter([1.0], c, lfilter(alpha, [1.0], measured, axis=0) - driven, axis=0), measured
+        measured, through = BlockFilter(alpha, ONE), BlockFilter(ONE, c)
+        for part in each_block(len(y)):
+            driven[part] = through(measured(y[part])[:, None] - driven[part])
+        return driven, np.broadcast_to(y[:, None], driven.shape)
     before = max(len(alpha), len(c)) - 1
     e, filled = np.zeros((2, before + len(y), driven.shape[1]))
     for k in range(before, before + len(y)):
@@ -588,7 +637,7 @@ def _innovations(alpha: np.ndarray, c: np.ndarray, y: np.ndarray, driven: np.nda
         if gaps[k - before]:
             filled[k] = expected
         else:
-            filled[k] = measured[k - before]
+            filled[k] = y[k - before]
             e[k] = filled[k] - expected
     return e[before:], filled[before:]
 

@@ -19,22 +19,28 @@ import numpy as np
 from scipy.signal import lfilter
 
 from greybox.base.errors import DataError, nearest
-from greybox.base.numerics import COLLINEAR_COLUMNS, DEPENDENT_COLUMN_SHARE, FADED_RESPONSE, NEGLIGIBLE_SINGULAR_VALUE
+from greybox.base.linear_algebra import RowTriangle
+from greybox.base.numerics import COLLINEAR_COLUMNS, DEPENDENT_COLUMN_SHARE, NEGLIGIBLE_SINGULAR_VALUE
 from greybox.comparison.blackbox.arx import find_instability, find_unfinished_search
 from greybox.comparison.blackbox.linear_regression import (
+    BlockDelay,
+    BlockFilter,
     Orders,
     SampledData,
     SampledRecord,
     build_regressors,
-    delay_rows,
-    find_usable_rows,
+    delayed_columns,
+    each_block,
+    each_equation_block,
     refuse_few_rows,
 )
 from greybox.comparison.blackbox.polynomial import (
+    ONE,
     PolynomialModel,
     PolynomialStructure,
     compute_initial_responses,
     confine_roots,
+    count_rows_of_memory,
     predict_ahead,
     reflect_roots,
     to_monic,
@@ -81,28 +87,31 @@ DEFAULT_SEARCH = PredictionErrorPolicy()
 
 @dataclass(frozen=True, eq=False)
 class PredictionErrors:
-    """One-step errors of all parts of the records with the unknown past projected out.
+    """One-step errors of all parts of the records with the unknown past projected out, and what least squares needs of their slopes.
 
     Attributes
     ----------
-    e
-        Errors (n,).
-    gradient
-        Their derivatives (n, p) with respect to the coefficients; no columns where they were not asked for.
+    squares
+        Sum of squares of the errors; infinite where they leave all bounds.
+    count
+        Number of errors n.
     states
         Number of initial states that were projected out.
+    triangle
+        ``R`` (p + 1, p + 1) of the derivatives with respect to the coefficients (n, p) and, in its last column, of the errors; None
+        where it was not asked for.
     """
 
-    e: np.ndarray
-    gradient: np.ndarray
+    squares: float
+    count: int
     states: int
+    triangle: np.ndarray | None = None
 
     @property
-    def squares(self) -> float:
-        """Sum of squares; infinite where the errors leave all bounds."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            squares = float(self.e @ self.e)
-        return squares if np.isfinite(squares) else np.inf
+    def gradient(self) -> np.ndarray:
+        """As many rows as matter of the derivatives (p + 1, p): their lengths, products and rank."""
+        assert self.triangle is not None
+        return self.triangle[:, :-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,41 +199,58 @@ def compute_prediction_errors(
     Behind the derivatives to ``theta`` stand those to the weights of each input's ``basis``, where the parts have them.
     """
     model = structure.model(theta, data)
-    results = [_errors_of_part(structure, model, part, rest, with_gradient) for part in parts]
-    e, gradient, states = zip(*results, strict=True)
-    return PredictionErrors(np.concatenate(e), np.concatenate(gradient), sum(states))
+    rows, squares, states = RowTriangle(), 0.0, 0
+    count = 0
+    for part in parts:
+        for errors, gradient, projected in _each_block_of_errors(structure, model, part, rest, with_gradient):
+            with np.errstate(over="ignore", invalid="ignore"):
+                squares += float(errors @ errors)
+            count, states = count + len(errors), states + projected
+            if with_gradient:
+                rows.add(np.column_stack([gradient, errors]))
+    return PredictionErrors(squares if np.isfinite(squares) else np.inf, count, states, rows.values)
 
 
-def _errors_of_part(
+def _each_block_of_errors(
     structure: PolynomialStructure, model: PolynomialModel, part: SampledRecord, rest: bool, with_gradient: bool
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """Errors, gradient and number of initial states of one part of a record."""
-    c, d, measured = model.c, model.d, np.isfinite(part.y)
-    through = [lfilter(b, f, u) for b, f, u in zip(model.b, model.f, part.u.T, strict=True)]
-    # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
-    y = part.y if measured.all() else np.where(measured, part.y, 0.0)
-    equation_error = lfilter(model.a, [1.0], y) - sum(through) - (model.constant or 0.0)
-    # e = D / C (A y - sum B / F u - constant)
-    e = lfilter(d, c, equation_error)
-    rows = _rows_of_memory(model, part.rows)
-    blocks = [] if rest else compute_initial_responses(model, rows, [len(model.a) + len(d) - 1, len(c)], c)
-    responses = np.hstack([np.empty((rows, 0)), *blocks])
-    projection = _project(responses[measured[:rows]])
-    projected = projection.remove(e[measured])
-    if not with_gradient:
-        return projected, np.empty((len(projected), 0)), projection.states
-    initial = projection.coefficients(e[measured])
-    # The drive of each input includes what its own unknown past adds.
-    ends = np.cumsum([block.shape[1] for block in blocks])
-    initial_by_input = np.split(initial, ends[:-1]) if blocks else [np.empty(0)] * len(through)
-    driven = [
-        lfilter(d, [1.0], w) + lfilter(s, f, np.eye(1, part.rows)[0]) if len(s) else lfilter(d, [1.0], w)
-        for w, s, f in zip(through, initial_by_input, model.f, strict=True)
-    ]
-    # The past as found belongs to the errors that the gradient of C sees: de/dc_j = -1 / C q^-j e.
-    e[:rows] -= responses @ initial
-    gradient = _gradient(structure, model, part, y, equation_error, driven, e)[measured]
-    return projected, projection.remove(gradient), projection.states
+) -> Iterator[tuple[np.ndarray, np.ndarray, int]]:
+    """Errors (n,), gradient (n, p) and number of initial states of one part of a record, block by block of its rows.
+
+    The first block reaches until the past is forgotten: only there is anything to project out.
+    """
+    c, d = model.c, model.d
+    memory = count_rows_of_memory(model, part.rows, c)
+    through = [BlockFilter(b, f) for b, f in zip(model.b, model.f, strict=True)]
+    regression, whitened = BlockFilter(model.a, ONE), BlockFilter(d, c)
+    slopes = _Slopes.of(structure, model) if with_gradient else None
+    for rows in each_block(part.rows, memory):
+        begins = rows.start == 0
+        measured = np.isfinite(part.y[rows])
+        driven = [run(signal[rows]) for run, signal in zip(through, part.signals, strict=True)]
+        # Output error: the zeros in the gaps meet no filter, and their rows are left out below.
+        y = part.y[rows] if measured.all() else np.where(measured, part.y[rows], 0.0)
+        equation_error = regression(y) - sum(driven) - (model.constant or 0.0)
+        # e = D / C (A y - sum B / F u - constant)
+        e = whitened(equation_error)
+        projection = _project(np.empty((0, 0)))
+        blocks = []
+        if begins and not rest:
+            blocks = compute_initial_responses(model, memory, [len(model.a) + len(d) - 1, len(c)], c)
+            responses = np.hstack([np.empty((memory, 0)), *blocks])
+            projection = _project(responses[measured[:memory]])
+        projected = projection.remove(e[measured])
+        if slopes is None:
+            yield projected, np.empty((len(projected), 0)), projection.states
+            continue
+        if begins and not rest:
+            initial = projection.coefficients(e[measured])
+            # The drive of each input includes what its own unknown past adds.
+            slopes.set_past(np.split(initial, np.cumsum([block.shape[1] for block in blocks])[:-1]) if blocks else [])
+            # The past as found belongs to the errors that the gradient of C sees: de/dc_j = -1 / C q^-j e.
+            e[:memory] -= responses @ initial
+        functions = [each[rows] for each in part.basis]
+        gradient = slopes.take(part, rows, y, equation_error, driven, e, functions)[measured]
+        yield projected, projection.remove(gradient), projection.states
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,51 +289,88 @@ def _project(responses: np.ndarray) -> _Projection:
     return _Projection(q @ left[:, kept], right[kept].T / size[kept])
 
 
-def _rows_of_memory(model: PolynomialModel, rows: int) -> int:
-    """Rows after which what was before the record is forgotten, at most ``rows``: by then the slowest root has faded."""
-    slowest = max((float(np.abs(np.roots(p)).max(initial=0.0)) for p in (model.c, *model.f)), default=0.0)
-    longest = max(len(model.a) + len(model.d), len(model.c), *(len(b) + len(model.d) for b in model.b)) + len(model.d)
-    if slowest <= 0:
-        return min(rows, longest)
-    if slowest >= 1:
-        return rows
-    # Half as long again, for roots of several filters that meet.
-    return int(min(rows, longest + 10 + 1.5 * np.log(FADED_RESPONSE) / np.log(slowest)))
+@dataclass(eq=False)
+class _Slopes:
+    """Derivatives of the errors in the order of the vector: filtered signals, each filter with its memory from block to block."""
 
+    structure: PolynomialStructure
+    model: PolynomialModel
+    filters: dict[str, list[BlockFilter]]
+    delays: dict[str, list[BlockDelay]]
+    past: list[BlockFilter | None]
 
-def _gradient(
-    structure: PolynomialStructure,
-    model: PolynomialModel,
-    part: SampledRecord,
-    y: np.ndarray,
-    equation_error: np.ndarray,
-    driven: Sequence[np.ndarray],
-    e: np.ndarray,
-) -> np.ndarray:
-    """Derivatives (N, p) of the errors ``e`` (N,), in the order of the structure's vector."""
-    orders, c, d = structure.orders, model.c, model.d
-    # de/da_j = D / C q^-j y
-    filtered = lfilter(d, c, y)
-    columns = [delay_rows(filtered, j) for j in range(1, orders.na + 1)]
-    for f, nb, nk, u in zip(model.f, orders.nb, orders.nk, part.u.T, strict=True):
-        # de/db_j = -D / (C F) q^-j u
-        filtered = -lfilter(d, np.convolve(c, f), u)
-        columns += [delay_rows(filtered, nk + j) for j in range(nb)]
-    for f, nf, drive in zip(model.f, structure.nf, driven, strict=True):
-        # de/df_j = 1 / (C F) q^-j w
-        filtered = lfilter([1.0], np.convolve(c, f), drive)
-        columns += [delay_rows(filtered, j) for j in range(1, nf + 1)]
-    # de/dc_j = -1 / C q^-j e
-    filtered = -lfilter([1.0], c, e)
-    columns += [delay_rows(filtered, j) for j in range(1, structure.nc + 1)]
-    # de/dd_j = 1 / C q^-j (A y - sum B / F u - constant)
-    filtered = lfilter([1.0], c, equation_error)
-    columns += [delay_rows(filtered, j) for j in range(1, structure.nd + 1)]
-    if structure.offset:
-        columns.append(-lfilter(d, c, np.ones(len(y))))
-    for b, f, functions in zip(model.b, model.f, part.basis, strict=False):
-        columns.append(-lfilter(np.convolve(b, d), np.convolve(c, f), functions, axis=0))
-    return np.column_stack(columns)
+    @classmethod
+    def of(cls, structure: PolynomialStructure, model: PolynomialModel) -> _Slopes:
+        """Those of ``model`` before the first block."""
+        c, d, orders = model.c, model.d, structure.orders
+        below = [np.convolve(c, f) for f in model.f]
+        filters = {
+            # de/da_j = D / C q^-j y
+            "a": [BlockFilter(d, c)],
+            # de/db_j = -D / (C F) q^-j u
+            "b": [BlockFilter(d, each) for each in below],
+            # de/df_j = 1 / (C F) q^-j w
+            "f": [BlockFilter(ONE, each) for each in below],
+            "drive": [BlockFilter(d, ONE) for _ in below],
+            # de/dc_j = -1 / C q^-j e
+            "c": [BlockFilter(ONE, c)],
+            # de/dd_j = 1 / C q^-j (A y - sum B / F u - constant)
+            "d": [BlockFilter(ONE, c)],
+            "constant": [BlockFilter(d, c)],
+            "basis": [BlockFilter(np.convolve(b, d), each) for b, each in zip(model.b, below, strict=True)],
+        }
+        delays = {
+            "a": [BlockDelay(orders.na)],
+            "b": [BlockDelay(nk + nb - 1) for nb, nk in zip(orders.nb, orders.nk, strict=True)],
+            "f": [BlockDelay(nf) for nf in structure.nf],
+            "c": [BlockDelay(structure.nc)],
+            "d": [BlockDelay(structure.nd)],
+        }
+        return cls(structure, model, filters, delays, [None] * len(below))
+
+    def set_past(self, shares: Sequence[np.ndarray]) -> None:
+        """What the time before the record adds to the drive of each input: its shares of the responses ``q^-j / F``."""
+        self.past = [BlockFilter(s, f) if len(s) else None for s, f in zip(shares, self.model.f, strict=True)]
+
+    def take(
+        self,
+        part: SampledRecord,
+        rows: slice,
+        y: np.ndarray,
+        equation_error: np.ndarray,
+        driven: Sequence[np.ndarray],
+        e: np.ndarray,
+        functions: Sequence[np.ndarray],
+    ) -> np.ndarray:
+        """Those of the next block (n, p), from its signals (n,) and the functions (n, m) of each input."""
+        orders, structure = self.structure.orders, self.structure
+
+        def columns(
+            letter: str, place: int, signal: np.ndarray, delays: Sequence[int], sign: float
+        ) -> list[np.ndarray]:
+            if not len(delays):
+                return []
+            delay = self.delays[letter][place]
+            delay.take(sign * self.filters[letter][place](signal))
+            return [delay.delayed(j) for j in delays]
+
+        found = columns("a", 0, y, range(1, orders.na + 1), 1.0)
+        for i, (nb, nk, signal) in enumerate(zip(orders.nb, orders.nk, part.signals, strict=True)):
+            found += columns("b", i, signal[rows], range(nk, nk + nb), -1.0)
+        # w = D B / F u + its past, which is a pulse in the first row through q^-j / F.
+        pulse = np.zeros(len(y))
+        pulse[: rows.start == 0] = 1.0
+        for i, (nf, w, past) in enumerate(zip(structure.nf, driven, self.past, strict=True)):
+            drive = self.filters["drive"][i](w)
+            if past is not None:
+                drive = drive + past(pulse)
+            found += columns("f", i, drive, range(1, nf + 1), 1.0)
+        found += columns("c", 0, e, range(1, structure.nc + 1), -1.0)
+        found += columns("d", 0, equation_error, range(1, structure.nd + 1), 1.0)
+        if structure.offset:
+            found.append(-self.filters["constant"][0](np.ones(len(y))))
+        found += [-slope(each) for slope, each in zip(self.filters["basis"], functions, strict=False)]
+        return np.column_stack(found)
 
 
 # ---- Search ----
@@ -364,7 +427,7 @@ def minimise_prediction_errors(
         method=MinimisationMethod.GAUSS_NEWTON,
         value_at_start=first,
         iterations=policy.iterations if iterations is None else iterations,
-        termination_test=Termination(policy.termination, count=len(first.errors.e)).test,
+        termination_test=Termination(policy.termination, count=first.errors.count).test,
         project=stabilise,
         cost=lambda theta: evaluate(theta, False).squares,
         policy=MinimisationPolicy(damped=policy.damped),
@@ -382,10 +445,11 @@ class _ErrorModel(QuadraticModel):
 
     @classmethod
     def at(cls, errors: PredictionErrors) -> _ErrorModel:
-        if not np.isfinite(errors.squares) or not np.isfinite(errors.gradient).all():
+        assert errors.triangle is not None
+        if not np.isfinite(errors.squares) or not np.isfinite(errors.triangle).all():
             p = errors.gradient.shape[1]
             return cls(np.inf, np.zeros(p), np.zeros((p, p)), errors)
-        model = QuadraticModel.from_residuals(errors.gradient, errors.e)
+        model = QuadraticModel.from_triangle(errors.triangle, errors.squares)
         return cls(model.cost, model.gradient, model.hessian, errors, factor=model.factor)
 
 
@@ -405,24 +469,26 @@ def stabilise(structure: PolynomialStructure, theta: np.ndarray) -> np.ndarray:
 # ---- The finished model ----
 
 
-def estimate_coefficient_covariance(gradient: np.ndarray, squares: float, freedom: int) -> np.ndarray:
-    """Covariance (p, p) of coefficients with this ``gradient`` (n, p), for a white error."""
+def estimate_coefficient_covariance(errors: PredictionErrors, freedom: int) -> np.ndarray:
+    """Covariance (p, p) of the coefficients, for a white error."""
+    gradient = errors.gradient
     scale = np.linalg.norm(gradient, axis=0)
     _, size, right = np.linalg.svd(gradient / scale, full_matrices=False)
     inverse = right.T / size
-    return squares / freedom * (inverse @ inverse.T) / np.outer(scale, scale)
+    return errors.squares / freedom * (inverse @ inverse.T) / np.outer(scale, scale)
 
 
-def refuse_collinear(gradient: np.ndarray, names: Sequence[str], label: str) -> None:
-    """DataError that names the coefficients whose columns of ``gradient`` (n, p) are zero or linearly dependent."""
+def refuse_collinear(errors: PredictionErrors, names: Sequence[str], label: str) -> None:
+    """DataError that names the coefficients whose derivatives are zero or linearly dependent."""
+    gradient = errors.gradient
     scale = np.linalg.norm(gradient, axis=0)
     without_effect = [n for n, s in zip(names, scale, strict=True) if s == 0]
     if without_effect:
         raise DataError(
             f"{label}: {', '.join(without_effect)} have no effect in these records; take a smaller structure"
         )
-    _, size, right = np.linalg.svd(np.linalg.qr(gradient / scale, mode="r"))
-    if size[-1] <= COLLINEAR_COLUMNS * np.sqrt(len(gradient)):
+    _, size, right = np.linalg.svd(gradient / scale)
+    if size[-1] <= COLLINEAR_COLUMNS * np.sqrt(errors.count):
         participation = np.abs(right[-1]) / np.abs(right[-1]).max()
         dependent = [n for n, s in zip(names, participation, strict=True) if s > DEPENDENT_COLUMN_SHARE]
         raise DataError(
@@ -443,13 +509,13 @@ def _finish(
 ) -> PolynomialModel:
     model = structure.model(best.theta, data)
     errors = best.errors
-    refuse_collinear(errors.gradient, list(model.coefficients), label)
+    refuse_collinear(errors, list(model.coefficients), label)
     freedom = count - structure.size - errors.states
     has_noise_model = bool(structure.orders.na or structure.nc or structure.nd)
     return replace(
         model,
         noise_std=float(np.sqrt(errors.squares / freedom)),
-        covariance=estimate_coefficient_covariance(errors.gradient, errors.squares, freedom),
+        covariance=estimate_coefficient_covariance(errors, freedom),
         samples=count,
         loss=errors.squares / count,
         history=history,
@@ -462,45 +528,34 @@ def _finish(
 # Where prediction-error searches start: linear estimates that need no start of their own.
 
 
-@dataclass(frozen=True, eq=False)
-class RegressionRows:
-    """Equations of all records in one: ``phi`` (n, p), ``y`` (n,), and where each record's first row stands."""
-
-    phi: np.ndarray
-    y: np.ndarray
-    starts: tuple[int, ...]
-
-    def filtered(self, a: np.ndarray) -> RegressionRows:
-        """The equations filtered by ``1 / a``, each record for itself."""
-        pairs = zip(np.split(self.phi, self.starts[1:]), np.split(self.y, self.starts[1:]), strict=True)
-        both = [(lfilter([1.0], a, p, axis=0), lfilter([1.0], a, t)) for p, t in pairs]
-        return replace(self, phi=np.concatenate([p for p, _ in both]), y=np.concatenate([t for _, t in both]))
-
-    def solve(self) -> np.ndarray:
-        """Least squares of smallest norm (p,)."""
-        return np.linalg.lstsq(self.phi, self.y, rcond=None)[0]
-
-
-def collect_equations(data: SampledData, orders: Orders, offset: bool, rest: bool) -> RegressionRows:
-    """The usable ARX equations of each record."""
-    phi, y, starts, count = [], [], [], 0
+def solve_equations(
+    data: SampledData, orders: Orders, offset: bool, rest: bool, prefilter: np.ndarray | None = None
+) -> np.ndarray:
+    """Least squares of smallest norm (p,) of the usable ARX equations, those of each record filtered by ``1 / prefilter``."""
+    equations = RowTriangle()
     for record in data.records:
-        rows = find_usable_rows(record, orders, "zero" if rest else "measured")
-        if len(rows):
-            phi.append(build_regressors(record, orders, offset)[rows])
-            y.append(record.y[rows])
-            starts.append(count)
-            count += len(rows)
-    if not count:
-        return RegressionRows(np.empty((0, orders.na + sum(orders.nb) + offset)), np.empty(0), ())
-    return RegressionRows(np.concatenate(phi), np.concatenate(y), tuple(starts))
+        for block in each_equation_block(record, orders, offset, "zero" if rest else "measured", prefilter):
+            equations.add(block)
+    return _solve(equations, orders.na + sum(orders.nb) + offset)
+
+
+def _solve(equations: RowTriangle, unknowns: int) -> np.ndarray:
+    """Least squares of smallest norm (p,); zero without an equation."""
+    if equations.values is None:
+        return np.zeros(unknowns)
+    # What is rounding among the singular values grows with the rows, of which the triangle has few.
+    rounding = np.finfo(float).eps * max(equations.rows, unknowns)
+    return np.linalg.lstsq(equations.values[:, :-1], equations.values[:, -1], rcond=rounding)[0]
 
 
 def interpolate_gaps(data: SampledData) -> SampledData:
     """``data`` with gaps filled by straight lines: good enough for a start, never for an estimate."""
 
     def interpolate(record: SampledRecord) -> SampledRecord:
-        measured = np.flatnonzero(np.isfinite(record.y))
+        gaps = np.isnan(record.y)
+        if not gaps.any():
+            return record
+        measured = np.flatnonzero(~gaps)
         return replace(record, y=np.interp(np.arange(record.rows), measured, record.y[measured]))
 
     return replace(data, records=tuple(map(interpolate, data.records)))
@@ -516,11 +571,11 @@ def estimate_output_error_starts(structure: PolynomialStructure, data: SampledDa
     candidates: list[tuple[np.ndarray, ...]] = []
     poles = max(structure.nf)
     if len(set(structure.nf)) == 1 and poles:
-        rows = collect_equations(filled, replace(orders, na=poles), structure.offset, rest)
-        a = to_monic(rows.solve()[:poles])
+        equations = filled, replace(orders, na=poles), structure.offset, rest
+        a = to_monic(solve_equations(*equations)[:poles])
         candidates.append((confine_roots(a),) * len(orders.nb))
         for _ in range(FILTER_PASSES):
-            a = to_monic(rows.filtered(reflect_roots(a)).solve()[:poles])
+            a = to_monic(solve_equations(*equations, reflect_roots(a))[:poles])
             candidates.append((confine_roots(reflect_roots(a)),) * len(orders.nb))
     candidates.append(tuple(map(confine_roots, _realise_poles(structure, filled, rest))))
     return [_with_best_numerators(structure, f, data, rest) for f in candidates]
@@ -530,12 +585,12 @@ def estimate_armax_starts(structure: PolynomialStructure, data: SampledData, res
     """Candidates for ``A, B, C``: ARX with ``C = 1``, pseudo-linear regression on a long ARX model's innovations (Hannan and
     Rissanen 1982), and Steiglitz and McBride's ``A`` with ``C = A``, which white noise on the output alone would have."""
     filled, orders = interpolate_gaps(data), structure.orders
-    rows = collect_equations(filled, orders, structure.offset, rest)
-    plain = rows.solve()
+    equations = filled, orders, structure.offset, rest
+    plain = solve_equations(*equations)
     starts = [_with_noise(structure, plain, np.zeros(structure.nc))]
     a = to_monic(plain[: orders.na])
     for _ in range(FILTER_PASSES if orders.na else 0):
-        theta = rows.filtered(reflect_roots(a)).solve()
+        theta = solve_equations(*equations, reflect_roots(a))
         a = to_monic(theta[: orders.na])
         stable = reflect_roots(a)[1:]
         # C = A: white noise on the output alone, seen through A y = B u + A e.
@@ -556,7 +611,7 @@ def estimate_box_jenkins_starts(structure: PolynomialStructure, data: SampledDat
     for start in (starts[k] for k in np.argsort(squares)[:2]):
         model = plain.model(start, data)
         runs = [predict_ahead(model, s, 1, "zero" if rest else "estimated", None)[0] for s in data.records]
-        residuals = [replace(s, y=s.y - run, u=s.u[:, :0]) for s, run in zip(data.records, runs, strict=True)]
+        residuals = [replace(s, y=s.y - run, signals=()) for s, run in zip(data.records, runs, strict=True)]
         residual = replace(data, inputs=(), records=tuple(residuals))
         for coloured in estimate_armax_starts(noise, residual, rest):
             d, c = np.split(coloured, [structure.nd])
@@ -574,28 +629,30 @@ def _pseudo_linear_starts(structure: PolynomialStructure, data: SampledData, res
     """Least squares with the last estimate's innovations as further columns."""
     orders = structure.orders
     long = _long_orders(orders, structure.nc, data)
-    model = collect_equations(data, long, structure.offset, rest).solve()
-    innovations = [s.y - build_regressors(s, long, structure.offset) @ model for s in data.records]
-    if not rest:
-        for e in innovations:
-            e[: long.reach] = 0.0
+    model = solve_equations(data, long, structure.offset, rest)
+    innovations = [np.empty(s.rows) for s in data.records]
+    for record, e in zip(data.records, innovations, strict=True):
+        for rows in each_block(record.rows):
+            e[rows] = record.y[rows] - build_regressors(record, long, structure.offset, rows) @ model
+        e[: 0 if rest else long.reach] = 0.0
     for _ in range(INNOVATION_PASSES):
-        blocks, targets = [], []
+        equations = RowTriangle()
         for record, e in zip(data.records, innovations, strict=True):
-            rows = slice(0 if rest else orders.reach + structure.nc, None)
-            noise = [delay_rows(e, j) for j in range(1, structure.nc + 1)]
-            blocks.append(np.column_stack([build_regressors(record, orders, structure.offset), *noise])[rows])
-            targets.append(record.y[rows])
-        theta = np.linalg.lstsq(np.concatenate(blocks), np.concatenate(targets), rcond=None)[0]
+            first = 0 if rest else orders.reach + structure.nc
+            for rows in each_block(record.rows):
+                noise = delayed_columns(e, rows, range(1, structure.nc + 1))
+                known = build_regressors(record, orders, structure.offset, rows)
+                equations.add(np.column_stack([known, *noise, record.y[rows]])[max(first - rows.start, 0) :])
+        theta = _solve(equations, structure.size)
         split = len(theta) - structure.nc
         c = reflect_roots(to_monic(theta[split:]))
         yield _with_noise(structure, theta[:split], c[1:])
-        innovations = [
-            lfilter([1.0], c, s.y - build_regressors(s, orders, structure.offset) @ theta[:split]) for s in data.records
-        ]
-        if not rest:
-            for e in innovations:
-                e[: orders.reach] = 0.0
+        for record, e in zip(data.records, innovations, strict=True):
+            through = BlockFilter(ONE, c)
+            for rows in each_block(record.rows):
+                known = build_regressors(record, orders, structure.offset, rows)
+                e[rows] = through(record.y[rows] - known @ theta[:split])
+            e[: 0 if rest else orders.reach] = 0.0
 
 
 def _with_noise(structure: PolynomialStructure, plain: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -618,7 +675,8 @@ def _with_best_numerators(
     linear = [*range(1, 1 + n), len(parts) - 1]
     free = np.concatenate([np.full(size, k in linear) for k, size in enumerate(structure.sizes)])
     errors = compute_prediction_errors(structure, start, data, data.records, rest=rest, with_gradient=True)
-    start[free] = QuadraticModel.from_residuals(errors.gradient[:, free], errors.e).bounded_step()
+    assert errors.triangle is not None
+    start[free] = QuadraticModel.from_residuals(errors.gradient[:, free], errors.triangle[:, -1]).bounded_step()
     return start
 
 
@@ -646,7 +704,7 @@ IMPULSE_ROWS_PER_POLE = 12
 def _realise_poles(structure: PolynomialStructure, data: SampledData, rest: bool) -> list[np.ndarray]:
     """``F`` of each input from the impulse response of a long ARX model, by Ho and Kalman's realisation (Kung 1978)."""
     long = _long_orders(replace(structure.orders, na=max(structure.nf)), max(structure.nf), data)
-    theta = collect_equations(data, long, structure.offset, rest).solve()
+    theta = solve_equations(data, long, structure.offset, rest)
     shape = PolynomialStructure("arx", long, (0,) * len(structure.nf), offset=structure.offset)
     model = shape.model(theta, data)
     polynomials = []

@@ -135,6 +135,16 @@ class AutoRegression(Printable):
     def predict(self, values: np.ndarray, steps: int) -> np.ndarray:
         """Prediction (N,) of ``values`` (N,) from the samples up to ``steps`` before each; zero where nothing is known."""
         known = np.asarray(values, float)
+        result = np.zeros(len(known))
+        for first in range(0, len(known) - steps, ROWS_AT_A_TIME):
+            # A block, and the samples before it that it is predicted from.
+            last = min(first + ROWS_AT_A_TIME, len(known) - steps)
+            begin = max(first - self.order, 0)
+            result[first + steps : last + steps] = self._predict_block(known[begin:last], steps)[first - begin :]
+        return result
+
+    def _predict_block(self, known: np.ndarray, steps: int) -> np.ndarray:
+        """The value ``steps`` behind each row (N,), from the samples up to that row."""
         measured = np.isfinite(known)
         behind = _count_samples_behind(measured, self.order) + measured  # samples in a row up to and with this one
         guess = np.zeros((len(known), steps))
@@ -146,11 +156,7 @@ class AutoRegression(Printable):
                 # A prediction stands in for the reading that the next one needs.
                 guess[rows, ahead] = past @ a
                 past = np.column_stack([guess[rows, ahead], past[:, :-1]])
-        result = np.zeros(len(known))
-        if len(known) <= steps:
-            return result
-        result[steps:] = guess[:-steps, steps - 1]
-        return result
+        return guess[:, steps - 1]
 
 
 def join_series(parts: Iterable[np.ndarray]) -> np.ndarray:

@@ -46,12 +46,31 @@ class QuadraticModel:
         QuadraticModel
             Cost ``r'r``, gradient ``2 J'r``, curvature ``2 J'J``, and their factor.
         """
-        n = jacobian.shape[1]
         # A reflection leaves what it does not touch: the last column of the triangle is Q'r.
+        triangle = np.asarray(np.linalg.qr(np.column_stack([jacobian, residual]), mode="r"))
+        return cls.from_triangle(triangle, float(residual @ residual))
+
+    @classmethod
+    def from_triangle(cls, triangle: np.ndarray, squares: float) -> QuadraticModel:
+        """As `from_residuals`, of slopes and residuals that were reduced to a triangle already.
+
+        Parameters
+        ----------
+        triangle
+            ``R`` (m, n + 1) of a QR factorisation of the slopes and, in the last column, the residuals.
+        squares
+            The sum of squares of the residuals.
+
+        Returns
+        -------
+        QuadraticModel
+            Cost, gradient and curvature of the sum of squares, and their factor.
+        """
+        n = triangle.shape[1] - 1
         # The cost is r'r, not r'r / 2: hence sqrt(2) on the factor, and R'R = 2 J'J.
-        triangle = np.sqrt(2) * np.linalg.qr(np.column_stack([jacobian, residual]), mode="r")[:n]
-        root, target = triangle[:, :n], triangle[:, n]
-        return cls(float(residual @ residual), root.T @ target, root.T @ root, factor=(root, target))
+        scaled = np.sqrt(2) * triangle[:n]
+        root, target = scaled[:, :n], scaled[:, n]
+        return cls(squares, root.T @ target, root.T @ root, factor=(root, target))
 
     @cached_property
     def scale(self) -> np.ndarray:

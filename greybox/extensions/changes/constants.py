@@ -14,9 +14,11 @@ from scipy.special import chdtrc, fdtrc, stdtr, stdtrit
 from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import NEARLY_NORMAL
 from greybox.data.experiment import Experiment
+from greybox.data.noise.noise_model import AutoRegression, join_series
 from greybox.estimation.fit import fit
 from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
+from greybox.estimation.residuals import ljung_box_test, measure_mean
 from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import IntervalKind
 from greybox.estimation.sandwich import ResidualColour, estimate_residual_colour
@@ -73,8 +75,10 @@ class FittedResidual:
     ----------
     outputs
         Names of the measured outputs (ny,).
-    series
-        For each output its residual over the noise, whitened where the noise's colour is known, one array for each record.
+    squares
+        Sum of squares of the residual over the noise, whitened where the noise's colour is known, of all outputs.
+    whiteness : array (ny,)
+        Probability that white noise is as coloured as it (Ljung and Box); NaN of too few rows.
     colour
         Autoregression and variance of each.
     degrees : array (ny,)
@@ -86,7 +90,8 @@ class FittedResidual:
     """
 
     outputs: tuple[str, ...]
-    series: tuple[tuple[np.ndarray, ...], ...]
+    squares: float
+    whiteness: np.ndarray
     colour: ResidualColour
     degrees: np.ndarray
     kurtosis: np.ndarray
@@ -115,6 +120,12 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
     return FittedConstants(names, units, values, covariance, positive, at_bound, _degrees(fit, residual))
 
 
+# Lags at most over which the residual's autocorrelation is summed (Ljung and Box) ...
+CHANGE_TEST_LAGS = 20
+# ... with so many rows at least for each lag.
+ROWS_PER_LAG = 10
+
+
 def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     """The residual of ``fit``; of a fit with process noise there is none to compare, as its runs follow the measurement."""
     noise = restore_noise(fit)
@@ -123,28 +134,43 @@ def read_residual(fit: Fit, adequate_ratio: float) -> FittedResidual:
     # NaN where a record lacks the output.
     series = tuple(
         tuple(
-            noise.colour[names.index(name)].whiten(trace.residual(name) / fit.noise.std[name])
+            _whiten(trace.residual(name), fit.noise.std[name], noise.colour[names.index(name)])
             if name in trace.measured and name in trace.simulated
             else np.full(len(trace.time), np.nan)
             for trace in fit.traces
         )
         for name in measured
     )
-    rows = [(np.column_stack(each), np.empty((len(each[0]), 0, 0))) for each in zip(*series, strict=True)]
+    # Of one output nothing is copied.
+    rows = [
+        (each[0][:, None] if len(each) == 1 else np.column_stack(each), np.empty((len(each[0]), 0, 0)))
+        for each in zip(*series, strict=True)
+    ]
     unknowns = len(fit.uncertainty.free) + len(fit.traces) * len(fit.model.system.state_names)
     colour = estimate_residual_colour(rows, unknowns, False, None)
     total = max(sum(colour.counts), 1)
-    degrees, kurtosis = [], []
-    for j, (count, (_, squares)) in enumerate(zip(colour.counts, colour.times, strict=True)):
+    degrees, kurtosis, whiteness = [], [], []
+    for j, (count, (_, correlated)) in enumerate(zip(colour.counts, colour.times, strict=True)):
         # Independent samples less the unknowns' share: N / sum of squared autocorrelations (Bartlett 1935).
-        degrees.append(max((count - unknowns * count / total) / squares, 1.0))
-        everything = np.concatenate(series[j])
-        centred = everything - np.nanmean(everything)
-        variance = float(np.nanmean(centred**2))
-        kurtosis.append(float(np.nanmean(centred**4)) / variance**2 if variance > 0 else 3.0)
+        degrees.append(max((count - unknowns * count / total) / correlated, 1.0))
+        mean, known = measure_mean(series[j])
+        lags = min(CHANGE_TEST_LAGS, known // ROWS_PER_LAG)
+        whiteness.append(ljung_box_test(join_series(series[j]), lags)[1] if lags else np.nan)
+        variance, fourth = (measure_mean(series[j], power, mean)[0] for power in (2, 4))
+        kurtosis.append(fourth / variance**2 if variance > 0 else 3.0)
+    measures = [measure_mean(each, 2) for each in series]
+    squares = sum(mean * known for mean, known in measures if known)
     ratios = [fit.misfit[name].noise_ratio for name in measured]
     adequate = not colour.coloured or max(ratios, default=0.0) <= adequate_ratio
-    return FittedResidual(measured, series, colour, np.array(degrees), np.array(kurtosis), adequate)
+    return FittedResidual(
+        measured, squares, np.array(whiteness), colour, np.array(degrees), np.array(kurtosis), adequate
+    )
+
+
+def _whiten(residual: np.ndarray, noise: float, colour: AutoRegression) -> np.ndarray:
+    """A residual over its noise, without its colour, in its own place."""
+    residual /= noise
+    return colour.whiten(residual, overwrite_input=True)
 
 
 def _degrees(fit: Fit, residual: FittedResidual) -> float:
@@ -155,10 +181,9 @@ def _degrees(fit: Fit, residual: FittedResidual) -> float:
     if fit.uncertainty.kind is IntervalKind.SANDWICH:
         # The sandwich takes its scale from the residual, whose independent samples are fewer where it is coloured.
         return max(float(residual.degrees.sum()), 1.0)
-    squares = sum(float(np.nansum(s**2)) for series in residual.series for s in series)
     # A given noise is exact as long as the residual is no larger than it; else the residual is the estimate.
     left = max(count - residual.colour.unknowns, 1)
-    return float(np.inf) if restore_noise(fit).known and squares <= left else float(left)
+    return float(np.inf) if restore_noise(fit).known and residual.squares <= left else float(left)
 
 
 # How far constants vary where nothing has changed, measured beside what their intervals say.

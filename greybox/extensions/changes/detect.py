@@ -16,13 +16,12 @@ from greybox.base.errors import DataError
 from greybox.base.findings import Check, Finding, Severity
 from greybox.base.numerics import TINY
 from greybox.data.experiment import Experiment, name_records
-from greybox.data.noise.noise_model import AutoRegression, join_series
+from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.pipeline import discover
 from greybox.discovery.result import Discovery
 from greybox.estimation.fit import fit
 from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
-from greybox.estimation.residuals import ljung_box_test
 from greybox.estimation.result import Fit
 from greybox.extensions.changes.constants import (
     DifferenceTest,
@@ -49,12 +48,6 @@ from greybox.model.effect import Effect
 # Is today's residual like that of the fit: as large, and as white? Where it is not, more than constants have changed.
 
 
-# Lags at most over which the residual's autocorrelation is summed (Ljung and Box) ...
-CHANGE_TEST_LAGS = 20
-# ... with so many rows at least for each lag.
-ROWS_PER_LAG = 10
-
-
 def check_residual(before: FittedResidual, after: FittedResidual, level: float) -> tuple[Check, ...]:
     """p-values of each output's residual against their limit, which shares ``level`` out; none without a yardstick.
 
@@ -74,11 +67,8 @@ def check_residual(before: FittedResidual, after: FittedResidual, level: float) 
         p = float(fdtrc(after.degrees[j] * tails, before.degrees[i] * tails, other / one)) if one > 0 else 1.0
         tests.append((ChangeRule.RESIDUAL_AS_LARGE, name, p))
         # A residual that was coloured already says nothing by its colour.
-        if not before.colour.models[i].order:
-            series = join_series(after.series[j])
-            lags = min(CHANGE_TEST_LAGS, int(np.isfinite(series).sum()) // ROWS_PER_LAG)
-            if lags:
-                tests.append((ChangeRule.RESIDUAL_AS_WHITE, name, ljung_box_test(series, lags)[1]))
+        if not before.colour.models[i].order and np.isfinite(after.whiteness[j]):
+            tests.append((ChangeRule.RESIDUAL_AS_WHITE, name, float(after.whiteness[j])))
     # Bonferroni: all tests together keep the level.
     limit = level / max(len(tests), 1)
     return tuple(Check.at_least(rule, p, limit, name) for rule, name, p in tests)
@@ -288,10 +278,8 @@ def detect_changes(
         # The constants of today are those beside the effect that has appeared.
         if list_appeared_effects(discovery):
             today = discovery.best
-    before, after = (
-        read_constants(reference, residuals[0]),
-        read_constants(today, read_residual(today, ADEQUATE_RATIO)),
-    )
+            residuals = residuals[0], read_residual(today, ADEQUATE_RATIO)
+    before, after = read_constants(reference, residuals[0]), read_constants(today, residuals[1])
     scatter: MeasuredScatter | None = None
     shares: dict[str, float] = {}
     if after.names == before.names:

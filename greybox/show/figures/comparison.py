@@ -76,15 +76,17 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
 
 def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured outputs and the free run of every model over one record, a panel for each output."""
-    roles, panels = model_roles(comparison.entries), []
+    roles, panels, sizes = model_roles(comparison.entries), [], {}
     for output, runs in _runs_by_output(comparison, record).items():
         first = next(iter(runs.values()))
         factor, unit = scale_to_prefix(comparison.outputs[output], first.measured)
         measured = draw_over_time(first.time, first.measured, Role.MEASURED, "measured", 3.0, factor=factor)
-        curves = [
-            draw_over_time(run.time, _cut(run.simulated, run.measured), roles[n], n, 1.4, factor=factor)
-            for n, run in reversed(runs.items())  # the first, as a rule the grey box, on top
-        ]
+        sizes[output], curves = {}, []
+        for n, run in runs.items():
+            simulated = run.simulated  # made anew whenever it is asked for
+            sizes[output][n] = _error_size(run.measured, simulated)
+            curve = draw_over_time(run.time, _cut(simulated, run.measured), roles[n], n, 1.4, factor=factor)
+            curves.insert(0, curve)  # the first, as a rule the grey box, on top
         panels.append(
             Panel(
                 output, (measured, *curves), TIME, Axis(output, unit), height=Height.TALL, listing=("measured", *runs)
@@ -94,7 +96,7 @@ def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
         name,
         tuple(panels),
         f"{capitalise(record_text(record))}: measured outputs and the free run of every model.",
-        _error_sizes(comparison, record),
+        _error_sizes(comparison, sizes),
     )
 
 
@@ -104,9 +106,10 @@ TYPICAL_ERRORS = 4.0
 
 def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured minus simulated of every model over one record, a panel for each output."""
-    roles, panels = model_roles(comparison.entries), []
+    roles, panels, sizes = model_roles(comparison.entries), [], {}
     for output, runs in _runs_by_output(comparison, record).items():
-        typical = np.array([_error_size(run) for run in runs.values()])
+        sizes[output] = {n: _error_size(run.measured, run.simulated) for n, run in runs.items()}
+        typical = np.array(list(sizes[output].values()))
         factor, unit = scale_to_prefix(comparison.outputs[output], typical)
         curves = [
             draw_over_time(run.time, _cut(run.measured - run.simulated, run.measured), roles[n], n, 1.0, factor=factor)
@@ -119,7 +122,7 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
         name,
         tuple(panels),
         f"{capitalise(record_text(record))}: measured minus simulated.",
-        _error_sizes(comparison, record),
+        _error_sizes(comparison, sizes),
     )
 
 
@@ -159,12 +162,12 @@ def _model_list(errors: Mapping[str, float], unit: str) -> str:
     )
 
 
-def _error_sizes(comparison: Comparison, record: str) -> tuple[str, ...]:
+def _error_sizes(comparison: Comparison, sizes: Mapping[str, Mapping[str, float]]) -> tuple[str, ...]:
+    """Output -> model -> size of its error, in words."""
     description = []
-    for output, runs in _runs_by_output(comparison, record).items():
-        sizes = {n: _error_size(run) for n, run in runs.items()}
-        factor, unit = scale_to_prefix(comparison.outputs[output], np.array(list(sizes.values())))
-        errors = {n: factor * size for n, size in sizes.items()}
+    for output, by_model in sizes.items():
+        factor, unit = scale_to_prefix(comparison.outputs[output], np.array(list(by_model.values())))
+        errors = {n: factor * size for n, size in by_model.items()}
         description.append(f"Rms error of {output}: {_model_list(errors, unit)}")
     return tuple(description)
 
@@ -173,11 +176,11 @@ def _error_sizes(comparison: Comparison, record: str) -> tuple[str, ...]:
 DRAWING_OVERFLOW = 1e100
 
 
-def _error_size(run: OutputRun) -> float:
+def _error_size(measured: np.ndarray, simulated: np.ndarray) -> float:
     """Root mean square error; NaN where the run leaves all bounds."""
-    if not (np.abs(run.simulated) < DRAWING_OVERFLOW).all():
+    if not (simulated.max() < DRAWING_OVERFLOW and simulated.min() > -DRAWING_OVERFLOW):
         return np.nan
-    return _usable(root_mean_square(run.measured - run.simulated))
+    return _usable(root_mean_square(measured - simulated))
 
 
 # A run is cut where it lies further from the measured signal than so many times that signal's range.
