@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -107,7 +108,7 @@ class FittedCandidate:
 SEARCH_REFIT_ITERATIONS = 60
 # Substeps of a sample that a refit of the search takes at most, unless the plain model needs more: a candidate that does is stiff by its
 # constants alone, and minutes would not make it the answer. The last fit knows no such limit.
-MAX_SUBSTEPS = 32
+MAX_SUBSTEPS = 16
 # The same where a cost is only predicted, to rank candidates: with the steps of a refit a stiff model would take minutes to extend.
 PREDICTION_SUBSTEPS = 8
 # How many times as many it takes if it is unstable with so few. One that is so still is out.
@@ -287,7 +288,7 @@ class DiscoveryProblem:
         pairs = zip(self.model.outputs, self.noise_model.std, strict=True)
         return {o.name: float(std) for o, std in pairs if o.name in measured}
 
-    def refit_best(
+    def plan_refit(
         self,
         model: Model,
         starts: Iterable[StartValues],
@@ -295,15 +296,20 @@ class DiscoveryProblem:
         iterations: int | None = None,
         like: FittedCandidate | None = None,
         refines: bool = True,
-    ) -> FittedCandidate | None:
-        """``model`` refitted from the ``keep`` most promising of ``starts``; None if it cannot be simulated from any of them.
+    ) -> RefitJob:
+        """The refit of ``model`` from the ``keep`` most promising of ``starts``.
 
         The records start from the initial states of the fit ``like``, as far as it has the same states. Whether it ``refines`` its
         integration step is as in `RefitJob`.
         """
         keep, iterations = keep or SEARCH_REFIT_STARTS, iterations or SEARCH_REFIT_ITERATIONS
-        job = RefitJob(model, tuple(starts), keep, iterations, _initial_states(like), refines)
-        return self.refit_all([job])[0]
+        return RefitJob(model, tuple(starts), keep, iterations, _initial_states(like), refines)
+
+    def refit_best(
+        self, model: Model, starts: Iterable[StartValues], *plan: Any, **options: Any
+    ) -> FittedCandidate | None:
+        """One refit as `plan_refit` has it; None if the model cannot be simulated from any of its starts."""
+        return self.refit_all([self.plan_refit(model, starts, *plan, **options)])[0]
 
     def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:
         """Independent refits, in order, wherever they run."""

@@ -28,7 +28,7 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, ValidationSet, compare_errors, validate_candidate
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate, StartValues
+from greybox.discovery.problem import SEARCH_REFIT_ITERATIONS, DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SCREENING_ITERATIONS, MessageCallback, list_extension_starts, rank_extensions
 from greybox.estimation.result import Fit
@@ -334,22 +334,22 @@ def _extend_each(
     further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
     promising = rank_extensions(problem, selected, further, scales, policy.refinement.promising_candidates)
 
-    def refit(
-        model: Model, starts: Sequence[StartValues], keep: int, iterations: int, like: FittedCandidate
-    ) -> FittedCandidate | None:
-        job = partial(problem.refit_best, model, starts, keep, iterations, like)
-        return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), job, None)
-
-    keep = REFINEMENT_REFIT_STARTS
-    short = [
-        candidate
+    looks = [
+        problem.plan_refit(
+            selected.model + e,
+            list_extension_starts(selected, e, scales),
+            REFINEMENT_REFIT_STARTS,
+            SCREENING_ITERATIONS,
+            selected,
+            refines=False,
+        )
         for e in promising
-        for starts in [list_extension_starts(selected, e, scales)]
-        if (candidate := refit(selected.model + e, starts, keep, SCREENING_ITERATIONS, selected))
     ]
+    short = [fit for fit in problem.refit_all(looks) if fit is not None]
     short.sort(key=lambda candidate: candidate.cost - candidate.promised_decrease)
     leading = short[:REFINEMENT_FINISHED_CANDIDATES]
-    finished = [refit(c.model, [c.model.values], 1, SEARCH_REFIT_ITERATIONS, c) or c for c in leading]
+    jobs = [problem.plan_refit(c.model, [c.model.values], 1, SEARCH_REFIT_ITERATIONS, c) for c in leading]
+    finished = [again or c for again, c in zip(problem.refit_all(jobs), leading, strict=True)]
     return [*finished, *short[len(leading) :]]
 
 

@@ -553,7 +553,7 @@ class StepwiseSelection:
         starts, shapes = self._starting_points(fit, effect, model), count_shapes(effect, self.scales)
         # With so many shapes (frequencies of a sharp resonance) a step from afar predicts nothing: refit from each.
         narrow = shapes > MANY_SHAPES and not fit.effects
-        return RefitJob(model, tuple(starts), shapes if narrow else 1, SCREENING_ITERATIONS)
+        return RefitJob(model, tuple(starts), shapes if narrow else 1, SCREENING_ITERATIONS, refines=False)
 
     def _starting_points(
         self, fit: FittedCandidate, effect: Effect, model: Model, more: Sequence[StartValues] = ()

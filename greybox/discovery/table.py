@@ -83,16 +83,18 @@ class BlockSums:
         if not n:
             return np.zeros((len(drawn), 0))
         # sum_b w_b (J'J, J'r), outputs in units of what is left in them.
-        curvature = np.einsum("rb,bij->rij", drawn, np.einsum("boij,o->bij", self.curvature, weight))
-        gradient = np.einsum("rb,bi->ri", drawn, np.einsum("boi,o->bi", self.gradient, weight))
+        curvature = (drawn @ np.einsum("boij,o->bij", self.curvature, weight).reshape(-1, n * n)).reshape(-1, n, n)
+        gradient = drawn @ np.einsum("boi,o->bi", self.gradient, weight)
         steps = -np.linalg.solve(curvature + RIDGE * np.eye(n), gradient[:, :, None])[:, :, 0]
         return np.clip(steps, self.low, self.high)
 
     def mean_squares(self, steps: np.ndarray) -> np.ndarray:
         """Mean square errors (R, B, ny) over the noise after ``steps`` (R, n): |r + J s|^2 = r'r + 2 s'J'r + s'J'J s."""
-        linear = np.einsum("boi,ri->rbo", self.gradient, steps)
-        moved = np.einsum("boij,ri,rj->rbo", self.curvature, steps, steps, optimize=True)
-        return np.maximum(self.square + 2 * linear + moved, 0.0) / np.maximum(self.count, 1)
+        i, j = np.triu_indices(steps.shape[1])
+        # s'J'J s as one product of matrices: each pair of unknowns once, those off the diagonal twice.
+        pairs = steps[:, i] * steps[:, j] * np.where(i == j, 1.0, 2.0)
+        change = 2 * np.tensordot(steps, self.gradient, (1, 2)) + np.tensordot(pairs, self.curvature[..., i, j], (1, 2))
+        return np.maximum(self.square + change, 0.0) / np.maximum(self.count, 1)
 
 
 @dataclass(frozen=True, eq=False)
