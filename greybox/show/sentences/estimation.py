@@ -628,10 +628,10 @@ def explain_profile(profile: Profile) -> list[str]:
             f"the covariance says [{low:.5g}, {high:.5g}], for a cost that it takes for a parabola: use the profile"
         )
     if abs(profile.correlation) > NEARLY_COLLINEAR:
-        lines.append(
-            f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g}): the records determine a"
-            " combination of them better than either"
-        )
+        pair = f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g})"
+        known = f"the covariance takes {profile.partner} for known, as it is at its bound; the profile does not"
+        combined = "the records determine a combination of them better than either"
+        lines.append(f"{pair}: {known if profile.partner_at_bound else combined}")
     return lines
 
 
