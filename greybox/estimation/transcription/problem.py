@@ -12,13 +12,14 @@ import numpy as np
 
 from greybox.base.errors import ModelError, nearest
 from greybox.base.findings import Finding, Severity
+from greybox.base.interrupts import hold_interrupts
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.problems import is_constant
-from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
 from greybox.estimation.transcription.simulation_error import (
@@ -356,7 +357,7 @@ class ProgressMonitor:
 def monitor_progress(problem: EstimationProblem, report: FitProgressCallback | None) -> Iterator[ProgressMonitor]:
     """A `ProgressMonitor` that hears Ctrl-C."""
     watch = ProgressMonitor(problem, report)
-    with stop_on_interrupt(watch):
+    with hold_interrupts(watch):
         yield watch
 
 
