@@ -18,10 +18,11 @@ import numpy as np
 from greybox.base.errors import NUMERICAL_ERRORS, FitError, GreyboxError
 from greybox.base.files import add_entry, read_journal
 from greybox.base.findings import Finding
+from greybox.base.interrupts import hold_interrupts
 from greybox.base.json_file import find_offence
 from greybox.base.json_shape import FileKind, Finite, from_json_data, to_json_data
 from greybox.base.parallel.jobs import JobResult, run_jobs
-from greybox.base.parallel.local_pool import count_cores, note_interrupts, open_local_pool
+from greybox.base.parallel.local_pool import count_cores, open_local_pool
 from greybox.model.model import Model
 
 # What failed during a search, and why. A candidate or a stage that fails is out; the search goes on and the reason is kept.
@@ -282,7 +283,7 @@ class RefitExecutor:
         if len(remaining) > 1 and self._parallel_pays(len(remaining)):
             self._run_in_parallel(problem, jobs, keys, remaining, results)
             return results
-        with note_interrupts() as is_interrupted:
+        with hold_interrupts() as interrupt:
             for k in remaining:
                 if self.is_late:
                     self.skipped += 1
@@ -291,7 +292,7 @@ class RefitExecutor:
                 results[k] = _attempt(problem, jobs[k], partial(problem.refit, jobs[k]))
                 self.seconds.append(time.perf_counter() - began)
                 self._keep(keys[k], results[k] and problem.to_outcome(results[k]))
-                if is_interrupted():
+                if interrupt.requested:
                     raise KeyboardInterrupt
         return results
 

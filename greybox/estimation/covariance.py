@@ -257,6 +257,18 @@ def find_narrowed_intervals(variables: DecisionVector, information: np.ndarray) 
     return tuple(result)
 
 
+def count_open_directions(variables: DecisionVector, information: np.ndarray) -> int:
+    """Along how many directions the free constants change nothing that the records show, the initial states estimated as well.
+
+    ``information`` as in `find_narrowed_intervals`; all of them where it is not finite.
+    """
+    constants = np.arange(len(variables.which))
+    if not np.isfinite(information).all():
+        return len(constants)
+    reduced = _reduce_information(information, constants, np.arange(len(constants), len(information)))
+    return decompose_symmetric(reduced).weak.shape[1]
+
+
 # The gradient of a likelihood is differenced over this share of a standard deviation either way.
 DIFFERENCE_SHARE = 0.01
 # The same at most, in the scaled unknowns.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from enum import StrEnum
 from functools import reduce
 
 import numpy as np
@@ -14,6 +15,7 @@ from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
 from greybox.estimation import fit_issues, result_parts
 from greybox.estimation.covariance import (
     check_priors,
+    count_open_directions,
     locate_fitted,
     to_estimates,
     to_experiment_estimates,
@@ -171,16 +173,16 @@ def fit(
         problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)
         if not problem.step.per_interval:
             refuse_long_time_gaps(judges)
-        begun = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
-        if begun is None:
-            begun = SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
+        with_effects = None if initial else _begin_with_effects(problem, experiments, options, colour, report)
+        begun = with_effects or SimulationOptimum(model, estimate_by_simulation_error(problem, options, colour, report))
         optimum = begun
-        # Another start may do better where a search explains nothing, or stands where it began. One that goes on from where another
-        # ended is not to end elsewhere.
-        can_move = model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial
-        gave_up = can_move and begun.status is TerminationStatus.ITERATION_LIMIT
-        if gave_up or (can_move and (explains_nothing(begun) or stands_where_it_began(begun))):
-            optimum, starts, notices = _try_other_starts(begun, problem, experiments, options, colour, report)
+        # One that goes on from where another ended is not to end elsewhere.
+        if model.free_parameters and begun.status is not TerminationStatus.INTERRUPTED and not initial:
+            trouble = find_trouble(begun, problem, with_effects is None and options.other_starts > 0)
+            if trouble is not None:
+                optimum, starts, notices = _try_other_starts(
+                    begun, trouble, problem, experiments, options, colour, report
+                )
     result = assemble_fit(optimum, options)
     if starts or notices:
         result = replace(result, starts=starts, findings=(*notices, *result.findings))
@@ -288,6 +290,33 @@ def _begin_with_effects(
     return min(ends, key=lambda end: _compute_ratio(end, std))
 
 
+class SearchTrouble(StrEnum):
+    """Why another start may do better than the one that was searched from."""
+
+    EXPLAINS_NOTHING = "explains_nothing"
+    """The end is hardly better than a constant output."""
+
+    STANDS = "stands"
+    """The search stands where it began."""
+
+    GAVE_UP = "gave_up"
+    """It reached its iteration limit."""
+
+    LOST_CONSTANTS = "lost_constants"
+    """It ended where constants that the records determine elsewhere change nothing."""
+
+
+def find_trouble(begun: SimulationOptimum, problem: EstimationProblem, looks_elsewhere: bool) -> SearchTrouble | None:
+    """What is wrong with the end of a search; lost constants, which take some runs to see, only where one ``looks_elsewhere``."""
+    if explains_nothing(begun):
+        return SearchTrouble.EXPLAINS_NOTHING
+    if stands_where_it_began(begun):
+        return SearchTrouble.STANDS
+    if begun.status is TerminationStatus.ITERATION_LIMIT:
+        return SearchTrouble.GAVE_UP
+    return SearchTrouble.LOST_CONSTANTS if looks_elsewhere and has_lost_constants(begun, problem) else None
+
+
 def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
     if not np.isfinite(optimum.evaluation.cost):
@@ -306,8 +335,30 @@ def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     )
 
 
+# Points about the start at which a model shows how many of its constants the records could tell.
+LOOKS_ELSEWHERE = 3
+
+
+def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -> bool:
+    """Whether a search ended, above the noise, where more directions of the constants change nothing than at its start or near it.
+
+    There a term has gone (an exponent that left the record, two of a sum that became one), and the slopes with it: nothing leads back. A
+    model whose constants the records never tell apart has as many such directions everywhere, and loses none.
+    """
+    lost = count_open_directions(optimum.variables, optimum.evaluation.hessian)
+    if not lost or fit_issues.is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
+        return False
+    near = draw_starts(optimum.model, LOOKS_ELSEWHERE, seed=0, factor=STARTS_FACTOR)
+    for variables in (problem.variables, *map(problem.variables.with_values, near)):
+        information = problem.shooting(variables).evaluate(variables.here).hessian
+        if count_open_directions(variables, information) < lost:
+            return True
+    return False
+
+
 def _try_other_starts(
     first: SimulationOptimum,
+    trouble: SearchTrouble,
     problem: EstimationProblem,
     experiments: Experiment | Sequence[Experiment],
     options: FitOptions,
@@ -368,7 +419,7 @@ def _try_other_starts(
         return best, starts, ()
     values = {
         **counts,
-        "stands": stands_where_it_began(first) and not explains_nothing(first),
+        "trouble": str(trouble),
         "before": before if np.isfinite(first.evaluation.cost) else {},
         "after": after,
     }

@@ -264,8 +264,10 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
     if free_run and is_at_noise(optimum) and not any(percent > 0 for percent in best_fit.values()):
         warn(EstimationCode.NOTHING_TO_EXPLAIN, best_fit=best_fit)
     # Misfit above the noise; what it means depends on how the noise is known.
-    louder = {n: ratio for n, ratio in compute_noise_ratios(problem, free_run).items() if ratio > NOISE_RATIO}
-    certain = any(ratio > find_certain_ratio(problem.noise, n) for n, ratio in louder.items())
+    # Beyond the level that is weighed with it may be noise up to the ceiling.
+    ratios, noise = compute_noise_ratios(problem, free_run), problem.noise
+    louder = {n: ratio for n, ratio in ratios.items() if ratio > NOISE_RATIO * noise.ceiling_ratio(n)}
+    certain = any(ratio > find_certain_ratio(noise, n) for n, ratio in louder.items())
     if louder:
         code = EstimationCode.MISFIT_ABOVE_NOISE if certain else EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE
         warn(code, ratios=louder)

@@ -15,6 +15,7 @@ from scipy.special import chdtri, fdtri
 from greybox.base import DataError, ModelError, Printable, StoredResult, nearest, pseudo_inverse, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Interval, UnboundedArray, from_json_data
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
+from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.objective import (
     LIKELIHOOD_TERMINATION,
     Objective,
@@ -109,7 +110,10 @@ class Profile(Printable, IntervalFile):
     by_covariance
         The 95 % interval of the fit itself, from the curvature at the optimum; None where it has none.
     partner, correlation
-        The other constant that the records tell apart from it least, and their correlation; none where there is no other.
+        The other constant that the records tell apart from it least, and their correlation; none where there is no other. Of a
+        constant at its bound only the size of the correlation is known.
+    partner_at_bound
+        Whether that one lies at its bound, where the covariance takes it for known.
     """
 
     name: str
@@ -123,6 +127,7 @@ class Profile(Printable, IntervalFile):
     by_covariance: Interval | None = None
     partner: str = ""
     correlation: Finite = 0.0
+    partner_at_bound: bool = False
 
     FILE: ClassVar[FileKind] = FileKind("a profile", "file that a profile was saved to")
     KEYS: ClassVar[str] = "kind! * shape valley disagreement is_better"
@@ -247,7 +252,6 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
     low, points_low = search.follow(quantity.bounds[0], -1)
     high, points_high = search.follow(quantity.bounds[1], +1)
     values, increase = np.array(sorted({(best, 0.0), *points_low, *points_high})).T
-    partner, correlation = _find_partner(fit, quantity.name)
     return Profile(
         name,
         quantity.unit,
@@ -258,8 +262,7 @@ def profile(fit: Fit, name: str, *, policy: ProfilePolicy = DEFAULT_PROFILE_POLI
         (low, high),
         policy,
         _find_stated(fit, objective, k).interval,
-        partner,
-        correlation,
+        *_find_partner(fit, quantity.name),
     )
 
 
@@ -271,19 +274,28 @@ def _find_stated(fit: Fit, objective: Objective, k: int) -> Estimate:
     return fit.constraints.per_experiment[constant][owner] if owner else fit.parameters[constant]
 
 
-def _find_partner(fit: Fit, name: str) -> tuple[str, float]:
-    """The constant whose correlation with ``name`` is largest, and that; nothing where there is none."""
+def _find_partner(fit: Fit, name: str) -> tuple[str, float, bool]:
+    """The constant whose correlation with ``name`` is largest, that, and whether it is at its bound; nothing where there is none."""
+    partners: list[tuple[str, float, bool]] = [("", 0.0, False)]
     free, covariance = fit.uncertainty.free, np.asarray(fit.uncertainty.covariance)
-    if name not in free or len(free) < 2:
-        return "", 0.0
-    with np.errstate(invalid="ignore", divide="ignore"):
-        std = np.sqrt(np.diag(covariance))
-        row = covariance[free.index(name)] / (std[free.index(name)] * std)
-    row[free.index(name)] = np.nan
-    if not np.isfinite(row).any():
-        return "", 0.0
-    k = int(np.nanargmax(np.abs(row)))
-    return free[k], float(row[k])
+    if name in free:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            std = np.sqrt(np.diag(covariance))
+            row = covariance[free.index(name)] / (std[free.index(name)] * std)
+        others = zip(free, row.tolist(), strict=True)
+        partners += [(other, value, False) for other, value in others if other != name and np.isfinite(value)]
+    # A constant at its bound has no row there: what its freedom would do to the other's interval tells the correlation.
+    for finding in fit.findings:
+        if finding.code != EstimationCode.NARROWED_BY_BOUND:
+            continue
+        for other, growth in finding.values["growth"].items():
+            # std with the other free, over std with it held = 1 / sqrt(1 - correlation^2)
+            size = 1.0 if growth is None else float(np.sqrt(1 - 1 / growth**2))
+            if other == name and "," not in finding.subject:
+                partners.append((finding.subject, size, True))
+            elif finding.subject == name:
+                partners.append((other, size, False))
+    return max(partners, key=lambda partner: abs(partner[1]))
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.base import ExitCode, FitError
+from greybox.base.interrupts import hold_interrupts
 from greybox.shell import inputs
 from greybox.shell.progress import show_fit_progress, show_progress
 from greybox.shell.study import (
@@ -24,7 +25,7 @@ from greybox.shell.study import (
     Study,
     sharing,
 )
-from greybox.shell.terminal import hold_interrupts, write_report
+from greybox.shell.terminal import write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -93,7 +94,7 @@ def fit(study: Study) -> Answer:
             if not interrupted and len(many.start_results) == study.starts:
                 journal.unlink(missing_ok=True)
         else:
-            with hold_interrupts() as interrupt, show_fit_progress(model.title, interrupt, silent) as report:
+            with hold_interrupts() as interrupt, show_fit_progress(model.title, silent) as report:
                 result = fit_model(model, records, report=report, **given)
             interrupted = interrupt.requested
         with hold_interrupts():

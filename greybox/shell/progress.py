@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
-from greybox.shell.terminal import Interrupt, print_note
+from greybox.shell.terminal import print_note
 
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
@@ -98,12 +98,11 @@ def show_progress(silent: bool = False) -> Iterator[ShowProgress]:
 
 
 @contextmanager
-def show_fit_progress(title: str, interrupt: Interrupt, silent: bool = False) -> Iterator[FitProgressCallback]:
-    """A function to report a fit's progress to, which also hands on a waiting Ctrl-C; the line is gone at the end."""
+def show_fit_progress(title: str, silent: bool = False) -> Iterator[FitProgressCallback]:
+    """A function to report a fit's progress to; the line is gone at the end."""
     with show_progress(silent) as show:
 
         def report(progress: FitProgress) -> None:
-            interrupt.pass_on()
             show(f"{title}: {describe_progress(progress)}", share_done(progress))
 
         yield report

@@ -11,12 +11,11 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from itertools import pairwise
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
@@ -43,21 +42,7 @@ class CommandCode(StrEnum):
     UNUSED_PARAMETER = "unused_parameter"
 
 
-# Ctrl-C during a command: the search ends where it is, and what it has found is kept.
-
-
-@dataclass
-class Interrupt:
-    """Whether Ctrl-C was ``requested`` for, and whether it still ``waits`` for the search to come by."""
-
-    requested: bool = False
-    waits: bool = False
-
-    def pass_on(self) -> None:
-        """Called from inside the search, which handles the signal itself: it stops after the present iteration."""
-        if self.waits:
-            self.waits = False
-            signal.raise_signal(signal.SIGINT)
+# Ctrl-C during a command: what it has found is kept.
 
 
 def treat_as_interrupts() -> None:
@@ -71,26 +56,6 @@ def treat_as_interrupts() -> None:
             signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
 
 
-@contextmanager
-def hold_interrupts() -> Iterator[Interrupt]:
-    """Between two searches there is only work to lose, so Ctrl-C waits there. A second one ends at once."""
-    state = Interrupt()
-    if threading.current_thread() is not threading.main_thread():
-        yield state
-        return
-
-    def ask(*_: object) -> None:
-        if state.requested:
-            raise KeyboardInterrupt
-        state.requested = state.waits = True
-
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield state
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 # Errors and warnings of the library as a person at a terminal gets them: one message, an exit code, no traceback.
 
 
@@ -101,11 +66,23 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
     def run(*args: Any, **options: Any) -> None:
         with warnings.catch_warnings():
             warnings.showwarning = _print_warning
+            asked = threading.Event()
+
+            def end(number: int, frame: FrameType | None) -> None:
+                asked.set()
+                signal.default_int_handler(number, frame)
+
             if threading.current_thread() is threading.main_thread():
-                signal.signal(signal.SIGINT, signal.default_int_handler)
+                signal.signal(signal.SIGINT, end)
                 treat_as_interrupts()
             try:
-                command(*args, **options)
+                try:
+                    command(*args, **options)
+                except Exception as error:
+                    # Inside a library the interrupt is swallowed, and what it makes of it fails somewhere else.
+                    if asked.is_set() and not isinstance(error, click.exceptions.Exit):
+                        raise KeyboardInterrupt from error
+                    raise
             except OutputError as error:  # the computation is done, and its result has no place
                 exit_with_error(str(error), ExitCode.UNSUCCESSFUL)
             except WorkersLostError as error:

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, fit
+from greybox import Balance, Experiment, FitOptions, Input, Model, Output, Parameter, State, effect, fit, simulate
 from greybox.estimation.score import score
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.estimation.validate import FIRST_ROWS, determine_initial_states, fit_first_rows, validate
@@ -162,3 +162,58 @@ def test_an_offset_that_an_initial_state_can_stand_for_is_not_determined() -> No
     result = fit(model, Experiment("run", time, {"v": v}, {"F": force}))
     assert result.parameters["F0"].std is None and result.parameters["K"].std is not None
     assert (np.diag(result.uncertainty.covariance) > 0).all()
+
+
+PLAY_TIME = 0.02 * np.arange(600)
+
+
+def axis(rate, *loss):
+    """A position that an input drives, with play."""
+    return Model(
+        "axis",
+        [State("y", "V", role="displacement")],
+        [Input("u", "V", role="drive")],
+        [Output("y", "V")],
+        [Parameter("k", "1/s", rate, (1e-3, 1e3))],
+        lambda x, u, p: [Balance("position", "V/s", 1, "y", drive=p.k * u.u, **dict.fromkeys(loss, -p.k * x.y))],
+    )
+
+
+def play_record(model, seed, offset, **begin):
+    u = offset + np.sin(0.5 * PLAY_TIME) ** 2 + 0.2 * np.sin(2 * PLAY_TIME)
+    y = simulate(model, {"time": PLAY_TIME, "u": u}, initial=begin).outputs["y"]
+    return Experiment(
+        "r", PLAY_TIME, {"u": u}, {"y": y + 1e-3 * np.random.default_rng(seed).normal(size=len(PLAY_TIME))}
+    )
+
+
+@pytest.mark.parametrize("begins", [[3.6], [3.0], [2.5], [3.4, 2.7]])
+def test_what_is_before_a_play_is_found_where_the_play_closes_late(begins):
+    """From zero, or from the reading, it never closes: what is read has no slope there."""
+    model = (axis(0.3) + effect("backlash")).start(gap=2.0)
+    records = [play_record(model, seed, 0.0, y=y, w=1.7) for seed, y in enumerate(begins)]
+    judged = validate(model, records, noise={"y": 1e-3})
+    assert judged.misfit["y"].noise_ratio < 1.1
+    assert [trace.initial_state["y"] for trace in judged.traces] == pytest.approx(begins, abs=0.01)
+    found = fit(model.start(k=0.25, gap=1.9), records, noise={"y": 1e-3})
+    assert found.misfit["y"].noise_ratio < 1.1
+
+
+@pytest.mark.parametrize("begin", [1.5, 2.0, 3.0])
+def test_an_input_behind_play_begins_anywhere_between_its_ends(begin):
+    model = (axis(0.7, "loss") + effect("input_hysteresis")).start(h=1.5)
+    record = play_record(model, 0, 2.0, y=1.7, w=begin)
+    judged = validate(model, record, noise={"y": 1e-3})
+    assert judged.misfit["y"].noise_ratio < 1.1
+    assert judged.traces[0].initial_state["w"] == pytest.approx(begin, abs=0.01)
+    assert fit(model.start(k=0.6, h=1.4), record, noise={"y": 1e-3}).misfit["y"].noise_ratio < 1.1
+
+
+def test_a_told_state_keeps_its_guess_at_a_play():
+    model = (axis(0.3) + effect("backlash")).start(gap=2.0)
+    record = play_record(model, 0, 0.0, y=3.0, w=1.7)
+    told = prepare_problem(model, [record], {"y": 1e-3}, FitOptions(), initial=[{"y": 0.5}])
+    placed = prepare_problem(model, [record], {"y": 1e-3}, FitOptions())
+    assert told.variables.initial.guess[0, 0] == 0.5
+    assert placed.variables.initial.guess[0, 0] == pytest.approx(3.0, abs=0.05)
+    assert prepare_problem(model, [record], {"y": 1e-3}, FitOptions(at_rest=True)).variables.initial.guess[0, 0] == 0

@@ -1,15 +1,17 @@
 """Many starts: the optimum that most of them find, and how many did."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from greybox import GreyboxError
+from greybox import Balance, GreyboxError, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError
 from greybox.base.findings import Severity
 from greybox.data.experiment import Experiment
-from greybox.estimation.fit import fit, stands_where_it_began
+from greybox.estimation.fit import SearchTrouble, fit, stands_where_it_began
 from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -132,6 +134,53 @@ def test_a_start_that_finds_the_way_tries_no_other():
     found = fit(rooney_biegler(rate=5.0), growth(15 * (1 - np.exp(-0.5 * TIME)) + noise()), options=REST)
     assert found.starts == ()
     assert not codes(found.findings) & {EstimationCode.OTHER_START_TAKEN, EstimationCode.NO_START_HELPS}
+
+
+def two_exponentials(**starts):
+    """y = a exp(-p x) + b exp(-q x), of an input x."""
+    return Model(
+        "two",
+        [State("s", "1")],  # a model has a state: this one rests, and nothing depends on it
+        [Input("x", "1")],
+        [Output("y", "1", lambda x, u, p: p.a * ca.exp(-p.p * u.x) + p.b * ca.exp(-p.q * u.x))],
+        [Parameter(name, "1", value) for name, value in starts.items()],
+        lambda x, u, p: [Balance("rest", "1", 1, "s", decay=-x.s)],
+    )
+
+
+def two_exponentials_record():
+    x = np.linspace(0, 10, 60)
+    y = 2 * np.exp(-1.5 * x) + np.exp(-0.2 * x) + 0.01 * np.random.default_rng(0).normal(size=60)
+    return Experiment("r", np.arange(60.0), {"x": x}, {"y": y})
+
+
+@pytest.mark.parametrize("rates", [(1.0, 1.0), (30.0, 40.0)])
+def test_a_search_that_lost_constants_on_its_way_is_begun_elsewhere(rates):
+    """Of equal rates both terms stay one; a rate that left the record before its second row has no slope any more."""
+    model = two_exponentials(a=1.0, p=rates[0], b=1.0, q=rates[1])
+    alone = fit(model, two_exponentials_record(), options=replace(REST, other_starts=0))
+    assert alone.misfit["y"].rmse > 0.1 and EstimationCode.DIRECTION_UNDETERMINED in codes(alone.findings)
+    found = fit(model, two_exponentials_record(), options=REST)
+    assert found.misfit["y"].rmse < 0.011 and len(found.starts) == 7
+    assert sorted(found.model.values[name] for name in "pq") == pytest.approx([0.2, 1.5], rel=0.1)
+    taken = find(found.findings, EstimationCode.OTHER_START_TAKEN)
+    assert taken.values["trouble"] == SearchTrouble.LOST_CONSTANTS and "change nothing" in str(taken)
+
+
+def test_constants_that_no_record_tells_apart_are_not_lost():
+    model = Model(
+        "product",
+        [State("s", "1")],
+        [Input("x", "1")],
+        [Output("y", "1", lambda x, u, p: p.a * p.b * u.x)],
+        [Parameter(name, "1", 1.0) for name in "ab"],
+        lambda x, u, p: [Balance("rest", "1", 1, "s", decay=-x.s)],
+    )
+    x = np.linspace(0, 10, 60)
+    record = Experiment("r", np.arange(60.0), {"x": x}, {"y": 0.5 * x + 0.2 * np.sin(3 * x)})
+    found = fit(model, record, options=REST)
+    assert EstimationCode.DIRECTION_UNDETERMINED in codes(found.findings)
+    assert found.starts == ()
 
 
 def test_records_of_nothing_but_noise_are_told_and_not_searched():

@@ -90,6 +90,10 @@ def test_profiles_of_the_semibatch_reactor_cover_the_constants_behind_its_record
     assert seen["k1"].shape is ProfileShape.ONE_SIDED
     assert "k1 and E1 are nearly collinear" in str(seen["k1"])
     assert "use the profile" in str(seen["k2"])
+    # The interval that misses does so since E2 ends at its bound and counts as known there: with it free it is 220 times as wide.
+    assert (seen["k2"].partner, seen["k2"].partner_at_bound) == ("E2", True) and seen["k2"].correlation > 0.999
+    assert "takes E2 for known, as it is at its bound" in str(seen["k2"])
+    assert (seen["E2"].partner, seen["E2"].partner_at_bound) == ("k2", False)
     region = profile_pair(result, "k1", "E1")
     assert region.narrowing > 20 and "the region is thin" in str(region)
     k = int(np.searchsorted(region.values, TRUTH["k1"]))

@@ -19,7 +19,6 @@ from greybox.data.findings import RecordCode
 from greybox.data.signals import multisine
 from greybox.shell import fit as fit_command
 from greybox.shell.commands import app
-from greybox.shell.terminal import hold_interrupts
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 
@@ -312,20 +311,6 @@ def test_ctrl_c_saves_the_best_point(run: Run, data: Path, tmp_path: Path, monke
     saved = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert saved["status"] == "interrupted"
     assert saved["success"] is False
-
-
-def test_ctrl_c_between_two_searches_waits_for_the_next() -> None:
-    caught = []
-    with hold_interrupts() as interrupt:
-        signal.raise_signal(signal.SIGINT)
-        assert interrupt.requested
-        before = signal.signal(signal.SIGINT, lambda *_: caught.append(1))
-        interrupt.pass_on()
-        interrupt.pass_on()
-        signal.signal(signal.SIGINT, before)
-        assert caught == [1]
-        with pytest.raises(KeyboardInterrupt):
-            signal.raise_signal(signal.SIGINT)
 
 
 def test_models_are_listed_and_printed(run: Run) -> None:

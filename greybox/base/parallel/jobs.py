@@ -12,12 +12,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from greybox.base.errors import NUMERICAL_ERRORS, GreyboxError, WorkersLostError
+from greybox.base.interrupts import hold_interrupts
 from greybox.base.parallel.cluster import WorkersHealth, adopt_executor, open_cluster, watch_executor
 from greybox.base.parallel.local_pool import (
     LocalPool,
     count_cores,
     describe_version,
-    note_interrupts,
     open_local_pool,
     pack,
     unpack,
@@ -156,12 +156,12 @@ class _Book:
 
     def run_here(self) -> None:
         """All jobs one after the other in this process."""
-        with note_interrupts() as is_interrupted:
+        with hold_interrupts() as interrupt:
             for k in self.open:
                 if self.is_late:
                     return
                 self.enter(k, _run_timed(self.job, self.common, self.items[k]))
-                if is_interrupted():
+                if interrupt.requested:
                     raise KeyboardInterrupt
 
     def run_through(self, executor: Executor) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.base.interrupts import hold_interrupts
 from greybox.base.numerics import PUSH_OFF_BOUNDS
 from greybox.estimation.optim.minimisation import (
     IPOPT_STATUS,
@@ -16,7 +17,6 @@ from greybox.estimation.optim.minimisation import (
     MinimisationResult,
     SolverName,
     TerminationStatus,
-    stop_on_interrupt,
 )
 
 
@@ -258,7 +258,7 @@ def solve_sparse(
     if hessian is not None:
         options["hess_lag"] = hessian
     solver = ca.nlpsol("sparse", "ipopt", nlp, options)
-    with stop_on_interrupt(monitor):
+    with hold_interrupts(monitor):
         solution = solver(x0=start, lbx=low, ubx=high, lbg=0.0, ubg=0.0)
     stats = solver.stats()
     ipopt_word = stats["return_status"]

@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from greybox.base.interrupts import hold_interrupts
 from greybox.estimation.optim.gauss_newton import run_gauss_newton, run_gradient_sampling
 from greybox.estimation.optim.ipopt import run_ipopt
 from greybox.estimation.optim.minimisation import (
@@ -19,7 +20,6 @@ from greybox.estimation.optim.minimisation import (
     SolverName,
     TerminationStatus,
     TerminationTest,
-    stop_on_interrupt,
 )
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 
@@ -109,7 +109,7 @@ def minimise(
     if len(start) == 0:
         search.status = TerminationStatus.CONVERGED
     elif not search.test_termination():
-        with stop_on_interrupt(search):
+        with hold_interrupts(search):
             if method == MinimisationMethod.GAUSS_NEWTON:
                 search.record_solver(SolverName.GAUSS_NEWTON)
                 if not run_gauss_newton(search, low, high, policy.damped, steps=iterations, project=project):

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -354,29 +351,3 @@ class Minimisation:
             self.progress(self.iteration, self.best_cost)
         self.iteration += 1
         return self.stop or self.stalled or self.error is not None or self.test_termination()
-
-
-class Stoppable(Protocol):
-    """Something that looks at its flag from time to time."""
-
-    stop: bool
-
-
-@contextmanager
-def stop_on_interrupt(search: Stoppable) -> Iterator[None]:
-    """Ctrl-C asks the search to stop after the present iteration (main thread only; elsewhere signals are not ours)."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def request_stop(*_: object) -> None:
-        # A second Ctrl-C does not wait for the iteration.
-        if search.stop:
-            raise KeyboardInterrupt
-        search.stop = True
-
-    previous = signal.signal(signal.SIGINT, request_stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, previous)

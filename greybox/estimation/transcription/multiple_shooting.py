@@ -393,7 +393,8 @@ class MultipleShooting:
             is_measured = np.isfinite(self.with_ends.records[k].samples(self.with_ends.records[k].y)[:, :ny])
             if not all(np.isfinite(values).all() for values in (end, ends, r[is_measured], j[is_measured])):
                 return None
-            squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
+            with np.errstate(over="ignore"):  # far from a solution: an infinite cost is the right one
+                squares += np.square(np.where(is_measured, r, 0.0)).sum(axis=0)
             counts += is_measured.sum(axis=0)
             # d_k = x(end of segment k) - s_{k+1}, in scaled states.
             defect = (end - states[k + 1]) / scale if self.joints[k] else np.zeros(self.nx)

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
+import casadi as ca
 import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, nearest
+from greybox.base.interrupts import hold_interrupts
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
 from greybox.data.problems import is_constant
-from greybox.estimation.optim.minimisation import TerminationStatus, stop_on_interrupt
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
 from greybox.estimation.transcription import simulation_error
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
@@ -222,7 +224,7 @@ def prepare_problem(
         refuse_long_time_gaps(group)
     conditions = [e.conditions for e in group] if any(e.conditions for e in group) else ()
     variables = DecisionVector.of(model, beginning, conditions, options.per_experiment, [e.name for e in group])
-    return EstimationProblem(
+    problem = EstimationProblem(
         model,
         group,
         records,
@@ -234,6 +236,10 @@ def prepare_problem(
         constant_outputs=constant,
         policy=policy,
     )
+    # A filter finds its states by itself, and a run of a plant from outside has its price.
+    if isinstance(model, PlantModel) or model.noisy_states:
+        return problem
+    return place_in_play(problem, {name for values in initial for name in values})
 
 
 def _spread_noise(record: Record, experiment: Experiment, noise: NoiseModel) -> Record:
@@ -273,6 +279,82 @@ def guess_initial_states(
     begins = {s.name for s in (model.states if isinstance(model, PlantModel) else model.all_states)}
     free = [s.free_start or (not at_rest and s.name in begins) for s in model.all_states]
     return InitialStates(guess, np.array(free, bool), scale)
+
+
+# States at either side of play: so many values of one between its ends are tried at a time ...
+PLACES_IN_PLAY = 9
+# ... and as many about the best of them, so often in all: to a hundredth of the play.
+PLACING_ROUNDS = 3
+# Where a play is taken to, far below and far above, to see its ends.
+FAR_AWAY = 1e12
+
+
+def place_in_play(problem: EstimationProblem, known: Collection[str] = ()) -> EstimationProblem:
+    """``problem`` with a first guess of each state that play may hold anywhere between its ends: where the free run fits best.
+
+    Until the play closes, what is behind it tells nothing of what is before it: no gradient leads away from a guess with which it never
+    closes. A state that an output shows begins at its reading, and the one before it lies within the play about that; one that is
+    set by an input lies within the play about the input. States in ``known`` keep their guess.
+    """
+    initial = problem.variables.initial
+    for state, low, high in _list_plays(problem):
+        if problem.model.system.state_names[state] in known or not initial.free[state]:
+            continue
+        for _ in range(PLACING_ROUNDS if (high > low).any() else 1):
+            places = np.linspace(low, high, PLACES_IN_PLAY if (high > low).any() else 1)
+            guesses = [initial.guess.copy() for _ in places]
+            for guess, place in zip(guesses, places, strict=True):
+                guess[:, state] = place
+            tried = [replace(problem.variables, initial=replace(initial, guess=guess)) for guess in guesses]
+            costs = np.array([_square_errors(problem, variables) for variables in tried])
+            # Of equals, with which the play does not close, the one in the middle.
+            middle = np.abs(np.arange(len(places)) - len(places) // 2)
+            best = np.array([np.lexsort((middle, column))[0] for column in costs.T])
+            guess = initial.guess.copy()
+            guess[:, state] = places[best, np.arange(len(best))]
+            initial = replace(initial, guess=guess)
+            step = (high - low) / (PLACES_IN_PLAY - 1)
+            low, high = np.maximum(guess[:, state] - step, low), np.minimum(guess[:, state] + step, high)
+    return replace(problem, variables=replace(problem.variables, initial=initial))
+
+
+def _list_plays(problem: EstimationProblem) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
+    """Numbers of the states that a play may hold anywhere, with the ends in each record (experiments,)."""
+    system, guess = problem.model.system, problem.variables.initial.guess
+    p, inputs = list(problem.model.values.values()), [record.u[0] for record in problem.records]
+    shown = {system.outputs[j].name() for j in range(system.outputs.numel()) if system.outputs[j].is_symbolic()}
+    for update in system.updates:
+        state = update.state
+        # w+ = min(max(w, s - gap), s + gap): from far below and far above it goes to its ends.
+        end = ca.Function("end", [system.x, system.u, system.p], [update.value])
+        ends = []
+        for far in (-FAR_AWAY, FAR_AWAY):
+            begun = guess.copy()
+            begun[:, state] = far
+            ends.append(np.array([float(end(x, u, p)) for x, u in zip(begun, inputs, strict=True)]))
+        low, high = ends
+        if system.state_names[state] in shown:
+            before = [
+                k for k in range(len(system.state_names)) if k != state and ca.depends_on(update.value, system.x[k])
+            ]
+            if len(before) != 1:
+                continue
+            # Its reading w is known, and s lies between w - gap and w + gap.
+            reading, front = guess[:, state], guess[:, before[0]]
+            state, low, high = before[0], reading + front - high, reading + front - low
+        low, high = (np.clip(side, *problem.model.all_states[state].bounds) for side in (low, high))
+        if (np.abs([low, high]) < FAR_AWAY / 2).all():
+            yield state, low, high
+
+
+def _square_errors(problem: EstimationProblem, variables: DecisionVector) -> np.ndarray:
+    """Squared errors over the noise of the free run over each record (experiments,); infinite where it fails."""
+    runs, squares = problem.shooting(variables).simulate(variables.here), []
+    for record, (y, _) in zip(problem.records, runs, strict=True):
+        measured = np.isfinite(record.y)
+        with np.errstate(over="ignore", invalid="ignore"):
+            squares.append(np.sum(np.square((record.y - y) / problem.noise.std)[measured]))
+    return np.nan_to_num(squares, nan=np.inf)
 
 
 def apply_initial_guess(
@@ -348,7 +430,7 @@ class ProgressMonitor:
 def monitor_progress(problem: EstimationProblem, report: FitProgressCallback | None) -> Iterator[ProgressMonitor]:
     """A `ProgressMonitor` that hears Ctrl-C."""
     watch = ProgressMonitor(problem, report)
-    with stop_on_interrupt(watch):
+    with hold_interrupts(watch):
         yield watch
 
 

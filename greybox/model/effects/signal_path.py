@@ -261,19 +261,18 @@ input_gain = Effect(
     probe=lambda s: {"g": 0.03},
 )
 
-sensor_gain = Effect(
-    "sensor_gain",
+sensor_gain = replace(
+    input_gain,
+    name="sensor_gain",
     site="sensor",
-    parameters=[amplitude_parameter("g", "1", "share by which the reading is too large, either sign", low=-1.0)],
+    parameters=(amplitude_parameter("g", "1", "share by which the reading is too large, either sign", low=-1.0),),
+    on_input=None,
     on_output=lambda value, x, u, p: value * (1 + p.g),
     equation="(1 + g) y",
-    parity="linear",
     tells_apart=(
         "Read two known values at standstill: their difference shows the gain, and a third one whether the reading bends."
     ),
     source="calibration of a sensor, scale of a video",
-    amplitudes=("g",),
-    probe=lambda s: {"g": 0.03},
 )
 
 gain_by_sign = Effect(

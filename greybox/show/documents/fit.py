@@ -128,35 +128,39 @@ def _further(fit: Fit) -> list[Finding]:
     return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
 
 
+def _ratios(misfit: Mapping[str, result_parts.Misfit], at_least: Mapping[str, float]) -> dict[str, float]:
+    """How many times the noise each output's error is; ``at_least`` so many where the noise has no more than a ceiling."""
+    return {name: at_least.get(name, m.noise_ratio) for name, m in misfit.items()}
+
+
 def _worst_misfit(fit: Fit) -> float | None:
-    """The largest residual over noise of an output; None where no noise is known."""
-    return max((ratio for m in fit.misfit.values() if math.isfinite(ratio := m.noise_ratio)), default=None)
+    """The largest residual over noise of an output, at least; None where no noise is known."""
+    return max((r for r in _ratios(fit.misfit, fit.misfit_at_least).values() if math.isfinite(r)), default=None)
 
 
 def _misfit_note(fit: Fit) -> str:
     worst = _worst_misfit(fit)
     if worst is None:
         return "The noise is not known, so the misfit cannot be judged."
-    size = _over_noise(fit, fit.misfit)
-    if worst <= GOOD_MISFIT:
-        return f"The model explains the estimation records: the residual is {size}."
-    return (
-        f"The model does not explain the estimation records: the residual is {size}. Either the model lacks an effect, which"
-        " greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
-    )
+    size = _over_noise(fit.misfit, fit.misfit_at_least)
+    if worst > GOOD_MISFIT:
+        return (
+            f"The model does not explain the estimation records: the residual is {size}. Either the model lacks an effect, which"
+            " greybox discover searches for, or the noise is larger than assumed. Its parameters may be biased."
+        )
+    # Above the level that is weighed with and below the ceiling it may be noise, and may be none.
+    if any(m.noise_ratio > GOOD_MISFIT for m in fit.misfit.values()):
+        return (
+            f"The estimation records do not show whether the model lacks an effect: the residual is {size}, of which they show no more"
+            " than a ceiling. A quiet record shows its level."
+        )
+    return f"The model explains the estimation records: the residual is {size}."
 
 
-def _over_noise(fit: Fit, misfit: Mapping[str, result_parts.Misfit]) -> str:
+def _over_noise(misfit: Mapping[str, result_parts.Misfit], at_least: Mapping[str, float]) -> str:
     """``1.02 times the noise in x and 0.98 times the noise in i``; ``at least`` where the noise is only bounded."""
-    ceilings = {
-        name: bound.level
-        for name in misfit
-        if (bound := fit.noise.bound(name)) is not None and bound.floor is None and bound.ceiling
-    }
-    ratios = {name: m.rmse / ceilings[name] if name in ceilings else m.noise_ratio for name, m in misfit.items()}
-    return join_names(
-        [f"{'at least ' * (name in ceilings)}{r:.3g} times the noise in {name}" for name, r in ratios.items()]
-    )
+    ratios = _ratios(misfit, at_least).items()
+    return join_names([f"{'at least ' * (name in at_least)}{r:.3g} times the noise in {name}" for name, r in ratios])
 
 
 def _determined(fit: Fit, undetermined: list[str]) -> str:
@@ -176,7 +180,7 @@ def _validated(fit: Fit) -> str:
     if not fit.validation:
         return "The fit was not validated. Give a second record to validate the parameters."
     records = count_noun(len(fit.validation.traces), "validation record")
-    return f"On {records} the residual is {_over_noise(fit, fit.validation.misfit)}."
+    return f"On {records} the residual is {_over_noise(fit.validation.misfit, fit.validation_at_least)}."
 
 
 @dataclass(frozen=True)

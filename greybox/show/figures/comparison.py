@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from greybox.base.figure import MODELS, Axis, Figure, Height, Panel, Points, Role, Scale, Symbol
+from greybox.base.figure import MODELS, Axis, Curve, Figure, Height, Panel, Points, Role, Scale, Symbol
 from greybox.comparison.result import Comparison, ComparisonEntry, ComparisonScore
 from greybox.estimation.errors import OutputRun
 from greybox.show.figures.figure import draw_over_time, draw_sizes, root_mean_square, scale_to_prefix, size_axis
@@ -76,12 +76,14 @@ def plot_model_errors(comparison: Comparison, record: str | None = None) -> Figu
 
 def plot_model_runs(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured outputs and the free run of every model over one record, a panel for each output."""
-    roles, panels, sizes = model_roles(comparison.entries), [], {}
+    roles, panels = model_roles(comparison.entries), []
+    sizes: dict[str, dict[str, float]] = {}
     for output, runs in _runs_by_output(comparison, record).items():
         first = next(iter(runs.values()))
         factor, unit = scale_to_prefix(comparison.outputs[output], first.measured)
         measured = draw_over_time(first.time, first.measured, Role.MEASURED, "measured", 3.0, factor=factor)
-        sizes[output], curves = {}, []
+        sizes[output] = {}
+        curves: list[Curve] = []
         for n, run in runs.items():
             simulated = run.simulated  # made anew whenever it is asked for
             sizes[output][n] = _error_size(run.measured, simulated)
@@ -106,7 +108,8 @@ TYPICAL_ERRORS = 4.0
 
 def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figure:
     """Measured minus simulated of every model over one record, a panel for each output."""
-    roles, panels, sizes = model_roles(comparison.entries), [], {}
+    roles, panels = model_roles(comparison.entries), []
+    sizes: dict[str, dict[str, float]] = {}
     for output, runs in _runs_by_output(comparison, record).items():
         sizes[output] = {n: _error_size(run.measured, run.simulated) for n, run in runs.items()}
         typical = np.array(list(sizes[output].values()))

@@ -300,10 +300,19 @@ def _write_best_fits(best_fit: Mapping[str, float]) -> str:
     return ", ".join(f"{percent:.2f} % of {name}" for name, percent in best_fit.items())
 
 
+_TROUBLES = {
+    "explains_nothing": "explains nothing",
+    "stands": "stands where it began",
+    "gave_up": "did not end within its iterations",
+    "lost_constants": "ended where some of its constants change nothing",
+}
+
+
 def _write_other_start(finding: Finding) -> str:
     v = finding.values
     before = f" (best fit {_write_best_fits(v['before'])})" if v["before"] else ""
-    outcome = "stands where it began" if v["stands"] else "explains nothing"
+    # Files of earlier versions say only whether it stands where it began.
+    outcome = _TROUBLES[v.get("trouble", "stands" if v.get("stands") else "explains_nothing")]
     return (
         f"the search from the model's own start values {outcome}{before}; of {v['drawn']} other starts the {v['searched']} most"
         f" promising were searched, and the best follows {_write_best_fits(v['after'])}"
@@ -620,10 +629,10 @@ def explain_profile(profile: Profile) -> list[str]:
             f"the covariance says [{low:.5g}, {high:.5g}], for a cost that it takes for a parabola: use the profile"
         )
     if abs(profile.correlation) > NEARLY_COLLINEAR:
-        lines.append(
-            f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g}): the records determine a"
-            " combination of them better than either"
-        )
+        pair = f"{profile.name} and {profile.partner} are nearly collinear (correlation {profile.correlation:.5g})"
+        known = f"the covariance takes {profile.partner} for known, as it is at its bound; the profile does not"
+        combined = "the records determine a combination of them better than either"
+        lines.append(f"{pair}: {known if profile.partner_at_bound else combined}")
     return lines
 
 

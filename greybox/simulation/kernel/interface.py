@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -231,6 +233,98 @@ def chain_coefficients(step: Step, lengths: np.ndarray, p: np.ndarray, dp: np.nd
     which = np.flatnonzero(dp.any(axis=1))
     q, along = step.coefficients(p, lengths, which)
     return q, along @ dp[which]
+
+
+class RecordPart(NamedTuple):
+    """Samples ``start : start + len(y)``: states (n, nx), outputs (n, ny), and tangents (n, nx or ny, L) of the ones or the others."""
+
+    start: int
+    x: np.ndarray
+    y: np.ndarray
+    tangents: np.ndarray
+
+    @property
+    def failed_at(self) -> int | None:
+        """The first sample with a state or output that is not finite."""
+        is_bad = ~(np.isfinite(self.x).all(axis=1) & np.isfinite(self.y).all(axis=1))
+        return self.start + int(np.argmax(is_bad)) if is_bad.any() else None
+
+
+class KernelInParts(ABC):
+    """A kernel that runs a record part by part: memory does not grow beyond one. See `Kernel` for the arguments."""
+
+    step: Step
+    sizes: StepSizes
+
+    @abstractmethod
+    def run_parts(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordPart]:
+        """The first ``n`` samples of a record, each part begun where the one before ended."""
+
+    @abstractmethod
+    def linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n, ny) of a part and their Jacobian (n, ny, L)."""
+
+    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
+        return chain_coefficients(self.step, record.lengths, p, dp)
+
+    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
+        parts = list(self.run_parts(record, len(record.y), check_arguments(self.sizes, record, q, p, x0)))
+        return np.concatenate([part.y for part in parts]), np.concatenate([part.x for part in parts])
+
+    def sums(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+        rows: int | None = None,
+    ) -> GaussNewtonSums:
+        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        samples, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
+        totals, failed_at = RunningSums(self.sizes.ny, directions), None
+        with np.errstate(all="ignore"):  # what is not finite is found and reported
+            # J is never in memory as a whole, as in the compiled pass.
+            for part in self.run_parts(record, samples, arguments):
+                failed_at = part.failed_at
+                if failed_at is not None:
+                    break
+                totals.add(*self.linearise(record, part, arguments))
+        return totals.check(failed_at, samples)
+
+    def residuals(
+        self,
+        record: Record,
+        q: np.ndarray,
+        dq: np.ndarray,
+        p: np.ndarray,
+        dp: np.ndarray,
+        x0: np.ndarray,
+        dx0: np.ndarray,
+        weight: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
+        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        r = np.full(record.y.shape, np.nan)
+        jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
+        with np.errstate(all="ignore"):  # what is not finite is left NaN
+            for part in self.run_parts(record, len(record.y), arguments):
+                failed_at = part.failed_at
+                # What was computed before the failure is good.
+                end = part.start + len(part.y) if failed_at is None else failed_at
+                kept = slice(part.start, end)
+                of_part = self.linearise(record, part, arguments)
+                r[kept], jacobian[kept] = (values[: end - part.start] for values in of_part)
+                jacobian[kept][np.isnan(r[kept])] = np.nan  # a gap has no residual, hence no slope that could be summed
+                if failed_at is not None:
+                    break
+        return r, jacobian
 
 
 def _array(name: str, values: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray:

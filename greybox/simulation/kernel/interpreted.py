@@ -5,35 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from greybox.base.numerics import NUMBERS_AT_A_TIME
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel.interface import (
-    GaussNewtonSums,
-    KernelArguments,
-    RunningSums,
-    StepSizes,
-    chain_coefficients,
-    check_arguments,
-)
+from greybox.simulation.kernel.interface import KernelArguments, KernelInParts, RecordPart, StepSizes
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import Tape, read_tape, simplify_tape
 
 
-class RecordChunk(NamedTuple):
-    """Samples ``start : start + len(y)``: states, outputs and their tangents (samples, ny, L)."""
-
-    start: int
-    x: np.ndarray
-    y: np.ndarray
-    dy: np.ndarray
-
-
-class InterpretedKernel:
+class InterpretedKernel(KernelInParts):
     """Runs a step in CasADi's virtual machine; see `greybox.simulation.kernel.interface.Kernel` for the arguments.
 
     A pass takes 10 to 100 times as long as compiled: the more, the less the equations call functions such as ``tanh``.
@@ -61,70 +44,7 @@ class InterpretedKernel:
         """The same step with another number of substeps in an interval."""
         return InterpretedKernel(replace(self.step, substeps=substeps), self.reason)
 
-    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
-        return chain_coefficients(self.step, record.lengths, p, dp)
-
-    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0)
-        chunks = list(self._chunks(record, len(record.y), arguments))
-        return np.concatenate([chunk.y for chunk in chunks]), np.concatenate([chunk.x for chunk in chunks])
-
-    def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
-    ) -> GaussNewtonSums:
-        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        sample_count, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
-        totals, failed_at = RunningSums(self.sizes.ny, directions), None
-        with np.errstate(all="ignore"):  # what is not finite is found and reported
-            # Chunk by chunk: J is never in memory as a whole, as in the compiled pass.
-            for chunk in self._chunks(record, sample_count, arguments):
-                failed_at = _first_failure(chunk)
-                if failed_at is not None:
-                    break
-                totals.add(*_residuals(record, chunk, arguments.weight))
-        return totals.check(failed_at, sample_count)
-
-    def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        r = np.full(record.y.shape, np.nan)
-        jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
-        with np.errstate(all="ignore"):  # what is not finite is left NaN
-            for chunk in self._chunks(record, len(record.y), arguments):
-                failed_at = _first_failure(chunk)
-                # What was computed before the failure is good.
-                rows = slice(chunk.start, chunk.start + len(chunk.y) if failed_at is None else failed_at)
-                size = rows.stop - rows.start
-                r[rows], chunk_jacobian = (values[:size] for values in _residuals(record, chunk, arguments.weight))
-                # A gap has no residual, hence no slope that could be summed.
-                jacobian[rows] = np.where(np.isnan(r[rows])[:, :, None], np.nan, chunk_jacobian)
-                if failed_at is not None:
-                    break
-        return r, jacobian
-
-    def _chunks(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordChunk]:
+    def run_parts(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordPart]:
         """The record in chunks, each started where the one before ended."""
         sizes, directions = self.sizes, arguments.directions
         # By its pattern over all rows: one function serves every chunk of the pass.
@@ -167,9 +87,15 @@ class InterpretedKernel:
             _call_in_place(self._mapped_sample(used_dq, used_dp, record.first_order, size), columns, [states, y, dy])
             # States before each sample: the chunk's own results are those after it.
             x = np.vstack([state[: sizes.nx], states[: count - 1, : sizes.nx]])
-            yield RecordChunk(start, x, y[:count], dy[:count].reshape(count, sizes.ny, directions))
+            yield RecordPart(start, x, y[:count], dy[:count].reshape(count, sizes.ny, directions))
             state = states[-1].copy()
             start += count
+
+    def linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals (n, ny) and their Jacobian (n, ny, L)."""
+        measured = record.y[part.start : part.start + len(part.y)]
+        # r = (y_measured - y) w, hence dr = -w dy; NaN in ``measured`` marks gaps.
+        return (measured - part.y) * arguments.weight, -arguments.weight[:, None] * part.tangents
 
     def _mapped_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, first_order: bool, size: int) -> ca.Function:
         """``size`` samples: (z, u, u after, h, q, dq, p, dp) -> (z after, y, dy) with ``z`` the state and its tangents.
@@ -270,15 +196,3 @@ def _call_in_place(function: ca.Function, arguments: Sequence[np.ndarray], resul
         if array.size:
             buffer.set_res(i, array.data)
     evaluate()
-
-
-def _residuals(record: Record, chunk: RecordChunk, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    measured = record.y[chunk.start : chunk.start + len(chunk.y)]
-    # r = (y_measured - y) w, hence dr = -w dy; NaN in ``measured`` marks gaps.
-    return (measured - chunk.y) * weight, -weight[:, None] * chunk.dy
-
-
-def _first_failure(chunk: RecordChunk) -> int | None:
-    """The first sample with a state or output that is not finite."""
-    is_bad = ~(np.isfinite(chunk.x).all(axis=1) & np.isfinite(chunk.y).all(axis=1))
-    return chunk.start + int(np.argmax(is_bad)) if is_bad.any() else None

@@ -8,34 +8,17 @@ constants change in the step, ``W``, is one product for many samples.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from greybox.base.numerics import NUMBERS_AT_A_TIME
 from greybox.simulation.integrators.step import Step, call_function
-from greybox.simulation.kernel.interface import (
-    GaussNewtonSums,
-    KernelArguments,
-    RunningSums,
-    StepSizes,
-    chain_coefficients,
-    check_arguments,
-)
+from greybox.simulation.kernel.interface import KernelArguments, KernelInParts, RecordPart, StepSizes
 from greybox.simulation.kernel.record import Record
 
 
-class RecordPart(NamedTuple):
-    """Samples ``start : start + len(x)``: states (n, nx), outputs (n, ny) and tangents of the states (n, nx, L)."""
-
-    start: int
-    x: np.ndarray
-    y: np.ndarray
-    dx: np.ndarray
-
-
-class LinearKernel:
+class LinearKernel(KernelInParts):
     """Runs a linear step by products of matrices; see `greybox.simulation.kernel.interface.Kernel` for the arguments.
 
     Parameters
@@ -71,70 +54,8 @@ class LinearKernel:
         """The same: the step is exact, and there is one of them in an interval."""
         return self
 
-    def coefficients(self, record: Record, p: np.ndarray, dp: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients (rows, nq) of the step at ``p`` (np,), and their slopes (rows, nq, L) along ``dp`` (np, L)."""
-        return chain_coefficients(self.step, record.lengths, p, dp)
-
-    def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0)
-        parts = list(self._run(record, len(record.y), arguments))
-        return np.concatenate([part.y for part in parts]), np.concatenate([part.x for part in parts])
-
-    def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
-    ) -> GaussNewtonSums:
-        """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        samples, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
-        totals, failed_at = RunningSums(self.sizes.ny, directions), None
-        with np.errstate(all="ignore"):  # what is not finite is found and reported
-            for part in self._run(record, samples, arguments):
-                failed_at = _find_failure(part)
-                if failed_at is not None:
-                    break
-                totals.add(*self._linearise(record, part, arguments))
-        return totals.check(failed_at, samples)
-
-    def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
-        r = np.full(record.y.shape, np.nan)
-        jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
-        with np.errstate(all="ignore"):  # what is not finite is left NaN
-            for part in self._run(record, len(record.y), arguments):
-                failed_at = _find_failure(part)
-                # What was computed before the failure is good.
-                end = part.start + len(part.x) if failed_at is None else failed_at
-                kept = slice(part.start, end)
-                of_part = self._linearise(record, part, arguments)
-                r[kept], jacobian[kept] = (values[: end - part.start] for values in of_part)
-                jacobian[kept][np.isnan(r[kept])] = np.nan  # a gap has no residual, hence no slope that could be summed
-                if failed_at is not None:
-                    break
-        return r, jacobian
-
-    def _run(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordPart]:
-        """The first ``n`` samples of a record, some at a time: memory does not grow beyond one part."""
+    def run_parts(self, record: Record, n: int, arguments: KernelArguments) -> Iterator[RecordPart]:
+        """The first ``n`` samples of a record, some at a time."""
         sizes, directions = self.sizes, arguments.directions
         nx, columns = sizes.nx, sizes.nq // sizes.nx
         # q is the matrix Q of the step, column by column; dq likewise, the directions last.
@@ -182,7 +103,7 @@ class LinearKernel:
         # CasADi stores column by column, hence row by row of the transposes.
         return [result.T for result in call_function(self._mapped[key], *(a.T for a in arguments))]
 
-    def _linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
+    def linearise(self, record: Record, part: RecordPart, arguments: KernelArguments) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (n, ny) and their Jacobian (n, ny, L)."""
         sizes, count, directions = self.sizes, len(part.x), arguments.directions
         rows = slice(part.start, part.start + count)
@@ -194,11 +115,11 @@ class LinearKernel:
         jacobian = np.zeros((count, sizes.ny, directions))
         if len(entries) <= FEW_ENTRIES * sizes.ny:
             for i, k, entry in zip(output, state, entries, strict=True):
-                jacobian[:, i] -= (arguments.weight[i] * entry) * part.dx[:, k]
+                jacobian[:, i] -= (arguments.weight[i] * entry) * part.tangents[:, k]
         else:
             matrix = np.zeros((sizes.ny, sizes.nx))
             matrix[output, state] = -arguments.weight[output] * entries
-            np.matmul(matrix, part.dx, out=jacobian)
+            np.matmul(matrix, part.tangents, out=jacobian)
         if len(self._of_parameter[0]) and arguments.dp.any():
             p = np.broadcast_to(arguments.p, (count, sizes.np))
             along = self._evaluate(self._outputs, part.x, record.u[rows], p)[1]
@@ -241,9 +162,3 @@ def run_recursion(phi: np.ndarray, row: np.ndarray, forced: np.ndarray, start: n
 
 # Entries of the output matrix for each output up to which they are added up one by one: most outputs are a state, or a sum of two.
 FEW_ENTRIES = 4
-
-
-def _find_failure(part: RecordPart) -> int | None:
-    """The first sample with a state or output that is not finite."""
-    is_bad = ~(np.isfinite(part.x).all(axis=1) & np.isfinite(part.y).all(axis=1))
-    return part.start + int(np.argmax(is_bad)) if is_bad.any() else None

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from scipy.signal import butter, lfilter
 
 import greybox as gb
 from greybox.base.document import BulletList, Document, FigureBlock, Paragraphs, Section, Subheading
@@ -33,6 +34,7 @@ from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
 from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
+from tests.support.findings import codes
 
 HOSTILE = """</script><script>alert(1)</script><img src=x onerror="alert(2)">{{ 7 * 7 }}'&amp;"""
 
@@ -177,6 +179,27 @@ def test_a_page_says_once_that_a_model_does_not_explain_its_records() -> None:
     assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} & set(shown)
     assert len(shown) == len(set(shown))
     assert "which allows for the colour of the residual (up to" in render_page(page)
+
+
+def test_what_may_be_noise_is_not_said_to_exceed_it() -> None:
+    """Behind a filter differences show next to nothing of the noise: many times their level may lie below its ceiling."""
+    tank = gb.Model(
+        "tank",
+        [gb.State("y", "V")],
+        [gb.Input("u", "V")],
+        [gb.Output("y", "V")],
+        [gb.Parameter(name, "1/s", 1.5, (0.01, 100.0)) for name in ("k", "b")],
+        lambda x, u, p: [gb.Balance("rate", "V/s", 1, "y", flow=p.b * u.u, loss=-p.k * x.y)],
+    )
+    rng, time = np.random.default_rng(3), 0.01 * np.arange(1500)
+    record = gb.Experiment("run", time, {"u": np.repeat(rng.normal(size=20), 75)}, {"y": time})
+    run = gb.simulate(tank.start(k=2.0, b=2.0), record).outputs["y"]
+    noise = lfilter(*butter(4, 0.1), rng.normal(size=2000))[500:]
+    fit = gb.fit(tank, record.with_outputs({"y": run + 0.01 * run.std() / noise.std() * noise}))
+    assert fit.misfit["y"].noise_ratio > 5 and fit.misfit_at_least["y"] < 1.1
+    assert not {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE} & codes(fit.findings)
+    first, *_ = said(describe_page(fit))
+    assert "do not show whether the model lacks an effect" in first and "at least 0.996 times the noise in y" in first
 
 
 def test_a_sensor_in_doubt_stands_in_the_verdict_of_a_check() -> None:
