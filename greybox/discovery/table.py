@@ -85,7 +85,12 @@ class BlockSums:
         # sum_b w_b (J'J, J'r), outputs in units of what is left in them.
         curvature = (drawn @ np.einsum("boij,o->bij", self.curvature, weight).reshape(-1, n * n)).reshape(-1, n, n)
         gradient = drawn @ np.einsum("boi,o->bi", self.gradient, weight)
-        steps = -np.linalg.solve(curvature + RIDGE * np.eye(n), gradient[:, :, None])[:, :, 0]
+        # In units in which each unknown alone has a curvature of one: a run that nearly goes astray has curvatures beside which the ridge is
+        # lost in rounding.
+        unit = 1 / np.sqrt(np.einsum("rii->ri", curvature) + RIDGE)
+        ridge = RIDGE * unit**2 + n * np.finfo(float).eps
+        scaled = curvature * unit[:, :, None] * unit[:, None, :] + ridge[:, :, None] * np.eye(n)
+        steps = -unit * np.linalg.solve(scaled, (gradient * unit)[:, :, None])[:, :, 0]
         return np.clip(steps, self.low, self.high)
 
     def mean_squares(self, steps: np.ndarray) -> np.ndarray:
@@ -337,4 +342,6 @@ def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) 
             parts.append((square, present[part].sum(axis=0), slopes, curvature, is_judging))
     square, count, gradient, curvature, judges = (np.array(each) for each in zip(*parts, strict=True))
     low, high = variables.bounds()
+    if not all(np.isfinite(sums).all() for sums in (square, gradient, curvature)):
+        return None
     return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges)
