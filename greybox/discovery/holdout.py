@@ -330,8 +330,10 @@ def finish_fit(
     if user is None or problem.executor.is_late:
         return RefitComparison(fit)
     best = RefitComparison(fit)
+    # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
+    options = replace(user.options, other_starts=0)
     for _ in range(most):
-        again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=user.options)
+        again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=options)
         # The constants of a fit that did not end are no better than those where it began.
         if fit.success and not again.success:
             return compare_with_refit(fit, again)

@@ -85,7 +85,7 @@ class BlockSums:
         # sum_b w_b (J'J, J'r), outputs in units of what is left in them.
         curvature = (drawn @ np.einsum("boij,o->bij", self.curvature, weight).reshape(-1, n * n)).reshape(-1, n, n)
         gradient = drawn @ np.einsum("boi,o->bi", self.gradient, weight)
-        # In units in which each unknown alone has a curvature of one: a run that nearly goes astray has curvatures beside which the ridge is
+        # In units in which each unknown alone has a curvature of one: beside the curvatures of a run that nearly goes astray the ridge is
         # lost in rounding.
         unit = 1 / np.sqrt(np.einsum("rii->ri", curvature) + RIDGE)
         ridge = RIDGE * unit**2 + n * np.finfo(float).eps

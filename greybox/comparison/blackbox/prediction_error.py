@@ -354,9 +354,9 @@ class _Slopes:
             delay.take(sign * self.filters[letter][place](signal))
             return [delay.delayed(j) for j in delays]
 
-        found = columns("a", 0, y, range(1, orders.na + 1), 1.0)
+        slopes = columns("a", 0, y, range(1, orders.na + 1), 1.0)
         for i, (nb, nk, signal) in enumerate(zip(orders.nb, orders.nk, part.signals, strict=True)):
-            found += columns("b", i, signal[rows], range(nk, nk + nb), -1.0)
+            slopes += columns("b", i, signal[rows], range(nk, nk + nb), -1.0)
         # w = D B / F u + its past, which is a pulse in the first row through q^-j / F.
         pulse = np.zeros(len(y))
         pulse[: rows.start == 0] = 1.0
@@ -364,13 +364,13 @@ class _Slopes:
             drive = self.filters["drive"][i](w)
             if past is not None:
                 drive = drive + past(pulse)
-            found += columns("f", i, drive, range(1, nf + 1), 1.0)
-        found += columns("c", 0, e, range(1, structure.nc + 1), -1.0)
-        found += columns("d", 0, equation_error, range(1, structure.nd + 1), 1.0)
+            slopes += columns("f", i, drive, range(1, nf + 1), 1.0)
+        slopes += columns("c", 0, e, range(1, structure.nc + 1), -1.0)
+        slopes += columns("d", 0, equation_error, range(1, structure.nd + 1), 1.0)
         if structure.offset:
-            found.append(-self.filters["constant"][0](np.ones(len(y))))
-        found += [-slope(each) for slope, each in zip(self.filters["basis"], functions, strict=False)]
-        return np.column_stack(found)
+            slopes.append(-self.filters["constant"][0](np.ones(len(y))))
+        slopes += [-slope(each) for slope, each in zip(self.filters["basis"], functions, strict=False)]
+        return np.column_stack(slopes)
 
 
 # ---- Search ----
