@@ -40,6 +40,15 @@ def test_a_resample_is_refitted_as_least_squares_are():
     assert sums.mean_squares(step[None])[0, :, 0] == pytest.approx(expected, rel=1e-10)
 
 
+def test_a_run_that_nearly_goes_astray_is_refitted_too():
+    """Two constants that do the same, with slopes beside which the ridge is lost in rounding: their sum follows the residual."""
+    huge = 1e12 * np.ones((40, 2))
+    sums = sums_of(huge, -3e12 * np.ones(40), 4)
+    (step,) = sums.refit(np.ones((1, 4)), np.ones(1))
+    assert step.sum() == pytest.approx(3.0, rel=1e-6)
+    assert sums.mean_squares(step[None]) == pytest.approx(0.0, abs=1e-9 * 9e24)
+
+
 def test_a_step_stays_within_the_bounds():
     sums = sums_of(np.ones((10, 1)), -5 * np.ones(10), 2)
     bounded = BlockSums(**{**vars(sums), "low": np.array([-1.0]), "high": np.array([0.5])})
