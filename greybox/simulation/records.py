@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary, WeakValueDictionary
 
 import numpy as np
 
@@ -62,12 +64,25 @@ def to_record(model: Model, experiment: Experiment) -> Record:
             f"experiment {experiment.name!r} has none of the outputs of model {model.title!r}: it has {has};"
             f" {nearest(next(iter(experiment.outputs)), names)}"
         )
-    rows = experiment.rows
-    u = stack_signals([experiment.inputs[i.name] for i in model.inputs], rows)
-    measured = (experiment.outputs.get(name) for name in names)
-    y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
     # The last effect that says so: an effect added to a model overrules those before it.
     hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
+    inputs = tuple(i.name for i in model.inputs)
+    laid_out = _LAID_OUT.setdefault(experiment, WeakValueDictionary())
+    record = laid_out.get((inputs, tuple(names), hold))
+    if record is None:
+        record = laid_out[inputs, tuple(names), hold] = _lay_out(experiment, inputs, names, hold)
+    return record
+
+
+# A search holds a hundred models of the same records: they share one layout as long as any of them holds it.
+_LAID_OUT: WeakKeyDictionary[Experiment, WeakValueDictionary[tuple[Any, ...], Record]] = WeakKeyDictionary()
+
+
+def _lay_out(experiment: Experiment, inputs: Sequence[str], outputs: Sequence[str], hold: str) -> Record:
+    rows = experiment.rows
+    u = stack_signals([experiment.inputs[name] for name in inputs], rows)
+    measured = (experiment.outputs.get(name) for name in outputs)
+    y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
     if hold == "band-limited":
         return _to_finer_record(experiment, u, y)
     lengths, row = _group_intervals(experiment.intervals)

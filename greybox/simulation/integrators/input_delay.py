@@ -70,18 +70,22 @@ def add_input_history(u: np.ndarray, intervals: np.ndarray, past: InputHistory, 
     ``intervals`` are the lengths (N - 1,) between the rows in s. Where they differ each row also says how long ago these rows were, in
     intervals of its own length.
     """
-    rows, reach = len(u), np.arange(1, past.rows + 1)
+    rows, width = len(u), u.shape[1] + past.rows
     length = np.append(intervals, intervals[-1:] if len(intervals) else 1.0)
-    number = past.rows + np.arange(rows)[:, None] - reach
-    earlier = np.concatenate([np.zeros(past.rows), u[:, past.column]])[number]
-    flags = [np.arange(rows) % 2, np.full(rows, float(first_order)), length]
-    if not past.uneven:
-        return np.ascontiguousarray(np.column_stack([u, earlier, *flags]))
-    # Before the record its first interval repeats itself.
-    start = np.concatenate([[0.0], np.cumsum(intervals)])
-    time = np.concatenate([-length[0] * reach[::-1], start])
-    ages = (start[:, None] - time[number]) / length[:, None]
-    return np.ascontiguousarray(np.column_stack([u, earlier, ages, *flags]))
+    earlier = np.concatenate([np.zeros(past.rows), u[:, past.column]])
+    # Column by column into what is returned: a long past is many times the record.
+    table = np.empty((rows, u.shape[1] + count_history_columns(past)))
+    table[:, : u.shape[1]] = u
+    for k in range(past.rows):
+        table[:, u.shape[1] + k] = earlier[past.rows - 1 - k :][:rows]
+    if past.uneven:
+        # Before the record its first interval repeats itself.
+        start = np.concatenate([[0.0], np.cumsum(intervals)])
+        time = np.concatenate([-length[0] * np.arange(past.rows, 0, -1), start])
+        for k in range(past.rows):
+            table[:, width + k] = (start - time[past.rows - 1 - k :][:rows]) / length
+    table[:, -len(FLAG_COLUMNS) :] = np.column_stack([np.arange(rows) % 2, np.full(rows, float(first_order)), length])
+    return table
 
 
 def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) -> AdvanceFunction:
