@@ -19,6 +19,7 @@ from greybox.discovery.holdout import (
     worst_output,
 )
 from greybox.discovery.policy import SearchBudget, SelectionPolicy
+from greybox.estimation.options import FitOptions
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.fake_candidates import candidate
 
@@ -215,7 +216,7 @@ def finish(monkeypatch, first, *ends):
     rest = list(ends)
     monkeypatch.setattr(holdout, "estimate", lambda *_, **__: rest.pop(0))
     problem = SimpleNamespace(
-        user_settings=SimpleNamespace(noise={}, quiet=(), options=None),
+        user_settings=SimpleNamespace(noise={}, quiet=(), options=FitOptions()),
         executor=SimpleNamespace(is_late=False),
         experiments=(),
     )
