@@ -12,8 +12,10 @@ import json
 import re
 import secrets
 import shutil
+import signal
 import sys
 import tempfile
+import threading
 import traceback
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -406,10 +408,13 @@ class UploadHandler(GuardedHandler):
 
 
 async def serve(workbench: Workbench, port: int, ready: Callable[[str], None]) -> None:
-    """Serve until it is cancelled; ``ready`` is called with the address."""
-    server = AppServer(workbench, port)
+    """Serve until it is cancelled or interrupted; ``ready`` is called with the address."""
+    server, ended = AppServer(workbench, port), asyncio.Event()
+    if threading.current_thread() is threading.main_thread() and sys.platform != "win32":
+        # Heard by the loop itself: what a handler raises inside an answer, or while an object is deleted, is lost.
+        asyncio.get_running_loop().add_signal_handler(signal.SIGINT, ended.set)
     try:
         ready(server.address)
-        await asyncio.Event().wait()
+        await ended.wait()
     finally:
         await server.close()
