@@ -6,6 +6,7 @@ experiment that parmest (Klise and others, Computer Aided Chemical Engineering 4
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State
 
@@ -83,3 +84,32 @@ def published_record() -> Experiment:
     feed = np.where(time < 10800, 0.003, 0.0)
     outputs = {name: np.array(values.split(), dtype=float) for name, values in MEASURED.items()}
     return Experiment("exp1", time, {"F": feed, "Tc": np.full(21, 320.0)}, outputs)
+
+
+# Noise of a simulated record: what a fit leaves of the published one.
+NOISE = {"Ca": 0.2, "Cb": 0.2, "Cc": 0.2, "T": 1.0}
+
+
+def simulated_record(seed: int) -> Experiment:
+    """The published experiment from the constants behind it, by a solver that is not greybox's, with white noise."""
+    published, rng = published_record(), np.random.default_rng([seed, 17])
+    k1, k2, e1, e2 = TRUTH.values()
+
+    def rates(t: float, x: np.ndarray) -> list[float]:
+        a, b, _, volume, temperature = x
+        feed = 0.003 if t < 10800 else 0.0
+        first = k1 * np.exp(-e1 / (GAS * temperature)) * a
+        second = k2 * np.exp(-e2 / (GAS * temperature)) * b
+        heat = 0.05 * 3900.0 / 1000.0 * feed / volume * (300.0 - temperature)
+        heat += 40000.0 * first + 50000.0 * second + COOLING * (320.0 - temperature)
+        return [feed / volume - first, first - second, second, 0.05 * feed, heat / HEAT]
+
+    # Not over the step of the feed.
+    state, parts = [0.0, 0.0, 0.0, 1.0, 300.0], []
+    for times in (published.time[:11], published.time[10:]):
+        run = solve_ivp(rates, times[[0, -1]], state, "LSODA", times, rtol=1e-10, atol=1e-10)
+        state = list(run.y[:, -1])
+        parts.append(run.y[:, :-1] if not parts else run.y)
+    y = np.hstack(parts)[[0, 1, 2, 4]]
+    outputs = {name: row + NOISE[name] * rng.standard_normal(len(row)) for name, row in zip(MEASURED, y, strict=True)}
+    return Experiment(f"simulated {seed}", published.time, published.inputs, outputs)
