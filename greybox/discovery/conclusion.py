@@ -103,7 +103,7 @@ class FinalModel:
 
 
 @dataclass(frozen=True)
-class Answer:
+class SearchAnswer:
     """An answer in the making, as each step of the conclusion leaves it.
 
     Parameters
@@ -209,7 +209,7 @@ def conclude(
     return _describe(answer, candidates, surrogate, test)
 
 
-def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further: bool) -> Answer:
+def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further: bool) -> SearchAnswer:
     """The selected model, with smaller effects where more than noise is left, beside all its rivals."""
     selection, problem = judged.selection, judged.selection.problem
     decided = _decide(judged)
@@ -241,10 +241,10 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
     named = [name for name in final.candidate.effects if not is_shape_correction(name)]
     decided = read_verdict(decided, claims, named, tied)
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
-    return Answer(judged, final, decided, location, claims, signals, refinement)
+    return SearchAnswer(judged, final, decided, location, claims, signals, refinement)
 
 
-def _add_law(answer: Answer, of_laws: DiscoveryProblem) -> Answer:
+def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:
     """With the equation that is missing, where no effect is certain or the noise has no more than a ceiling."""
     judged, verdict = answer.judged, answer.verdict
     if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY) and is_level_known(of_laws.noise_model):
@@ -264,7 +264,7 @@ def _add_law(answer: Answer, of_laws: DiscoveryProblem) -> Answer:
     return replace(answer, judged=judged, final=final, claims=claims, law=law, decided=decided)
 
 
-def _finish_answer(answer: Answer) -> Answer:
+def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
     """With both models as a fit of one's own gives them: the plain one, and the one that is handed over."""
     judged = answer.judged
     base, doubts = _finish(judged, judged.base)
@@ -279,7 +279,7 @@ def _finish_answer(answer: Answer) -> Answer:
     )
 
 
-def _keep_if_better(answer: Answer, test: ValidationSet) -> Answer:
+def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
     """The answer where it does better than the plain model on the records that judge it; else the plain model is the answer."""
     judged, decided = answer.judged, answer.decided
     added = list_added_effects(judged)
@@ -310,7 +310,7 @@ def _keep_if_better(answer: Answer, test: ValidationSet) -> Answer:
     )
 
 
-def _fit_stand_in(answer: Answer, test: ValidationSet) -> Surrogate | None:
+def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
     """A curve in the place of what has no name: not where a law or a probable effect is said, nor where the plain model does as well."""
     if answer.verdict is not Verdict.UNKNOWN or answer.has_law or answer.is_probable:
         return None
@@ -335,7 +335,7 @@ def _fit_stand_in(answer: Answer, test: ValidationSet) -> Surrogate | None:
 
 
 def _describe(
-    answer: Answer, candidates: Sequence[Effect], surrogate: Surrogate | None, test: ValidationSet
+    answer: SearchAnswer, candidates: Sequence[Effect], surrogate: Surrogate | None, test: ValidationSet
 ) -> Discovery:
     """The answer with what is left and where, what to do next, and its conclusion."""
     judged, final, verdict, problem = answer.judged, answer.final, answer.verdict, answer.problem
@@ -610,7 +610,7 @@ def _sum_up(holdout: Mapping[str, HoldoutError]) -> tuple[float, float]:
 
 
 def _list_next_steps(
-    answer: Answer, surrogate: Surrogate | None, location: ResidualLocalisation, test: ValidationSet
+    answer: SearchAnswer, surrogate: Surrogate | None, location: ResidualLocalisation, test: ValidationSet
 ) -> tuple[Finding, ...]:
     """What to do next, by what is open; ``location`` is that of what the answer leaves."""
     judged, verdict = answer.judged, answer.verdict
