@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from greybox.base.errors import NUMERICAL_ERRORS, FitError, GreyboxError
 from greybox.base.files import add_entry, read_journal
@@ -317,8 +318,11 @@ class RefitExecutor:
 
     @contextmanager
     def open(self) -> Iterator[RefitExecutor]:
-        """Ends processes that were started meanwhile."""
-        with self._pools:
+        """Ends processes that were started meanwhile; until then BLAS has one thread, as in every process for refits.
+
+        The matrices are small: a pool of threads costs more than it does, and takes the cores from the processes.
+        """
+        with self._pools, threadpool_limits(1, "blas"):
             yield self
 
     def _parallel_pays(self, jobs: int) -> bool:

@@ -364,7 +364,7 @@ class HoldoutScores:
         """The candidate's free run over the records; None where it fails there."""
         key = _key_of(candidate)
         if key not in self._runs:
-            run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.options)
+            run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.run_options)
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
         return self._runs[key]
 

@@ -45,9 +45,9 @@ def fail(*_, **__):
 @pytest.mark.parametrize(
     ("place", "stage"),
     [
-        ("pipeline.localise_residual", SearchStage.LOCALISATION),
-        ("pipeline.refit_rivals", SearchStage.EVIDENCE),
-        ("pipeline.estimate_effect_signals", SearchStage.EVIDENCE),
+        ("conclusion.localise_residual", SearchStage.LOCALISATION),
+        ("conclusion.refit_rivals", SearchStage.EVIDENCE),
+        ("conclusion.estimate_effect_signals", SearchStage.EVIDENCE),
         ("rivals.list_shape_corrections", SearchStage.SHAPE_CORRECTION),
     ],
 )
@@ -56,7 +56,7 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
     found = answer(rig)
     assert [e["name"] for e in found.effects] == ["cubic_stiffness"]
     assert (stage, "on purpose") in {(failure.stage, failure.reason) for failure in found.failures}
-    if place == "pipeline.refit_rivals":
+    if place == "conclusion.refit_rivals":
         assert found.verdict == "partly"  # no name is certain that was held against no rival; the place is
         assert not any(e["grade"] == "established" for e in found.effects)
         assert deepest_established(found.claims).name == ""
@@ -65,8 +65,8 @@ def test_a_stage_that_fails_does_not_end_the_search(rig, monkeypatch, place, sta
 @pytest.mark.parametrize(
     ("place", "stage"),
     [
-        ("pipeline.refine_candidate", SearchStage.REFINEMENT),
-        ("pipeline.fit_surrogate", SearchStage.SURROGATE),
+        ("conclusion.refine_candidate", SearchStage.REFINEMENT),
+        ("conclusion.fit_surrogate", SearchStage.SURROGATE),
     ],
 )
 def test_what_comes_after_an_unknown_effect_may_fail_as_well(rig, monkeypatch, place, stage):

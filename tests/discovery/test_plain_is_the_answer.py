@@ -9,11 +9,11 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, FitError
 from greybox.base.findings import with_code
+from greybox.discovery.conclusion import judge_against_plain, judge_on_test
 from greybox.discovery.decision import Verdict
 from greybox.discovery.execution import FailureLog
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import ValidationSet
-from greybox.discovery.pipeline import judge_against_plain, judge_on_test
 from greybox.estimation.result_parts import Misfit, Trace, Validation
 from tests.support.first_order import first_order
 

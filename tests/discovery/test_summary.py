@@ -8,8 +8,8 @@ import pytest
 from greybox.discovery.decision import Conclusion, Verdict
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.pipeline import _summarise
 from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.summary import summarise as summarise_answer
 
 LOCATION = SimpleNamespace(
     is_missing=True,
@@ -41,7 +41,7 @@ def summarise(effects, surrogate_share, look_alike_share=0.5):
             signal=SimpleNamespace(value=np.array([3.0, -3.0])),
             to_values=lambda: {"site": "input u"},
         )
-    findings = _summarise(judged, Conclusion(Verdict.UNKNOWN, ()), (), (), {}, LOCATION, surrogate)
+    findings = summarise_answer(judged, Conclusion(Verdict.UNKNOWN, ()), (), (), {}, LOCATION, surrogate)
     missing = next(f for f in findings if f.code == DiscoveryCode.MISSING_SIGNAL)
     return [f.code for f in findings], missing
 

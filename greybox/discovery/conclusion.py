@@ -1,0 +1,681 @@
+"""From a judged selection to the answer: smaller effects, claims, laws, the finished models, what is left and what to do next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from greybox.base import Check, Finding, Severity
+from greybox.discovery.claims import (
+    Claim,
+    deepest_established,
+    list_tied_sets,
+    lower_grade,
+    name_claim,
+    read_verdict,
+    weigh_claims,
+)
+from greybox.discovery.decision import (
+    Conclusion,
+    Decision,
+    Grade,
+    Verdict,
+    decide_verdict,
+    make_check,
+)
+from greybox.discovery.effect_signal import (
+    EVIDENCE_BLOCKS,
+    EffectSignal,
+    estimate_effect_signals,
+    measure_remaining_error,
+)
+from greybox.discovery.execution import SearchStage
+from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
+from greybox.discovery.holdout import (
+    PARTIAL_SHARE,
+    HoldoutError,
+    HoldoutScores,
+    RefitComparison,
+    ValidationSet,
+    block_errors,
+    compare_errors,
+    compare_holdout_errors,
+    finish_fit,
+    measure_structure,
+    validate_candidate,
+    worst_output,
+)
+from greybox.discovery.judged_selection import JudgedSelection, list_added_effects, list_named_effects
+from greybox.discovery.laws.search import LawSearch, search_laws
+from greybox.discovery.localisation import ResidualLocalisation, localise_residual
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.proposals import (
+    explain_doubt,
+    list_detection_limits,
+    propose_experiments,
+    propose_next_steps,
+    propose_noise_check,
+)
+from greybox.discovery.refinement import (
+    REFINEMENT_LEAST_DEVIATIONS,
+    VALIDATION_SHARE,
+    Refinement,
+    refine_candidate,
+    with_residual_noise,
+)
+from greybox.discovery.residual_noise import (
+    WHITE_CORRELATION,
+    excess_autocorrelation,
+    is_level_known,
+    is_shape_correction,
+)
+from greybox.discovery.result import Discovery, RankedCandidate, quote_test_error
+from greybox.discovery.rivals import RivalSearch, refit_curves_in_place, refit_rivals
+from greybox.discovery.selection import AUTOCORRELATION_LAGS, StepwiseSelection
+from greybox.discovery.summary import list_law_ranges, summarise, summarise_laws
+from greybox.discovery.surrogate import Surrogate, fit_surrogate
+from greybox.discovery.table import FitTable
+from greybox.estimation import Fit
+from greybox.model import Effect
+
+
+@dataclass(frozen=True)
+class LawAnswer:
+    """What a search for laws makes of the answer: the verdict, the plain and the best model, what is left and the rivals."""
+
+    search: LawSearch
+    verdict: Verdict
+    base: Fit
+    best: Fit | None
+
+
+@dataclass(frozen=True)
+class FinalModel:
+    """The model of the answer: as a candidate, as a validated fit, and the validation records under the noise it was fitted with."""
+
+    scores: HoldoutScores
+    candidate: FittedCandidate
+    fit: Fit
+
+
+@dataclass(frozen=True)
+class SearchAnswer:
+    """An answer in the making, as each step of the conclusion leaves it.
+
+    Parameters
+    ----------
+    judged
+        The selection, with the plain model and that of the answer as validated fits.
+    final
+        The model of the answer.
+    decided
+        The verdict, and the checks that it rests on.
+    location
+        What the plain model leaves unexplained, and where.
+    claims
+        What resampling the records says.
+    signals
+        The signal of each effect of the answer.
+    refinement
+        Further effects, where some were looked for.
+    law
+        What a search for laws makes of it, where one was made.
+    findings
+        What a user should know beside the verdict.
+    rejected
+        Names of its effects where the plain model is the answer in their place; "" for an answer that stands.
+    is_worse
+        Whether that is for the records that took no part.
+    """
+
+    judged: JudgedSelection
+    final: FinalModel
+    decided: Conclusion
+    location: ResidualLocalisation
+    claims: tuple[Claim, ...] = ()
+    signals: tuple[EffectSignal, ...] = ()
+    refinement: Refinement | None = None
+    law: LawAnswer | None = None
+    findings: tuple[Finding, ...] = ()
+    rejected: str = ""
+    is_worse: bool = False
+
+    @property
+    def verdict(self) -> Verdict:
+        """What may be said so far."""
+        return self.decided.verdict
+
+    @property
+    def problem(self) -> DiscoveryProblem:
+        """The records and the noise of its search."""
+        return self.judged.selection.problem
+
+    @property
+    def has_law(self) -> bool:
+        """Whether its model holds a law."""
+        return self.law is not None and self.law.best is not None
+
+    @property
+    def names(self) -> list[Claim]:
+        """The claims of its effects by name."""
+        return [c for e in list_named_effects(self.judged) if (c := name_claim(self.claims, e)) is not None]
+
+    @property
+    def is_probable(self) -> bool:
+        """Whether one of its effects is probable."""
+        return any(claim.grade is Grade.PROBABLE for claim in self.names)
+
+    @property
+    def is_deeper(self) -> bool:
+        """Whether something is established where no name is: the answer goes as deep as the records carry."""
+        skipped = self.problem.executor.skipped
+        return self.verdict is Verdict.UNKNOWN and not skipped and deepest_established(self.claims) is not None
+
+
+def conclude(
+    judged: JudgedSelection,
+    candidates: Sequence[Effect],
+    test: ValidationSet,
+    findings: tuple[Finding, ...],
+    further: bool,
+    of_laws: DiscoveryProblem | None = None,
+) -> Discovery:
+    """What a judged selection comes to: further effects, claims, laws, the finished models, what is left, and what to do next.
+
+    Parameters
+    ----------
+    judged
+        The selection.
+    candidates
+        Every effect that was tried.
+    test
+        Records that took no part.
+    findings
+        What a user should know already.
+    further
+        Whether smaller effects are looked for even where the residual is noise.
+    of_laws
+        The problem for which an equation is looked for; None for none.
+    """
+    answer = _weigh_answer(judged, candidates, further)
+    if of_laws is not None:
+        answer = _add_law(answer, of_laws)
+    answer = _keep_if_better(_finish_answer(replace(answer, findings=findings)), test)
+    surrogate = _fit_stand_in(answer, test)
+    return _describe(answer, candidates, surrogate, test)
+
+
+def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further: bool) -> SearchAnswer:
+    """The selected model, with smaller effects where more than noise is left, beside all its rivals."""
+    selection, problem = judged.selection, judged.selection.problem
+    decided = _decide(judged)
+    final = FinalModel(judged.scores, judged.selected, judged.best)
+    refinement: Refinement | None = None
+    if further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged):
+        final, refinement = _refine(judged, candidates)
+    signals = _estimate_signals(final)
+    location = _locate(judged.baseline, selection)
+    claims: tuple[Claim, ...] = ()
+    if candidates and decided.verdict is not Verdict.COMPLETE:
+        problem.executor.release_reserve()
+        known = selection.fits if refinement is None or not refinement.steps else {}
+        rivals = RivalSearch(
+            final.scores.problem,
+            selection.scales,
+            candidates,
+            final.candidate,
+            selection.baseline,
+            known,
+            signals,
+            selection.policy,
+        )
+        weigh = partial(_weigh, judged, rivals, location)
+        claims = problem.failures.attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
+        if problem.executor.skipped:  # not all rivals were tried
+            claims = tuple(map(lower_grade, claims))
+    tied = [rival.effects for rival in judged.rivals]
+    named = [name for name in final.candidate.effects if not is_shape_correction(name)]
+    decided = read_verdict(decided, claims, named, tied)
+    judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
+    return SearchAnswer(judged, final, decided, location, claims, signals, refinement)
+
+
+def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:
+    """With the equation that is missing, where no effect is certain or the noise has no more than a ceiling."""
+    judged, verdict = answer.judged, answer.verdict
+    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY) and is_level_known(of_laws.noise_model):
+        return answer
+    look = partial(_look_for_laws, judged, of_laws, verdict, answer.final)
+    law: LawAnswer | None = answer.problem.failures.attempt(SearchStage.LAWS, judged.selected.effects, look, None)
+    if law is None:
+        return answer
+    final, claims = answer.final, answer.claims
+    best = law.best or (law.base if law.verdict is Verdict.COMPLETE else final.fit)
+    if law.best is not None and law.search.candidate is not None:
+        final = FinalModel(HoldoutScores(of_laws, judged.scores.validation), law.search.candidate, best)
+    judged = replace(judged, base=law.base, best=best, holdout=compare_holdout_errors(law.base, best))
+    if law.verdict is Verdict.COMPLETE:
+        final, claims = FinalModel(judged.scores, judged.baseline, best), ()
+    decided = replace(answer.decided, verdict=law.verdict)
+    return replace(answer, judged=judged, final=final, claims=claims, law=law, decided=decided)
+
+
+def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
+    """With both models as a fit of one's own gives them: the plain one, and the one that is handed over."""
+    judged = answer.judged
+    base, doubts = _finish(judged, judged.base)
+    best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
+    judged = replace(judged, base=base, best=best, holdout=compare_holdout_errors(base, best))
+    return replace(
+        answer,
+        judged=judged,
+        final=replace(answer.final, fit=best),
+        refinement=None if answer.refinement is None else replace(answer.refinement, fit=best),
+        findings=(*answer.findings, *doubts, *more),
+    )
+
+
+def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
+    """The answer where it does better than the plain model on the records that judge it; else the plain model is the answer."""
+    judged, decided = answer.judged, answer.decided
+    added = list_added_effects(judged)
+    if not added:
+        return answer
+    names = " + ".join(added)
+    better = judge_against_plain(judged.base, judged.best, judged.scores.validation.uncounted, names)
+    kept = judge_on_test(answer.problem, judged.base, judged.best, test, names)
+    checks = (*decided.checks, *better.checks, *kept.checks)
+    is_worse = better.passed and not kept
+    if better and kept:
+        return replace(answer, decided=replace(decided, checks=checks), is_worse=is_worse)
+    law, refinement = answer.law, answer.refinement
+    equations = {} if law is None else {each.name: each.equation for each in law.search.laws}
+    holdout = compare_holdout_errors(judged.base, judged.base)
+    judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
+    return replace(
+        answer,
+        judged=judged,
+        final=FinalModel(judged.scores, judged.baseline, judged.base),
+        decided=replace(_decide(judged), checks=checks),
+        claims=(),
+        signals=(),
+        refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),
+        law=None if law is None else replace(law, best=None, search=replace(law.search, laws=())),
+        rejected=" + ".join(equations.get(name, name) for name in added),
+        is_worse=is_worse,
+    )
+
+
+def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
+    """A curve in the place of what has no name: not where a law or a probable effect is said, nor where the plain model does as well."""
+    if answer.verdict is not Verdict.UNKNOWN or answer.has_law or answer.is_probable:
+        return None
+    judged, problem = answer.judged, answer.problem
+    represent = partial(
+        fit_surrogate,
+        replace(problem, model=judged.plain),
+        judged.baseline,
+        judged.selected,
+        judged.holdout,
+        judged.scores.validation,
+        judged.base,
+        judged.selection.policy,
+    )
+    surrogate: Surrogate | None = problem.failures.attempt(
+        SearchStage.SURROGATE, judged.selected.effects, represent, None
+    )
+    if surrogate is None:
+        return None
+    follows = judge_against_plain(judged.base, surrogate.fit, judged.scores.validation.uncounted)
+    return surrogate if follows and judge_on_test(problem, judged.base, surrogate.fit, test) else None
+
+
+def _describe(
+    answer: SearchAnswer, candidates: Sequence[Effect], surrogate: Surrogate | None, test: ValidationSet
+) -> Discovery:
+    """The answer with what is left and where, what to do next, and its conclusion."""
+    judged, final, verdict, problem = answer.judged, answer.final, answer.verdict, answer.problem
+    selection, selected, attempt = judged.selection, judged.selected, answer.problem.failures.attempt
+    location = _locate(_under_less_noise(final), selection) if final.candidate.effects else answer.location
+    left = measure_remaining_error(final.fit, judged.holdout, location, judged.scores.validation.uncounted)
+    next_steps = _list_next_steps(answer, surrogate, location, test)
+    experiments = attempt(
+        SearchStage.PROPOSAL, selected.effects, partial(propose_experiments, problem, selected, judged.rivals), ()
+    )
+    limits = list_detection_limits(selection.single_effects) if verdict is Verdict.COMPLETE else ()
+    findings = answer.findings
+    if surrogate is not None and surrogate.finished is not None:
+        findings = (*findings, *_word_on(surrogate.finished))
+    if judged.corrected is not selected and verdict is not Verdict.UNKNOWN and final.candidate is selected:
+        added = [name for name in judged.corrected.effects if name not in selected.effects]
+        values = {"correction": added}
+        findings = (*findings, Finding(DiscoveryCode.SHAPE_CORRECTED, subject=_name(selected), values=values))
+    fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
+    ranking = [RankedCandidate(f.effects, f.noise_ratio, f.criterion - fits[0].criterion) for f in fits]
+    alternatives = [rival.effects for rival in judged.rivals]
+    if verdict is Verdict.AMBIGUOUS and not alternatives:
+        alternatives = list_tied_sets(answer.claims, list_named_effects(judged))
+    decided = replace(answer.decided, verdict=Verdict.PARTLY) if answer.is_deeper else answer.decided
+    constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
+    summary = summarise(
+        judged,
+        decided,
+        answer.claims,
+        alternatives,
+        left,
+        answer.location,
+        surrogate,
+        answer.rejected,
+        answer.is_worse,
+        constants,
+    )
+    search = None if answer.law is None else answer.law.search
+    if search is not None and verdict is not Verdict.COMPLETE:
+        summary = summarise_laws(judged, search, answer.has_law, summary, left)
+        findings = (*findings, *list_law_ranges(search)) if answer.has_law else findings
+    return Discovery(
+        decided.verdict,
+        judged.base,
+        judged.best,
+        list(search.alternatives) if search is not None and answer.has_law else alternatives,
+        judged.holdout,
+        ranking,
+        answer.location,
+        conclusion=summary,
+        checks=(*judged.checks, *decided.checks, *(search.checks if search is not None else ())),
+        path=tuple(selection.steps),
+        findings=(*findings, *experiments, *limits),
+        next_steps=next_steps,
+        effect_signals=answer.signals,
+        surrogate=surrogate,
+        refinement=answer.refinement,
+        claims=answer.claims,
+        left=left,
+        policy=selection.policy,
+        options=problem.options,
+        laws=search.laws if search is not None and answer.has_law else (),
+    )
+
+
+def _decide(judged: JudgedSelection) -> Conclusion:
+    policy, corrected = judged.selection.policy.selection, judged.corrected
+    autocorrelation = excess_autocorrelation(corrected, AUTOCORRELATION_LAGS) if corrected.effects else 0.0
+    decided = decide_verdict(
+        judged.baseline,
+        corrected,
+        judged.rivals,
+        judged.holdout,
+        judged.noise_limits,
+        autocorrelation,
+        policy,
+    )
+    ties = judged.selection.tie_checks(judged.selected, judged.rivals)
+    return replace(decided, checks=(*decided.checks, *ties))
+
+
+def _may_hold_more(judged: JudgedSelection) -> bool:
+    """Whether the noise has no more than a ceiling, and what is left below it remembers: white noise does not."""
+    if not judged.selected.effects or is_level_known(judged.selection.problem.noise_model):
+        return False
+    corrected, attempt = judged.corrected, judged.selection.problem.failures.attempt
+    measure = partial(measure_structure, judged.scores, corrected, only_visible=False)
+    structure: float = attempt(SearchStage.REFINEMENT, corrected.effects, measure, 0.0)
+    return structure > WHITE_CORRELATION
+
+
+def _refine(judged: JudgedSelection, candidates: Sequence[Effect]) -> tuple[FinalModel, Refinement | None]:
+    """Further effects where more than noise is left; None, and the selected model, where they cannot be looked for."""
+    selection, scores = judged.selection, judged.scores
+    problem, policy = selection.problem, selection.policy
+    unrefined = FinalModel(scores, judged.selected, judged.best)
+    start = judged.selected if scores.score(judged.selected) < scores.score(judged.baseline) else judged.baseline
+
+    def search() -> tuple[FinalModel, Refinement | None]:
+        of_rest = HoldoutScores(with_residual_noise(problem, start), scores.validation)
+        refined = refine_candidate(of_rest, start, candidates, policy, selection.on_message)
+        allowed = (1 - VALIDATION_SHARE) * of_rest.score(judged.corrected)
+        check = Check.at_most(
+            DiscoveryRule.REFINED_ERROR, of_rest.score(refined.candidate), allowed, _name(refined.candidate)
+        )
+        # A curve or a second branch that corrects the shape of an effect may do better than all further effects.
+        if not refined.steps or not check:
+            return unrefined, Refinement(judged.best, (), (*refined.checks, check))
+        fit = validate_candidate(of_rest.problem, refined.candidate, scores.validation)
+        return FinalModel(of_rest, refined.candidate, fit), Refinement(fit, refined.steps, refined.checks)
+
+    return problem.failures.attempt(SearchStage.REFINEMENT, start.effects, search, (unrefined, None))
+
+
+def _estimate_signals(final: FinalModel) -> tuple[EffectSignal, ...]:
+    problem, candidate = final.scores.problem, final.candidate
+    estimate_signals = partial(estimate_effect_signals, problem, candidate)
+    return problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, estimate_signals, ())
+
+
+def _locate(candidate: FittedCandidate, selection: StepwiseSelection) -> ResidualLocalisation:
+    """What a candidate leaves unexplained; the misfit alone where its site cannot be estimated."""
+    policy = selection.policy
+    locate = partial(localise_residual, candidate, selection=policy.selection)
+    located = selection.problem.failures.attempt(SearchStage.LOCALISATION, candidate.effects, locate, None)
+    return located or ResidualLocalisation.without_sites(candidate)
+
+
+def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation) -> tuple[Claim, ...]:
+    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer."""
+    selection, answer = judged.selection, rivals.selected
+    table = FitTable(judged.scores)
+
+    def weigh() -> tuple[Claim, ...]:
+        table.add(selection.baseline, answer, *selection.problem.fitted)
+        draws = table.draw(table.leading((selection.baseline, answer)))
+        if not draws.sets:
+            return ()
+        leading = draws.sets[draws.leading].candidate
+        left = measure_structure(table.scores, leading, only_visible=True)
+        claims = weigh_claims(draws, location.sets, leading.given, left)
+        # The certain answer is the model that is handed over: a name that it does not hold is no more than probable.
+        return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
+
+    fit_rivals = partial(refit_rivals, rivals)
+    without = selection.problem.failures.attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
+    claims = weigh()
+    if without is None:  # a name that was held against no rival is not certain; the place may be
+        return tuple(lower_grade(c) if c.name else c for c in claims)
+    standing = [
+        rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
+    ]
+    for rest in standing:
+        refit_curves_in_place(rivals, rest)
+    return weigh() if standing else claims
+
+
+def _look_for_laws(
+    judged: JudgedSelection, problem: DiscoveryProblem, verdict: Verdict, final: FinalModel
+) -> LawAnswer:
+    """The equation that is missing beside what is established, as an answer."""
+    validation, selection = judged.scores.validation, judged.selection
+    baseline = problem.baseline
+    if verdict is Verdict.PARTLY:
+        again = problem.refit_best(final.candidate.model, [final.candidate.model.values], 1, like=final.candidate)
+        baseline = again or baseline
+    scores = HoldoutScores(problem, validation)
+    search = search_laws(problem, scores, baseline, selection.policy, selection.on_message)
+    plain = judged.base
+    if verdict is not Verdict.PARTLY and search.baseline is not problem.baseline:
+        plain = validate_candidate(problem, search.baseline, validation)
+    if search.fit is None or search.grade is Grade.STAND_IN:
+        # A plain model that only was stuck lacks nothing.
+        is_complete = verdict is not Verdict.PARTLY and not search.is_missing
+        return LawAnswer(search, Verdict.COMPLETE if is_complete else verdict, plain, None)
+    if search.alternatives:
+        reached = Verdict.AMBIGUOUS if search.is_clean else Verdict.UNKNOWN
+    elif search.grade is Grade.ESTABLISHED:
+        reached = Verdict.NAMED if search.is_clean else Verdict.PARTLY
+    else:
+        reached = Verdict.UNKNOWN
+    if verdict is Verdict.PARTLY and reached is Verdict.UNKNOWN:
+        reached = Verdict.PARTLY
+    return LawAnswer(search, reached, plain, search.fit)
+
+
+def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
+    """A fit of the answer as one's own would end; with a word on it where another that begins there ends elsewhere, or fails."""
+    problem, names = judged.selection.problem, tuple(e.name for e in fit.model.effects)
+    finish = partial(finish_fit, problem, fit, judged.scores.validation)
+    finished = problem.failures.attempt(SearchStage.HOLDOUT, names, finish, None)
+    if finished is None:
+        finished = RefitComparison(fit, is_settled=False)
+    return finished.fit, _word_on(finished)
+
+
+def _word_on(finished: RefitComparison) -> tuple[Finding, ...]:
+    """That another fit which begins at this one ends elsewhere, or fails; nothing where it ends there too."""
+    if finished.is_settled:
+        return ()
+    values = {"status": finished.status, "errors": list(finished.errors), "constants": dict(finished.constants)}
+    return (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, finished.fit.model.title, values),)
+
+
+def judge_against_plain(base: Fit, fit: Fit, uncounted: int, subject: str = "") -> Decision:
+    """Whether a model follows the records that judge it better than the plain one, beyond chance.
+
+    Its error there, all outputs together, is smaller by a share that counts, or smaller in most parts of the records.
+
+    Parameters
+    ----------
+    base, fit
+        The plain model and the other one, validated on the same records.
+    uncounted
+        Rows at the start of each record that do not count.
+    subject
+        What the checks are about.
+    """
+    before, after = _sum_up(compare_holdout_errors(base, fit))
+    errors, plain = (block_errors(each.validation, uncounted, EVIDENCE_BLOCKS) for each in (fit, base))
+    deviations = compare_errors(errors, plain)[1] if errors else 0.0
+    least = REFINEMENT_LEAST_DEVIATIONS
+    lasts = after < before and deviations >= least
+    checks = (
+        Check.at_most(DiscoveryRule.VALIDATION_DECREASE, after, (1 - VALIDATION_SHARE) * before, subject),
+        make_check(DiscoveryRule.CONSISTENT_DECREASE, deviations, least, lasts, subject),
+    )
+    return Decision(any(check.passed for check in checks), checks)
+
+
+def judge_on_test(problem: DiscoveryProblem, base: Fit, fit: Fit, test: ValidationSet, subject: str = "") -> Decision:
+    """Whether a model is no worse than the plain one on records that took no part in the search, but for chance.
+
+    Its error there, all outputs together, is larger by less than a share that counts, or larger in some parts of the records only. Without
+    such records, or where the plain model cannot be run there, nothing speaks against it.
+    """
+    plain, other = (_run_on_test(problem, each, test) for each in (base, fit))
+    if plain is None:
+        return Decision(True, ())
+    # A model that cannot be run is infinitely worse.
+    before, after, deviations = 1.0, math.inf, math.inf
+    if other is not None:
+        before, after = _sum_up(compare_holdout_errors(plain, other))
+        errors = (block_errors(each.validation, test.uncounted, EVIDENCE_BLOCKS) for each in (plain, other))
+        deviations = compare_errors(*errors)[1]
+    least = REFINEMENT_LEAST_DEVIATIONS
+    is_as_good = after <= before / (1 - VALIDATION_SHARE) or deviations < least
+    return Decision(is_as_good, (make_check(DiscoveryRule.TEST_INCREASE, deviations, least, is_as_good, subject),))
+
+
+def _run_on_test(problem: DiscoveryProblem, fit: Fit, test: ValidationSet) -> Fit | None:
+    """A fit with its runs over the test records in the place of those over the validation records; None without such runs."""
+    run = partial(test.run, fit.model, fit.noise.std, problem.options)
+    names = tuple(e.name for e in fit.model.effects)
+    validation = problem.failures.attempt(SearchStage.HOLDOUT, names, run, None) if test else None
+    is_run = validation is not None and all(np.isfinite(m.rmse) for m in validation.misfit.values())
+    return replace(fit, validation=validation) if is_run and validation is not None else None
+
+
+def add_test_error(result: Discovery, problem: DiscoveryProblem, test: ValidationSet) -> Discovery:
+    """A discovery with its error on the test records, beside that of the plain model; as it is without them."""
+    plain = _run_on_test(problem, result.base, test)
+    answer = plain if result.extended is result.base else _run_on_test(problem, result.extended, test)
+    return result if plain is None or answer is None else quote_test_error(result, plain, answer)
+
+
+def _sum_up(holdout: Mapping[str, HoldoutError]) -> tuple[float, float]:
+    """Rms error over noise of the plain and of the other model, all outputs together."""
+    pairs = [(e.before / e.floor, e.after / e.floor) for e in holdout.values()]
+    before, after = (float(np.sqrt(np.mean(np.square(each)))) for each in zip(*pairs, strict=True))
+    return before, after
+
+
+def _list_next_steps(
+    answer: SearchAnswer, surrogate: Surrogate | None, location: ResidualLocalisation, test: ValidationSet
+) -> tuple[Finding, ...]:
+    """What to do next, by what is open; ``location`` is that of what the answer leaves."""
+    judged, verdict = answer.judged, answer.verdict
+    steps: tuple[Finding, ...] = ()
+    if verdict is Verdict.UNKNOWN and not answer.is_probable:
+        steps = _propose_for_unknown(judged, answer.location, surrogate)
+    elif verdict in (Verdict.PARTLY, Verdict.UNKNOWN) or (verdict is Verdict.AMBIGUOUS and not judged.rivals):
+        refined = bool(answer.refinement and answer.refinement.steps) and not test
+        steps = _propose_for_part(judged, location, answer.names, refined)
+    elif verdict is Verdict.COMPLETE:
+        steps = propose_noise_check(judged.base)
+    if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) or not steps:
+        steps = (*steps, Finding(DiscoveryCode.CONFIRM_ON_ANOTHER_RECORD))
+    return steps
+
+
+# Effects that are not established for which an experiment is asked, those that take the largest share of the error first.
+MOST_SEPARATIONS = 2
+
+
+def _propose_for_part(
+    judged: JudgedSelection, location: ResidualLocalisation, names: Sequence[Claim], refined: bool
+) -> tuple[Finding, ...]:
+    """What to do about the rest beside established effects."""
+    policy = judged.selection.policy
+    doubtful = [c for c in names if not c.is_established]
+    doubts = [doubt for c in doubtful if (doubt := explain_doubt(c)) is not None]
+    shares = {c.name: c.share for c in doubtful}
+    steps = sorted(doubts, key=lambda doubt: -shares[doubt.subject])[:MOST_SEPARATIONS]
+    if refined:
+        steps.append(Finding(DiscoveryCode.QUOTE_THIRD_RECORD))
+    if not location.is_missing:
+        return tuple(steps)
+    records = judged.scores.validation.records
+    return (*steps, *propose_next_steps(judged.base, location, None, records, policy, left=judged.best))
+
+
+def _propose_for_unknown(
+    judged: JudgedSelection, location: ResidualLocalisation, surrogate: Surrogate | None
+) -> tuple[Finding, ...]:
+    """What to do next about something unknown; continue with a look-alike where no surrogate does better."""
+    policy = judged.selection.policy
+    limit = policy.selection.holdout_share
+    surrogate_fails = surrogate is None or surrogate.explained_fraction < limit
+    share = judged.holdout[worst_output(judged.holdout)].share
+    is_near = share >= PARTIAL_SHARE and surrogate_fails
+    look_alike = " + ".join(list_named_effects(judged)) if is_near else ""
+    return propose_next_steps(judged.base, location, surrogate, judged.scores.validation.records, policy, look_alike)
+
+
+# Share of a residual's variance that counts as noise at least where what is left is localised.
+LEAST_NOISE_SHARE = 0.01
+
+
+def _under_less_noise(final: FinalModel) -> FittedCandidate:
+    """The final model with only that part of its residual for noise that nothing before it tells; as it is where the noise is known."""
+    candidate = final.candidate
+    problem = candidate.problem
+    if problem.noise.is_level_known:
+        return candidate
+    structure = measure_structure(final.scores, candidate, only_visible=False)
+    factor = max(1 - structure**2, LEAST_NOISE_SHARE) ** 0.5
+    noise = replace(problem.noise, std=factor * problem.noise.std)
+    return replace(candidate, problem=replace(problem, noise=noise), cost=candidate.cost / factor**2)
+
+
+def _name(candidate: FittedCandidate) -> str:
+    return " + ".join(candidate.effects)

@@ -1,0 +1,90 @@
+"""A finished selection, judged: the plain and the extended model on the records that neither was fitted to."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from greybox.base import Check
+from greybox.discovery.decision import visible_rms_limit
+from greybox.discovery.holdout import HoldoutError, HoldoutScores, worst_output
+from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.residual_noise import is_shape_correction
+from greybox.discovery.selection import StepwiseSelection
+from greybox.estimation import Fit
+from greybox.model import Model
+
+
+@dataclass(frozen=True)
+class JudgedSelection:
+    """A finished selection and its error on the validation records.
+
+    Parameters
+    ----------
+    selection
+        The selection with its candidates and its path.
+    selected
+        The model that it ended with, before its shape was corrected.
+    rivals
+        Models that explain the records equally well.
+    base, best
+        The plain and the extended model as fits that were validated.
+    holdout
+        Error of both on the validation records, by output.
+    scores
+        These records, with every candidate that was run there.
+    plain
+        The model as the user gave it.
+    checks
+        Every check of the selection and of the rejection on the validation records.
+    """
+
+    selection: StepwiseSelection
+    selected: FittedCandidate
+    rivals: Sequence[FittedCandidate]
+    base: Fit
+    best: Fit
+    holdout: Mapping[str, HoldoutError]
+    scores: HoldoutScores
+    plain: Model
+    checks: tuple[Check, ...]
+
+    @property
+    def baseline(self) -> FittedCandidate:
+        """The fit of the plain model."""
+        return self.selection.baseline
+
+    @property
+    def corrected(self) -> FittedCandidate:
+        """The selected model with the shape of its effects corrected, where the records asked for that."""
+        return self.selection.shape_corrections.get(frozenset(self.selected.effects), self.selected)
+
+    @property
+    def explained_fraction(self) -> float:
+        """Share of the gap that the extended model explains, in the output that the plain model misses most."""
+        return self.holdout[worst_output(self.holdout)].explained_fraction
+
+    @cached_property
+    def noise_limits(self) -> dict[str, float]:
+        """Rms over noise that noise and the uncertainty of the constants hardly ever exceed on the validation records, by output."""
+        colours = dict(zip((o.name for o in self.base.model.outputs), self.baseline.problem.noise.colour, strict=True))
+        drift = self.scores.measure_drift(self.corrected if self.selected.effects else self.baseline)
+        limits = {}
+        for name, error in self.holdout.items():
+            of_noise = visible_rms_limit(self.base.validation.misfit[name].samples, colours[name])
+            limits[name] = math.hypot(of_noise, math.sqrt(drift.get(name, 0.0)) / error.floor)
+        return limits
+
+
+def list_added_effects(judged: JudgedSelection) -> list[str]:
+    """The effects of the extended model that the plain one has not."""
+    return [
+        e.name for e in judged.best.model.effects if e.name not in {given.name for given in judged.base.model.effects}
+    ]
+
+
+def list_named_effects(judged: JudgedSelection) -> list[str]:
+    """Those that have a name, without curves that correct them."""
+    return [name for name in list_added_effects(judged) if not is_shape_correction(name)]
