@@ -184,7 +184,9 @@ class Experiment(Printable):
         problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
-        return replace(bare, findings=(*findings, *seen, *sampling.inspect_timing(bare.time, bare.sampling_time)))
+        return replace(
+            bare, findings=(*findings, *seen, *sampling.inspect_timing(bare.time, bare.sampling_time, bare.outputs))
+        )
 
     @property
     def rows(self) -> int:

@@ -79,6 +79,17 @@ GOLDEN = {
         "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, with a jump before or after:"
         " if the sensor or the logger failed, leave these fields empty",
     ),
+    RecordCode.READING_COARSE: (
+        "q",
+        {"step": 0.0174533},
+        "output 'q' reads in steps of 0.01745, which alone make an error of 0.29 steps (rms)",
+    ),
+    RecordCode.TIME_JITTER: (
+        "",
+        {"jitter": 1.02e-3, "usual_step": 0.016},
+        "time stamps jitter by 0.001 s (standard deviation; usual step 0.016 s), and the readings do not: they were taken regularly and"
+        " stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
+    ),
     RecordCode.SENSOR_DEAD: (
         "x",
         {"value": 0.2, "start": 1.49, "rows": 51},
