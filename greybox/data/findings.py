@@ -12,6 +12,7 @@ class RecordCode(StrEnum):
 
     FEW_ROWS = "few_rows"
     INPUT_CONSTANT = "input_constant"
+    INPUT_FOLLOWS_OUTPUT = "input_follows_output"
     OUTPUT_CONSTANT = "output_constant"
     OUTPUT_GAPS = "output_gaps"
     OUTPUT_UNWRAPPED = "output_unwrapped"

@@ -79,6 +79,12 @@ GOLDEN = {
         "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, with a jump before or after:"
         " if the sensor or the logger failed, leave these fields empty",
     ),
+    RecordCode.INPUT_FOLLOWS_OUTPUT: (
+        "u",
+        {"output": "w", "share": 0.612},
+        "input 'u' follows output 'w': past readings tell 61 % of what its own past leaves open, as in a closed loop; a disturbance that"
+        " nobody measured then acts on the input too, and what is said of the input may be the disturbance's",
+    ),
     RecordCode.READING_COARSE: (
         "q",
         {"step": 0.0174533},
