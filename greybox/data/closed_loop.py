@@ -69,16 +69,16 @@ def measure_feedback(values: np.ndarray, reading: np.ndarray) -> float:
     past, before, after = (
         stretch(v, PAST_ROWS)[k : k + rows] for v, k in ((values, 0), (reading, 0), (reading, PAST_ROWS + 1))
     )
-    own, now = np.column_stack([np.ones(rows), past]), values[PAST_ROWS : PAST_ROWS + rows]
-    known = np.isfinite(np.column_stack([own, before, after, now])).all(axis=1)
-    own, before, after, now = own[known], before[known], after[known], now[known]
-    left = len(now) - own.shape[1] - PAST_ROWS
+    columns, now = np.column_stack([np.ones(rows), past]), values[PAST_ROWS : PAST_ROWS + rows]
+    known = np.isfinite(np.column_stack([columns, before, after, now])).all(axis=1)
+    columns, before, after, now = columns[known], before[known], after[known], now[known]
+    left = len(now) - columns.shape[1] - PAST_ROWS
     if left <= 0 or not np.ptp(now):
         return 0.0
-    alone = _sum_of_squares_left(own, now)
+    alone = _sum_of_squares_left(columns, now)
     if alone < LEAST_INNOVATION * len(now) * float(np.var(now)):
         return 0.0
-    with_past, with_later = (_sum_of_squares_left(np.column_stack([own, y]), now) for y in (before, after))
+    with_past, with_later = (_sum_of_squares_left(np.column_stack([columns, y]), now) for y in (before, after))
     # F = ((S0 - S1) / q) / (S1 / (n - p)) of the q coefficients of the readings.
     chance = fdtrc(PAST_ROWS, left, (alone - with_past) / PAST_ROWS / (with_past / left)) if with_past > 0 else 0.0
     leads = alone - with_past > LOOP_LEAD * (alone - with_later)
