@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from greybox.base import Finding, Severity
+from greybox.data.findings import RecordCode
 from greybox.data.sensor_faults import find_reading_step
 from greybox.estimation.fit_issues import (
     REPORTING_CORRELATION,
@@ -17,6 +18,15 @@ from greybox.estimation.fit_issues import (
 from greybox.estimation.result_parts import Estimate, Trace
 from greybox.model import Model
 from greybox.model.effects.placement import AT
+
+# What a fit and its records say of the instruments and not of the plant.
+OF_INSTRUMENTS = frozenset(
+    {
+        *(EstimationCode.PRIOR_CONFLICT, EstimationCode.PRIORS_OFF_ALIKE, EstimationCode.GAIN_IS_UNIT_FACTOR),
+        *(EstimationCode.RESIDUAL_OF_STEPS, EstimationCode.RESIDUAL_OF_JITTER),
+        *(RecordCode.TIME_JITTER, RecordCode.INPUT_FOLLOWS_OUTPUT),
+    }
+)
 
 # Effects whose amplitude is a gain less one, and what each scales.
 GAINS = {"input_gain": "input", "sensor_gain": "output"}

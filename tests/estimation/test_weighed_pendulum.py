@@ -3,43 +3,16 @@
 import os
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 import greybox as gb
-from fits.measured_rigs import pendulum, swing
+from fits.measured_rigs import swing
 from greybox.estimation.fit_issues import EstimationCode
 from tests.support.findings import find
+from tests.support.weighed_pendulum import NOISE, WEIGHED, WITH_FRICTION, swung
 
-# By scales and a ruler, to about one and two per cent.
-WEIGHED = {"J": (0.147, 0.003), "mgl": (2.98, 0.03)}
-NOISE = {"q": 1e-3}
 # The folder of measured rigs, as `python -m fits.measured_certainty FOLDER` takes it; not part of this project.
 MEASURED = Path(os.environ.get("GREYBOX_MEASURED", "measured")) / "known" / "ak80_pendulum"
-
-
-def swung(gain=1.0, skew=0.0):
-    """A swing under a held torque that reads ``gain`` times too large, and stamps by which too little time passes; LSODA's steps."""
-    period, rows, friction, damping = 0.01, 600, 0.12, 0.03
-    generator = np.random.default_rng(3)
-    shown = np.repeat(generator.normal(size=rows // 30), 30) * 1.5
-    q, w, path = 0.0, 0.0, []
-    for torque in shown / gain:
-
-        def rates(t, x, torque=torque):
-            # The sign is smooth within a thousandth of the usual speed.
-            loss = damping * x[1] + friction * np.tanh(x[1] / 2e-3)
-            return [x[1], (torque - WEIGHED["mgl"][0] * np.sin(x[0]) - loss) / WEIGHED["J"][0]]
-
-        path.append(q)
-        run = solve_ivp(rates, (0.0, period * (1 + skew)), [q, w], method="LSODA", rtol=1e-8, atol=1e-10)
-        q, w = run.y[:, -1]
-    angle = np.array(path) + NOISE["q"] * generator.normal(size=rows)
-    return gb.Experiment("swung", period * np.arange(rows), {"tau": shown}, {"q": angle})
-
-
-WITH_FRICTION = pendulum().prior(**WEIGHED) + gb.effect("coulomb_friction")
 
 
 def inside(found):
