@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from greybox.base import DataError, Finding, Printable, nearest
 from greybox.data import sampling
+from greybox.data.closed_loop import find_loops
 from greybox.data.findings import TIMING, RecordCode
 from greybox.data.problems import (
     FEW_ROWS,
@@ -184,7 +185,9 @@ class Experiment(Printable):
         problems = find_measurement_problems(bare.inputs, bare.outputs, bare.rows, allow_constant_input)
         raise_problems(f"experiment {name!r}", problems)
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
-        return replace(bare, findings=(*findings, *seen, *sampling.inspect_timing(bare.time, bare.sampling_time)))
+        loops = find_loops(bare.inputs, bare.outputs)
+        timing = sampling.inspect_timing(bare.time, bare.sampling_time, bare.outputs)
+        return replace(bare, findings=(*findings, *seen, *loops, *timing))
 
     @property
     def rows(self) -> int:

@@ -12,6 +12,7 @@ class RecordCode(StrEnum):
 
     FEW_ROWS = "few_rows"
     INPUT_CONSTANT = "input_constant"
+    INPUT_FOLLOWS_OUTPUT = "input_follows_output"
     OUTPUT_CONSTANT = "output_constant"
     OUTPUT_GAPS = "output_gaps"
     OUTPUT_UNWRAPPED = "output_unwrapped"
@@ -19,10 +20,12 @@ class RecordCode(StrEnum):
     SENSOR_DEAD = "sensor_dead"
     SENSOR_SPIKES = "sensor_spikes"
     SENSOR_SATURATED = "sensor_saturated"
+    READING_COARSE = "reading_coarse"
     TIME_ROUNDED = "time_rounded"
     TIME_GAP = "time_gap"
     TIME_ROWS_MISSING = "time_rows_missing"
     TIME_IRREGULAR = "time_irregular"
+    TIME_JITTER = "time_jitter"
     INPUT_HELD_THROUGH_GAP = "input_held_through_gap"
     PIECES_LEFT_OUT = "pieces_left_out"
     OUTPUT_NOT_MEASURED = "output_not_measured"
@@ -45,7 +48,13 @@ SENSOR_FAULTS = frozenset(
     {RecordCode.SENSOR_FROZEN, RecordCode.SENSOR_DEAD, RecordCode.SENSOR_SPIKES, RecordCode.SENSOR_SATURATED}
 )
 TIMING = frozenset(
-    {RecordCode.TIME_ROUNDED, RecordCode.TIME_GAP, RecordCode.TIME_ROWS_MISSING, RecordCode.TIME_IRREGULAR}
+    {
+        RecordCode.TIME_ROUNDED,
+        RecordCode.TIME_GAP,
+        RecordCode.TIME_ROWS_MISSING,
+        RecordCode.TIME_IRREGULAR,
+        RecordCode.TIME_JITTER,
+    }
 )
 
 

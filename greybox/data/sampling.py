@@ -19,7 +19,8 @@ The limits stand above the functions that they steer.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -81,8 +82,13 @@ def _find_coarsely_printed_step(time: np.ndarray, step: float, unit: float) -> f
     return slope if on_line and np.abs(np.diff(time) - slope).max() <= ROUNDING_UNITS * unit else None
 
 
-def inspect_timing(time: np.ndarray, sampling_time: float | None) -> tuple[Finding, ...]:
-    """What there is to know about the stamps ``time`` (N,): coarse printing, gaps, missing rows, irregular steps."""
+def inspect_timing(
+    time: np.ndarray, sampling_time: float | None, outputs: Mapping[str, np.ndarray] = MappingProxyType({})
+) -> tuple[Finding, ...]:
+    """What there is to know about the stamps ``time`` (N,): coarse printing, gaps, missing rows, irregular steps, jitter.
+
+    Of irregular steps the ``outputs`` may show that only the stamps are so, and the readings were taken regularly.
+    """
     step = np.diff(time)
     spread = {"shortest": float(step.min()), "longest": float(step.max())}
     if sampling_time is not None:
@@ -98,7 +104,56 @@ def inspect_timing(time: np.ndarray, sampling_time: float | None) -> tuple[Findi
     if np.all(np.abs(step / usual - 1 - missing) <= GRID_TOLERANCE) and missing.any():
         values = {"rows": int(missing.sum()), "places": int(np.count_nonzero(missing)), "usual_step": usual}
         return (Finding(RecordCode.TIME_ROWS_MISSING, Severity.WARNING, values=values),)
+    jitter = estimate_stamp_jitter(time, outputs.values())
+    if jitter is not None:
+        values = {"jitter": jitter, "usual_step": usual}
+        return (Finding(RecordCode.TIME_JITTER, Severity.WARNING, values=values),)
     return (Finding(RecordCode.TIME_IRREGULAR, values=spread),)
+
+
+# Rows below which the readings do not tell whether the stamps or the sampling are irregular.
+LEAST_JITTER_ROWS = 50
+# Standard deviations within which the share of the stamps' irregularity that the readings have must be 0, and beyond which it is not 1.
+JITTER_CERTAINTY = 4.0
+
+
+def estimate_stamp_jitter(time: np.ndarray, outputs: Iterable[np.ndarray]) -> float | None:
+    """Standard deviation (s) of stamps ``time`` (N,) of readings that were taken regularly; None where they were not, or nothing shows it.
+
+    A reading ``y`` that was taken at the grid's time and is stamped ``d`` off it follows the grid: its second differences are those of a
+    smooth motion. One that was taken when its stamp says is off the smooth course by ``d dy/dt``. So the second differences of readings
+    are held against those of ``d dy/dt``: their slope is 0 for stamps that jitter, and 1 for a sampling that does.
+    """
+    row = np.arange(len(time)) - (len(time) - 1) / 2
+    step = float(row @ (time - time.mean()) / (row @ row))
+    # How far each stamp lies off the straight line through all.
+    off = time - time.mean() - step * row
+    if len(time) < LEAST_JITTER_ROWS or np.abs(off).max() > step:
+        return None
+    products = squares = 0.0
+    pairs = []
+    for y in outputs:
+        # dy/dt over four steps: rounding and noise of the readings next to a row must not pass for its rate.
+        rate = (y[4:] - y[:-4]) / (4 * step)
+        expected, seen = rate * np.diff(off, 2)[1:-1], np.diff(y, 2)[1:-1]
+        known = np.isfinite(expected) & np.isfinite(seen)
+        if not known.any() or not expected[known].any():
+            continue
+        scale = float(np.std(seen[known])) or 1.0
+        pairs.append((expected[known] / scale, seen[known] / scale))
+        products += float(pairs[-1][0] @ pairs[-1][1])
+        squares += float(pairs[-1][0] @ pairs[-1][0])
+    if not squares:
+        return None
+    slope = products / squares
+    # The variance of the slope with errors of any size and correlated over two rows, as second differences are (Newey and West).
+    variance = 0.0
+    for expected, seen in pairs:
+        scores = expected * (seen - slope * expected)
+        variance += float(scores @ scores) + 2 * sum((1 - k / 3) * float(scores[k:] @ scores[:-k]) for k in (1, 2))
+    std = float(np.sqrt(max(variance, 0.0))) / squares
+    is_of_stamps = abs(slope) < JITTER_CERTAINTY * std and 1 - slope > JITTER_CERTAINTY * std
+    return float(np.std(off)) if is_of_stamps else None
 
 
 def find_longest_time_gap(time: np.ndarray, code: RecordCode = RecordCode.TIME_GAP) -> Finding | None:

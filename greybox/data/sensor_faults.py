@@ -33,6 +33,11 @@ def inspect_signals(
         else:
             for code, figures in _find_faults(time, values, list(inputs.values())):
                 yield Finding(code, Severity.WARNING, name, figures)
+            moves = np.abs(np.diff(values))
+            moves = moves[np.isfinite(moves)]
+            step = find_reading_step(values) if _repeats_often(moves) else None
+            if step is not None and np.median(moves[moves > 0]) <= COARSE_MOVE * step:
+                yield Finding(RecordCode.READING_COARSE, subject=name, values={"step": step})
         gaps = int(np.isnan(values).sum())
         if gaps:
             yield Finding(RecordCode.OUTPUT_GAPS, subject=name, values={"gaps": gaps, "rows": len(values)})
@@ -62,6 +67,24 @@ def _find_faults(
     for end, rows, stays in _find_saturation(values):
         figures = {"end": end, "value": float(values[rows[0]]), "rows": len(rows), "stays": stays}
         yield RecordCode.SENSOR_SATURATED, figures
+
+
+# A sensor whose readings repeat and else move by no more than so many of its steps is coarse: its noise is that of its steps.
+COARSE_MOVE = 2.0
+# Levels from which equal distances between them are no chance.
+LEAST_LEVELS = 8
+# Share of a step by which distances of levels may miss a multiple of it: printing with few digits.
+STEP_ROUNDING = 0.05
+
+
+def find_reading_step(values: np.ndarray) -> float | None:
+    """The step of which all readings (N,) are multiples, up to an offset; None where they show none."""
+    distances = np.diff(np.unique(values[np.isfinite(values)]))
+    if len(distances) < LEAST_LEVELS - 1:
+        return None
+    counts = np.round(distances / distances.min())
+    step = float(distances.sum() / counts.sum())
+    return step if np.abs(distances / step - counts).max() <= STEP_ROUNDING else None
 
 
 # Rows with one value from which a sensor counts as frozen.

@@ -8,10 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from greybox.base import Finding, ModelError, nearest
+from greybox.base import DataError, Finding, ModelError, nearest
 from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate, StartValues
+from greybox.estimation.identifiability.structural import analyse_structural_identifiability
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
 from greybox.model.effects.placement import AT
@@ -59,7 +60,7 @@ def list_candidates(
     for entry in entries:
         if entry.name in not_tried:
             continue
-        obstacle = _find_obstacle(model, entry)
+        obstacle = _find_obstacle(model, entry) or _find_imitation(model, entry, candidates)
         if obstacle is not None:
             not_tried[entry.name] = obstacle
             continue
@@ -137,6 +138,46 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     except ModelError as error:
         return Finding(DiscoveryCode.NO_PLACE, subject=entry.name, values={"reason": reason_of(error)})
     return None
+
+
+# Effects that scale one signal: with the constants of the model free, these may do the same.
+GAINS = ("input_gain", "sensor_gain")
+# The effect that scales time. On a linear plant free constants and a gain do the same.
+CLOCK = "clock_skew"
+# Value at which what a scaling effect does is compared with what constants do: far from absent, where its slope by logarithm would vanish.
+SCALED_BY = 0.3
+
+
+def _find_imitation(model: Model, entry: Effect, tried: Sequence[Effect]) -> Finding | None:
+    """What does the same as an effect that scales a signal or time, on any record: then it is no candidate. None where nothing does.
+
+    A constant that was weighed or measured by itself counts as known, as a fixed one does.
+    """
+    if entry.name.partition(AT)[0] not in (*GAINS, CLOCK) or not model.has_equations:
+        return None
+    known = model.fix(*(q.name for q in model.free_parameters if q.prior))
+    # Time is told from free constants and the gains that are tried together, or it is one more name for these.
+    gains = [e for e in tried if e.name.partition(AT)[0] in GAINS] if entry.name == CLOCK else []
+    scaled, effect_of = known, {}
+    for effect in (*gains, entry):
+        scaled = scaled + effect
+        (scale,) = (scaled.names_of(effect.name)[name] for name in effect.amplitudes)
+        scaled, effect_of[scale] = scaled.start(**{scale: SCALED_BY}), effect.name
+    try:
+        structure = analyse_structural_identifiability(scaled)
+    except (
+        ModelError,
+        DataError,
+    ):  # a model that cannot be run at random constants: nothing is known against the effect
+        return None
+    # The amplitude of ``entry`` was the last.
+    taking = [d.names for d in structure.directions if scale in d.names and len(d.names) > 1]
+    if not (taking and structure.certain):
+        return None
+    others = [name for name in min(taking, key=len) if name != scale]
+    if effects := [effect_of[name] for name in others if name in effect_of]:
+        return Finding(DiscoveryCode.TRIED_AS_OTHERS, subject=entry.name, values={"others": effects})
+    return Finding(DiscoveryCode.TAKEN_BY_CONSTANTS, subject=entry.name, values={"constants": others})
 
 
 def _explain_absence(model: Model, entry: Effect) -> Finding:

@@ -79,6 +79,7 @@ class DiscoveryCode(StrEnum):
     EFFECT_PRESENT = "effect_present"
     NOT_A_CANDIDATE = "not_a_candidate"
     TRIED_AS_OTHERS = "tried_as_others"
+    TAKEN_BY_CONSTANTS = "taken_by_constants"
     EFFECT_LEFT_OUT = "effect_left_out"
     NOT_REACHED = "not_reached"
     CANDIDATE_FAILED = "candidate_failed"

@@ -23,6 +23,7 @@ from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import SelectionStep
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
 from greybox.estimation import Estimate, Fit, FitOptions
+from greybox.estimation.reading_errors import OF_INSTRUMENTS
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,12 @@ class Discovery(Printable, StoredResult):
     @property
     def all_findings(self) -> tuple[Finding, ...]:
         """The answer, what to know before believing it, and what to do next."""
-        return (*self.conclusion, *self.findings, *self.next_steps)
+        return (*self.conclusion, *self.findings, *self.instruments, *self.next_steps)
+
+    @property
+    def instruments(self) -> tuple[Finding, ...]:
+        """What the fit of the best model says of sensors, clocks, loops and weighed constants: it may be what an effect is the name of."""
+        return tuple(f for f in self.best.findings if f.code in OF_INSTRUMENTS)
 
     @property
     def plain_misfit(self) -> PlainMisfit:

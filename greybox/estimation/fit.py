@@ -31,6 +31,7 @@ from greybox.estimation.prediction_error import (
     likelihood_ratio_tests,
     set_intensity_limits,
 )
+from greybox.estimation.reading_errors import find_mistaken_units, find_reading_errors
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
@@ -487,6 +488,8 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     findings = (
         *fit_issues.find_fit_issues(optimum, parameters),
         *fit_issues.find_option_issues(problem, tied, per_experiment, priors, robust),
+        *find_mistaken_units(model, parameters),
+        *(() if prediction else find_reading_errors(optimum.traces)),
         *fit_issues.find_foreign_conditions(model, problem.experiments),
         *fit_issues.find_record_trends(variables, covariance, problem.experiments),
     )

@@ -50,6 +50,9 @@ class EstimationCode(StrEnum):
     MISFIT_ABOVE_NOISE = "misfit_above_noise"
     MISFIT_ABOVE_DIFFERENCE_NOISE = "misfit_above_difference_noise"
     PARAMETER_NOT_CONSTANT = "parameter_not_constant"
+    GAIN_IS_UNIT_FACTOR = "gain_is_unit_factor"
+    RESIDUAL_OF_STEPS = "residual_of_steps"
+    RESIDUAL_OF_JITTER = "residual_of_jitter"
     RESIDUAL_CORRELATED = "residual_correlated"
     INNOVATIONS_CORRELATED = "innovations_correlated"
     INTEGRATION_TOO_COARSE = "integration_too_coarse"
@@ -391,6 +394,8 @@ UNIT_FACTORS: tuple[tuple[float, str], ...] = (
     (30 / math.pi, "revolutions a minute and radians a second"),
     (60.0, "minutes and seconds"),
     (3600.0, "hours and seconds"),
+    (3.6, "kilometres an hour and metres a second"),
+    (1 / 0.3048, "feet and metres"),
     (9.80665, "kilogram-force and newton"),
     (4.448222, "pound-force and newton"),
     (25.4, "inches and millimetres"),
@@ -432,8 +437,14 @@ def find_prior_conflicts(model: Model, priors: Mapping[str, PriorCheck]) -> list
     conflicts = {n: c for n, c in priors.items() if c.conflict is not None and abs(c.conflict) > PRIOR_CONFLICT}
     result = []
     for name, check in conflicts.items():
-        values = {"deviations": abs(check.conflict or 0.0), "factor": check.factor, "factor_std": check.factor_std}
-        result.append(Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, values | _name_unit_factor(check)))
+        values: dict[str, Any] = {
+            "deviations": abs(check.conflict or 0.0),
+            "factor": check.factor,
+            "factor_std": check.factor_std,
+        }
+        if units := name_unit_factor(check.factor or 0.0, check.factor_std or 0.0):
+            values["units"] = units
+        result.append(Finding(EstimationCode.PRIOR_CONFLICT, Severity.WARNING, name, values))
     # Logarithms of the factors and their variances, that of the prior's mean included.
     known = {n: c for n, c in conflicts.items() if c.factor is not None and c.factor > 0}
     if len(known) < max(2, len(conflicts)):
@@ -452,13 +463,12 @@ def find_prior_conflicts(model: Model, priors: Mapping[str, PriorCheck]) -> list
     return result
 
 
-def _name_unit_factor(check: PriorCheck) -> dict[str, str]:
-    """The units whose mistaking makes this factor, where one does."""
-    if check.factor is None or check.factor <= 0 or (check.factor_std or 0.0) > UNIT_FACTOR_SHARE * check.factor:
-        return {}
-    size = abs(math.log(check.factor))
-    named = [units for factor, units in UNIT_FACTORS if abs(size - math.log(factor)) < UNIT_FACTOR_SHARE]
-    return {"units": named[0]} if named else {}
+def name_unit_factor(factor: float, std: float) -> str:
+    """The units whose mistaking makes this factor; empty where none does, or where it is not known well enough to say."""
+    if factor <= 0 or std > UNIT_FACTOR_SHARE * factor:
+        return ""
+    size = abs(math.log(factor))
+    return next((units for known, units in UNIT_FACTORS if abs(size - math.log(known)) < UNIT_FACTOR_SHARE), "")
 
 
 def find_excluded_outputs(problem: EstimationProblem) -> tuple[Finding, ...]:

@@ -14,7 +14,14 @@ from greybox.base.units import ONE, SECOND, format_unit, parse_unit
 from greybox.model import process_noise, ties, unit_check, validation
 from greybox.model.algebraic import AlgebraicState, eliminate, solve_relations, stores_nothing
 from greybox.model.balance import Balance
-from greybox.model.effect import InputDelay, StateUpdate, build_delay, collect_updates, find_relaxing_states
+from greybox.model.effect import (
+    EVERY_BALANCE,
+    InputDelay,
+    StateUpdate,
+    build_delay,
+    collect_updates,
+    find_relaxing_states,
+)
 from greybox.model.expressions.operations import UnitMismatchError
 from greybox.model.expressions.text import infer_unit
 from greybox.model.signals import NamedValues, State
@@ -215,7 +222,12 @@ class _Equations:
         for site, changed in (effect.on_term(*names) if effect.on_term else {}).items():
             self.balances[site] = self._balance(site, effect).with_terms_replaced(changed)
         for site, factor in (effect.on_storage(*names) if effect.on_storage else {}).items():
-            self.balances[site] = self._balance(site, effect).with_storage(factor)
+            # What scales time scales every rate: those of the plant and of the effects before this one.
+            stored = (
+                [b.name for b in self.balances.values() if not stores_nothing(b)] if site == EVERY_BALANCE else [site]
+            )
+            for name in stored:
+                self.balances[name] = self._balance(name, effect).with_storage(factor)
         if effect.terms:
             terms = effect.terms(*names)
             for site, term in (terms if isinstance(terms, Mapping) else {placed.site: terms}).items():

@@ -13,6 +13,9 @@ from greybox.base import ModelError, nearest
 from greybox.model.balance import Balance
 from greybox.model.signals import Expression, NamedValues, Parameter, State
 
+# In the place of a balance's name: all of them.
+EVERY_BALANCE = "*"
+
 Equation = Callable[[NamedValues, NamedValues, NamedValues], Expression]
 Terms = Callable[[NamedValues, NamedValues, NamedValues], "Expression | Mapping[str, Expression]"]
 Transform = Callable[[Expression, NamedValues, NamedValues, NamedValues], Expression]
@@ -77,7 +80,7 @@ class Effect:
     on_term
         ``{balance: {term: expression}}`` in the place of terms of that name.
     on_storage
-        ``{balance: factor}`` on what the balance stores.
+        ``{balance: factor}`` on what the balance stores; ``EVERY_BALANCE`` in the place of its name means all that store something.
     hold
         What the inputs do between samples, in the place of what the experiment says: ``zero``, ``first`` or ``band-limited`` (see
         `greybox.Experiment`).

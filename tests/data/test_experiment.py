@@ -178,8 +178,8 @@ def test_a_coarse_sensor_an_end_stop_and_a_plant_at_rest_are_no_dead_sensors():
     resting[:60], silent[:60] = smooth[60], 0.0
     coarse, stopped = np.round(smooth, 1), np.minimum(smooth, 0.8)
     assert np.diff(np.flatnonzero(np.diff(coarse))).max() >= 10  # it does repeat itself for long
-    for answer in (coarse, stopped):
-        assert not make(time=time, inputs={"u": drive}, outputs={"y": answer}).findings
+    assert codes(make(time=time, inputs={"u": drive}, outputs={"y": coarse})) == [RecordCode.READING_COARSE]
+    assert not make(time=time, inputs={"u": drive}, outputs={"y": stopped}).findings
     assert not make(time=time, inputs={"u": silent}, outputs={"y": resting}).findings
 
 
@@ -225,7 +225,8 @@ def test_a_sensor_that_ends_before_the_motion_does_is_named_at_either_end():
     assert upper.code == lower.code == RecordCode.SENSOR_SATURATED
     assert (upper.values["end"], upper.values["value"]) == ("largest", 0.9)
     assert (lower.values["end"], lower.values["value"]) == ("smallest", -0.8)
-    assert not findings_of(time, drive, np.round(clipped, 1))  # a coarse sensor repeats itself anyway
+    (coarse,) = findings_of(time, drive, np.round(clipped, 1))  # a coarse sensor repeats itself anyway
+    assert coarse.code == RecordCode.READING_COARSE and coarse.values["step"] == pytest.approx(0.1)
 
 
 def test_split_covers_every_row_once_and_keeps_the_times():
@@ -447,3 +448,44 @@ def test_records_that_nobody_named_are_numbered_in_their_order():
     assert [record.name for record in numbered] == ["record 1", "steps", "record 3"]
     assert numbered[0].time is first.time and numbered[0].fingerprint == first.fingerprint
     assert numbered[0].findings == first.findings and numbered[1] is steps
+
+
+def smooth(time):
+    return np.sin(3 * time) + 0.4 * np.cos(11 * time)
+
+
+def jittered(seed=0):
+    """Regular times (400,) and the same with an error of 1 ms each."""
+    time = 0.01 * np.arange(400)
+    return time, time + np.clip(1e-3 * np.random.default_rng(seed).normal(size=400), -0.004, 0.004)
+
+
+def told_by(time, values):
+    return {f.code: f for f in findings_of(time, np.cos(time), values)}
+
+
+@pytest.mark.parametrize("noise", [1e-4, 3e-3])
+def test_stamps_that_jitter_are_told_from_a_sampling_that_does(noise):
+    regular, stamps = jittered()
+    error = noise * np.random.default_rng(1).normal(size=400)
+    of_stamps = told_by(stamps, smooth(regular) + error)
+    assert of_stamps[RecordCode.TIME_JITTER].values["jitter"] == pytest.approx(np.std(stamps - regular), rel=0.02)
+    of_sampling = told_by(stamps, smooth(stamps) + error)
+    assert RecordCode.TIME_JITTER not in of_sampling and RecordCode.TIME_IRREGULAR in of_sampling
+
+
+def test_readings_that_hardly_move_say_nothing_of_the_stamps():
+    _, stamps = jittered()
+    assert RecordCode.TIME_IRREGULAR in told_by(
+        stamps, 1e-3 * smooth(stamps) + np.random.default_rng(1).normal(size=400)
+    )
+
+
+def test_a_reading_in_steps_says_how_large_they_are():
+    time = 0.01 * np.arange(500)
+    values = 2e-3 * np.random.default_rng(2).normal(size=500) + 0.3 * np.sin(2 * time)
+    rounded = told_by(time, 0.0175 * np.round(values / 0.0175) + 0.003)
+    assert rounded[RecordCode.READING_COARSE].values["step"] == pytest.approx(0.0175)
+    assert RecordCode.READING_COARSE not in told_by(time, values)
+    # Printed with four digits, and held for five rows: that repeats, and is not coarse.
+    assert RecordCode.READING_COARSE not in told_by(time, np.repeat(np.round(values[::5], 4), 5))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
+from fits.measured_rigs import falling_ball, pendulum, rotor
 from greybox.base.errors import ModelError
 from greybox.discovery.candidates import failed_candidates, family_of, list_candidates
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, SearchStage
@@ -63,6 +64,43 @@ def test_without_a_list_of_its_own_nothing_is_left_out_by_one():
     for name in placed - tried:  # each that has a place and is not tried is told with what is tried in its stead
         assert listed.not_tried[name].code == Code.TRIED_AS_OTHERS
         assert set(listed.not_tried[name].values["others"]) <= tried
+
+
+def list_for(model):
+    """What is tried on a model, in ten rows at rest."""
+    states = np.ones((10, 1)) * [s.start if isinstance(s.start, float) else 0.0 for s in model.all_states]
+    scales = gb.effects.measure_scales(model, states, np.ones((10, len(model.inputs))), 0.01)
+    listed = list_candidates(model, scales, FailureLog())
+    return {e.name for e in listed.effects}, listed.not_tried
+
+
+@pytest.mark.parametrize(
+    ("model", "tried", "taken", "as_others"),
+    [
+        # Written by hand: w' = kt (1 + g) u - b w - c is the same with kt (1 + g) in the place of kt.
+        (rotor(), set(), {"input_gain": {"kt"}, "sensor_gain": {"kt", "c"}, "clock_skew": {"kt", "b", "c"}}, {}),
+        # J w' = (1 + g) tau - m g l sin(q): all of J, m g l and b over 1 + g. The sine is the scale of the sensor.
+        (pendulum(), {"sensor_gain"}, {"input_gain": {"J", "mgl", "b"}, "clock_skew": {"J", "b"}}, {}),
+        # With J and m g l known the torque has a scale, and so has time: sqrt(m g l / J).
+        (pendulum().fix("J", "mgl"), {"input_gain", "sensor_gain", "clock_skew"}, {}, {}),
+        (pendulum().prior(J=(0.147, 0.003), mgl=(2.98, 0.03)), {"input_gain", "sensor_gain", "clock_skew"}, {}, {}),
+        # h'' = -g: (1 + e)^2 on g is what a scale of the height does.
+        (falling_ball(), {"sensor_gain"}, {}, {"clock_skew": {"sensor_gain"}}),
+    ],
+    ids=["rotor", "pendulum", "known pendulum", "weighed pendulum", "falling ball"],
+)
+def test_a_scale_that_the_constants_can_take_is_not_tried(model, tried, taken, as_others):
+    names, not_tried = list_for(model)
+    assert tried <= names and not names & {*taken, *as_others}
+    for name, constants in taken.items():
+        assert not_tried[name].code == Code.TAKEN_BY_CONSTANTS and set(not_tried[name].values["constants"]) == constants
+    for name, others in as_others.items():
+        assert not_tried[name].code == Code.TRIED_AS_OTHERS and set(not_tried[name].values["others"]) == others
+
+
+def test_a_scale_that_was_asked_for_and_cannot_be_told_is_refused_with_the_constants_that_take_it(scales):
+    with pytest.raises(ModelError, match="no record tells it from other values of kt"):
+        list_candidates(rotor(), scales, FailureLog(), [gb.effect("input_gain")])
 
 
 def test_an_effect_that_cannot_be_made_ready_is_out(scales):

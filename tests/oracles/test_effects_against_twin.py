@@ -92,6 +92,7 @@ PAIRS = {
 BY_HAND = {
     "input_gain",
     "sensor_gain",
+    "clock_skew",
     "radiation_loss",
     "natural_convection",
     "heat_storage",

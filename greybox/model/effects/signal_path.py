@@ -8,7 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect
+from greybox.model.effect import EVERY_BALANCE, Effect
 from greybox.model.effects.flow import OUT_OF_REACH
 from greybox.model.effects.parameters import UNTAILORED_DELAY, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import LONGEST_DELAY, Scales
@@ -316,6 +316,25 @@ sensor_drift = Effect(
     probe=lambda s: {"rate": 0.02 * s.sensor / s.duration},
 )
 
+clock_skew = Effect(
+    "clock_skew",
+    site="sensor",
+    parameters=[
+        amplitude_parameter("e", "1", "share by which more time passes than the stamps say, either sign", low=-0.9)
+    ],
+    # dx/dt_stamped = (1 + e) dx/dt: every balance stores less by this factor.
+    on_storage=lambda x, u, p: {EVERY_BALANCE: 1 / (1 + p.e)},
+    equation="dt = (1 + e) dt_stamped",
+    parity="linear",
+    tells_apart=(
+        "Compare the clock of the recorder with another over a minute, or record a signal of known frequency. In the data it is a factor"
+        " on every rate: constants that carry a time and are known by themselves show it."
+    ),
+    source="frame rate of a video, or sampling rate of a recorder, that is not the nominal one",
+    amplitudes=("e",),
+    probe=lambda s: {"e": 0.01},
+)
+
 sensor_lag = Effect(
     "sensor_lag",
     site="sensor",
@@ -373,6 +392,7 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     gain_by_sign,
     sensor_drift,
     sensor_gain,
+    clock_skew,
     sensor_lag,
     backlash,
     rectified_reading,

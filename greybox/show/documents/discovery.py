@@ -88,7 +88,7 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
         [
             *(f"next: {step}" for step in d.next_steps),
             *(f"note: {name} is out: {finding}" for name, finding in failed.items()),
-            *(f"note: {finding}" for finding in d.findings),
+            *(f"note: {finding}" for finding in (*d.findings, *d.instruments)),
         ]
     )
 
@@ -124,7 +124,8 @@ def discovery_verdict(discovery: Discovery) -> doc.Paragraphs:
     effects = _effects(discovery, write_unit=typeset_unit) if discovery.verdict is not Verdict.COMPLETE else ()
     steps = [f"Next step: {step}" for step in discovery.next_steps]
     tone = TONES.get(discovery.verdict, doc.Tone.CAUTION)
-    return doc.Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *discovery.findings], tone)
+    notes = *discovery.findings, *discovery.instruments
+    return doc.Paragraphs([*sentences(discovery.conclusion), *effects, *steps, *notes], tone)
 
 
 def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[doc.Section]:

@@ -119,6 +119,11 @@ _SOURCES = {"column": "mean of its column", "comment": "from a comment of the fi
 
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
+    RecordCode.INPUT_FOLLOWS_OUTPUT: lambda f: (
+        f"input {f.subject!r} follows output {f.values['output']!r}: past readings tell {100 * f.values['share']:.2g} % of what its own"
+        " past leaves open, as in a closed loop; a disturbance that nobody measured then acts on the input too, and what is said of the"
+        " input may be the disturbance's"
+    ),
     RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
     " it out",
     RecordCode.OUTPUT_GAPS: _gaps,
@@ -132,6 +137,7 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " {stays} times: if the sensor or the converter saturates, "
     + _LEAVE_EMPTY
     + " (an end stop of the plant looks the same)",
+    RecordCode.READING_COARSE: "{kind} '{subject}' reads in steps of {step:.4g}, which alone make an error of 0.29 steps (rms)",
     RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last"
     " digit; a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (
@@ -141,6 +147,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.TIME_ROWS_MISSING: "{rows} rows are missing in {places} places (usual step {usual_step:.6g} s): the input is assumed"
     " to continue through each, which is wrong if it moved there",
     RecordCode.TIME_IRREGULAR: "time is irregular: steps from {shortest:.6g} to {longest:.6g} s; each interval is used as it is",
+    RecordCode.TIME_JITTER: "time stamps jitter by {jitter:.2g} s (standard deviation; usual step {usual_step:.4g} s), and the readings do"
+    " not: they were taken regularly and stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
     RecordCode.UNITS_ASSUMED: _units_assumed,

@@ -609,7 +609,11 @@ register(
         DiscoveryCode.EFFECT_PRESENT: "the model contains it already",
         DiscoveryCode.NOT_A_CANDIDATE: "the model lists the effects to try, and this is none of them",
         DiscoveryCode.TRIED_AS_OTHERS: lambda f: (
-            f"{join_names([effect_title(name) for name in f.values['others']])} together are exactly the same"
+            f"{join_names([effect_title(name) for name in f.values['others']])}"
+            f" {'together are' if len(f.values['others']) > 1 else 'is'} exactly the same"
+        ),
+        DiscoveryCode.TAKEN_BY_CONSTANTS: lambda f: (
+            f"no record tells it from other values of {join_names(f.values['constants'])}: fix or weigh one of them"
         ),
         DiscoveryCode.EFFECT_LEFT_OUT: "left out as asked",
         DiscoveryCode.NOT_REACHED: "the time was over before it was tried",

@@ -208,6 +208,17 @@ def _write_priors_off_alike(finding: Finding) -> str:
     )
 
 
+def _write_gain_of_unit(finding: Finding) -> str:
+    v = finding.values
+    factor = f"{wording.format_with_std(v['factor'], v['factor_std'])} times"
+    what = (
+        f"the output {v['signal']} reads {factor} the value of the model"
+        if v["kind"] == "output"
+        else f"{factor} the input {v['signal']} of the record acts"
+    )
+    return f"{what}: {v['units']} mistaken?"
+
+
 def write_record_trend(finding: Finding) -> str:
     """What the values of a constant by record have in common."""
     v, name = finding.values, finding.subject
@@ -390,6 +401,16 @@ register(
             "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"
             " of force and offset, above all if the plant integrates, and parameters change from day to day; validate on shorter"
             " records as well"
+        ),
+        EstimationCode.GAIN_IS_UNIT_FACTOR: _write_gain_of_unit,
+        EstimationCode.RESIDUAL_OF_STEPS: lambda f: (
+            f"the reading {f.subject} has steps of {f.values['step']:.3g}, which by themselves make {100 * f.values['share']:.2g} % of"
+            " the mean square of its residual: no model does much better"
+        ),
+        EstimationCode.RESIDUAL_OF_JITTER: lambda f: (
+            f"the residual of {f.subject} grows with the rate at which it moves, as with time stamps that are off by"
+            f" {f.values['jitter']:.2g} s (standard deviation, {100 * f.values['jitter'] / f.values['usual_step']:.2g} % of the step): that"
+            f" makes {100 * f.values['share']:.2g} % of its mean square"
         ),
         EstimationCode.PRIOR_CONFLICT: _write_prior_conflict,
         EstimationCode.PRIORS_OFF_ALIKE: _write_priors_off_alike,

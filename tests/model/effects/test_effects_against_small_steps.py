@@ -53,10 +53,10 @@ def held(rows=ROWS):
     return np.repeat(rng.uniform(-12, 12, rows // 15), 15)
 
 
-def run_body(u, force=None, drive=None, friction=None, shown=None):
-    """Displacement of the body by steps of PERIOD / FINE: extra ``force(x, v)``, ``drive(u)``, Coulomb ``friction(v, F, x)``."""
+def run_body(u, force=None, drive=None, friction=None, shown=None, pace=1.0):
+    """Displacement of the body by steps of pace PERIOD / FINE: extra ``force(x, v)``, ``drive(u)``, Coulomb ``friction(v, F, x)``."""
     x = v = 0.0
-    h, y = PERIOD / FINE, []
+    h, y = pace * PERIOD / FINE, []
     for sample in u:
         y.append(x if shown is None else shown(x))
         f = sample if drive is None else drive(sample)
@@ -117,6 +117,7 @@ CASES = {
     ),
     "input_gain": ({"g": -0.2}, {"drive": lambda u: 0.8 * u}),
     "sensor_gain": ({"g": 0.15}, {"shown": lambda x: 1.15 * x}),
+    "clock_skew": ({"e": 0.05}, {"pace": 1.05}),
     "gain_by_sign": ({"g": 0.4}, {"drive": lambda u: u if u > 0 else 0.6 * u}),
     "input_hysteresis": ({"h": 3.0}, {"drive": Play(3.0)}),
     "rectified_reading": ({"r": 1.0}, {"shown": abs}),

@@ -480,6 +480,12 @@ FINDINGS = [
         *("asymmetric_friction", {"others": ["coulomb_friction", "constant_load"]}),
         "coulomb friction and constant load together are exactly the same",
     ),
+    (Code.TRIED_AS_OTHERS, *("clock_skew", {"others": ["sensor_gain"]}), "sensor gain is exactly the same"),
+    (
+        Code.TAKEN_BY_CONSTANTS,
+        *("input_gain", {"constants": ["J", "mgl"]}),
+        "no record tells it from other values of J and mgl: fix or weigh one of them",
+    ),
     (Code.EFFECT_LEFT_OUT, *("backlash", {}), "left out as asked"),
     (
         Code.CANDIDATE_FAILED,

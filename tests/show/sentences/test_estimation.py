@@ -286,6 +286,34 @@ GOLDEN = [
         " mistaken?): one of them, or the model, is wrong",
     ),
     (
+        "gain_is_unit_factor",
+        "sensor_gain",
+        {
+            **{"kind": "output", "signal": "w", "factor": 0.10472},
+            **{"factor_std": 2e-5, "units": "minutes and seconds"},
+        },
+        "the output w reads 0.104720 +- 0.000020 times the value of the model: minutes and seconds mistaken?",
+    ),
+    (
+        "gain_is_unit_factor",
+        "input_gain",
+        {**{"kind": "input", "signal": "tau", "factor": 9.807}, **{"factor_std": 0.01, "units": "newton and more"}},
+        "9.807 +- 0.010 times the input tau of the record acts: newton and more mistaken?",
+    ),
+    (
+        "residual_of_steps",
+        "q",
+        {"step": 0.0174533, "share": 0.93},
+        "the reading q has steps of 0.0175, which by themselves make 93 % of the mean square of its residual: no model does much better",
+    ),
+    (
+        "residual_of_jitter",
+        "x",
+        {"jitter": 3.5e-4, "share": 0.8, "usual_step": 0.01},
+        "the residual of x grows with the rate at which it moves, as with time stamps that are off by 0.00035 s (standard deviation,"
+        " 3.5 % of the step): that makes 80 % of its mean square",
+    ),
+    (
         "priors_off_alike",
         "",
         {"parameters": ["J", "mgl"], "factor": 1.19, "inputs": ["tau"]},

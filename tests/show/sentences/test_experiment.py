@@ -79,6 +79,23 @@ GOLDEN = {
         "output 'x' stays at exactly 0.731 for 40 rows, from 0.6 to 0.99 s, while the input moves, with a jump before or after:"
         " if the sensor or the logger failed, leave these fields empty",
     ),
+    RecordCode.INPUT_FOLLOWS_OUTPUT: (
+        "u",
+        {"output": "w", "share": 0.612},
+        "input 'u' follows output 'w': past readings tell 61 % of what its own past leaves open, as in a closed loop; a disturbance that"
+        " nobody measured then acts on the input too, and what is said of the input may be the disturbance's",
+    ),
+    RecordCode.READING_COARSE: (
+        "q",
+        {"step": 0.0174533},
+        "output 'q' reads in steps of 0.01745, which alone make an error of 0.29 steps (rms)",
+    ),
+    RecordCode.TIME_JITTER: (
+        "",
+        {"jitter": 1.02e-3, "usual_step": 0.016},
+        "time stamps jitter by 0.001 s (standard deviation; usual step 0.016 s), and the readings do not: they were taken regularly and"
+        " stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
+    ),
     RecordCode.SENSOR_DEAD: (
         "x",
         {"value": 0.2, "start": 1.49, "rows": 51},

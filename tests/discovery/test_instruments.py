@@ -1,0 +1,53 @@
+"""A physical name has to beat the lie of an instrument: gains, units and clocks on a pendulum whose constants are known."""
+
+import pytest
+
+import greybox as gb
+from greybox.discovery.findings import DiscoveryCode as Code
+from greybox.estimation.fit_issues import EstimationCode
+from tests.support.findings import find
+from tests.support.weighed_pendulum import NOISE, WITH_FRICTION, swung
+
+NAMES = ("input_gain", "sensor_gain", "clock_skew", "cubic_stiffness", "directional_damping", "constant_load")
+KNOWN = WITH_FRICTION.fix("J", "mgl")
+
+
+def search(model, record):
+    learnt, kept = record.window(0, 400), record.window(400, 600)
+    return gb.discover(model, learnt, validation=kept, noise=NOISE, effects=[gb.effect(name) for name in NAMES])
+
+
+@pytest.mark.parametrize(
+    ("made", "name", "value"),
+    [({"gain": 9.80665}, "input_gain", 1 / 9.80665 - 1), ({"skew": 0.04}, "clock_skew", 0.04)],
+    ids=["kilogram-force read as newton", "a clock that is 4 % slow"],
+)
+def test_the_lie_of_an_instrument_is_named(made, name, value):
+    found = search(KNOWN, swung(**made))
+    (effect,) = found.effects
+    (constant,) = effect["parameters"].values()
+    assert effect["name"] == name and effect["grade"] == "established"
+    assert abs(constant["value"] - value) < 4 * constant["std"]
+    if name == "input_gain":
+        unit = find(found.instruments, EstimationCode.GAIN_IS_UNIT_FACTOR)
+        assert unit.values["units"] == "kilogram-force and newton" and str(unit) in str(found)
+
+
+def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_established():
+    """A weight of one per cent gives way to a record: the model follows it, and the answer says at what price."""
+    found = search(WITH_FRICTION, swung(gain=1.15))
+    alike = find(found.instruments, EstimationCode.PRIORS_OFF_ALIKE)
+    assert alike.values["factor"] == pytest.approx(1.15, abs=0.02) and str(alike) in str(found)
+    assert alike in found.all_findings
+
+
+def test_where_the_constants_are_free_no_scale_is_tried_and_the_answer_says_what_takes_it():
+    record = swung(gain=1.15)
+    learnt, kept = record.window(0, 400), record.window(400, 600)
+    free = WITH_FRICTION.prior(J=None, mgl=None)
+    found = gb.discover(
+        free, learnt, validation=kept, noise=NOISE, effects=[gb.effect(n) for n in ("input_gain", "cubic_stiffness")]
+    )
+    taken = found.not_tried["input_gain"]
+    assert taken.code == Code.TAKEN_BY_CONSTANTS and {"J", "mgl"} < set(taken.values["constants"])
+    assert not found.effects
