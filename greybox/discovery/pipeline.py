@@ -48,6 +48,7 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
+from greybox.discovery.false_names import ContestTable, FalseNameRate, lower_common, measure_false_names
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
@@ -580,6 +581,7 @@ def _conclude(
     signals = _estimate_signals(final)
     location = _locate(judged.baseline, selection)
     claims: tuple[Claim, ...] = ()
+    rates: tuple[FalseNameRate, ...] = ()
     if candidates and decided.verdict is not Verdict.COMPLETE:
         problem.executor.release_reserve()
         known = selection.fits if refinement is None or not refinement.steps else {}
@@ -594,7 +596,7 @@ def _conclude(
             policy,
         )
         weigh = partial(_weigh, judged, rivals, location)
-        claims = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
+        claims, rates = attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ((), ()))
         if problem.executor.skipped:  # not all rivals were tried
             claims = tuple(map(lower_grade, claims))
     tied = [rival.effects for rival in judged.rivals]
@@ -615,7 +617,7 @@ def _conclude(
             )
         judged = replace(judged, base=answer.base, best=best, holdout=compare_holdout_errors(answer.base, best))
         if verdict is Verdict.COMPLETE:
-            final, claims = FinalModel(judged.scores, judged.baseline, best), ()
+            final, claims, rates = FinalModel(judged.scores, judged.baseline, best), (), ()
     # The answer is what a fit of one's own gives, of the plain model and of the one that is handed over.
     base, doubts = _finish(judged, judged.base)
     best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
@@ -635,7 +637,7 @@ def _conclude(
             holdout = compare_holdout_errors(judged.base, judged.base)
             judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
             selected, final = judged.baseline, FinalModel(judged.scores, judged.baseline, judged.base)
-            claims, signals = (), ()
+            claims, signals, rates = (), (), ()
             refinement = None if refinement is None else Refinement(judged.base, (), refinement.checks)
             answer = None if answer is None else replace(answer, best=None, search=replace(answer.search, laws=()))
             decided = replace(_decide(judged), checks=decided.checks)
@@ -721,6 +723,7 @@ def _conclude(
         surrogate=surrogate,
         refinement=refinement,
         claims=claims,
+        false_names=rates,
         left=left,
         policy=policy,
         options=problem.options,
@@ -728,10 +731,15 @@ def _conclude(
     )
 
 
-def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation) -> tuple[Claim, ...]:
-    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer."""
+def _weigh(
+    judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation
+) -> tuple[tuple[Claim, ...], tuple[FalseNameRate, ...]]:
+    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer.
+
+    With it, how often signals without meaning would have been established in the place of the answer's effects.
+    """
     selection, answer = judged.selection, rivals.selected
-    table = FitTable(judged.scores)
+    table, attempt = FitTable(judged.scores), selection.problem.failures.attempt
 
     def weigh() -> tuple[Claim, ...]:
         table.add(selection.baseline, answer, *selection.problem.fitted)
@@ -745,16 +753,20 @@ def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocal
         return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
 
     fit_rivals = partial(refit_rivals, rivals)
-    without = selection.problem.failures.attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
+    without = attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
     claims = weigh()
     if without is None:  # a name that was held against no rival is not certain; the place may be
-        return tuple(lower_grade(c) if c.name else c for c in claims)
+        return tuple(lower_grade(c) if c.name else c for c in claims), ()
     standing = [
         rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
-    return weigh() if standing else claims
+    claims = weigh() if standing else claims
+    taking_part = table.leading((selection.baseline, answer))
+    contests = ContestTable(table, taking_part, answer, location.sets, len(rivals.candidates))
+    rates = measure_false_names(contests, without, rivals.signals, claims)
+    return lower_common(claims, rates, answer.model), rates
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
