@@ -379,7 +379,7 @@ they are and what is known of each rig.
 
 What took part in setting anything: the numbers that turn weights into probabilities come from simulated cases alone. All these rigs
 have been looked at while the method was built, the silverbox, EMPS and tanks longest (`real_data.md`); no number was fitted to one of
-them. So this page is no blind test.
+them. So this page is no blind test. What these records taught stands [in a chapter of its own](measured_lessons.md).
 """
 BY_RIG = "What was established at each depth: right/wrong/not known.\n"
 ANSWERS = """Errors are rms of free runs on the record that chose, and on the one that took no part: an answer that is worse there

@@ -22,7 +22,7 @@ form of the tanks' reading curve.
 All errors are those of free runs, as root mean squares.
 
 No model is complete on any of the three: what is left stays above the sensors' noise. The verdict is *partly* where effects are established
-beside that, and *unknown* where none is, however much of the error goes.
+beside that, and *unknown* where none is, however much of the error goes. [What measured records taught us](measured_lessons.md) says why.
 """
 
 

@@ -7,6 +7,7 @@ from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.effect_test import EffectTest, drop_effect, try_effect
 from greybox.discovery.execution import SearchFailure, SearchStage
+from greybox.discovery.false_names import FalseNameRate
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import (
     MisfitWindow,
@@ -40,6 +41,7 @@ __all__ = [
     "DiscoveryProblem",
     "EffectSignal",
     "EffectTest",
+    "FalseNameRate",
     "FittedCandidate",
     "Grade",
     "HoldoutError",

@@ -16,7 +16,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from typing import ClassVar, NamedTuple
 
@@ -179,6 +179,12 @@ def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
     return EffectForm(name, label, variables, form, family_of(base) or (base,))
 
 
+@lru_cache(maxsize=128)  # a table is weighed several times; it has sixty sets at most
+def _describe_effects(model: Model, given: frozenset[str]) -> tuple[EffectForm, ...]:
+    """The forms of all effects of a model that its user has not ``given``."""
+    return tuple(describe_effect(model, b) for b in model.bound_effects if b.effect.name not in given)
+
+
 def _is_timing(effect: Effect) -> bool:
     """Whether an effect only moves a signal in time: a lag, a delay, another hold. To the first order in its time each does the same,
     1 / (1 + s tau) = 1 - s tau + ... = exp(-s tau).
@@ -256,10 +262,7 @@ def weigh_claims(
     if not draws.sets:
         return ()
     weights = Weights.of(draws)
-    forms = [
-        [describe_effect(s.candidate.model, b) for b in s.candidate.model.bound_effects if b.effect.name not in given]
-        for s in draws.sets
-    ]
+    forms = [_describe_effects(s.candidate.model, frozenset(given)) for s in draws.sets]
     groups = {label: tuple(group) for group in alike_sites for label in group}
     leading = draws.sets[weights.leading]
     names = [o.name for o in leading.candidate.model.outputs]
@@ -361,13 +364,13 @@ class _Context:
             frequency=frequency,
             left=self.left,
         )
-        probability = _weigh(claim)
+        probability = weigh_claim(claim)
         claim = replace(claim, probability=probability, grade=to_grade(probability))
         if depth < Depth.NAME or shown is None:
             return claim
         equals = self._equals(best, shown)
         either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
-        return replace(claim, equals=equals, joint=_weigh(replace(claim, frequency=self.weights.share(either))))
+        return replace(claim, equals=equals, joint=weigh_claim(replace(claim, frequency=self.weights.share(either))))
 
     def _equals(self, best: int, form: EffectForm) -> tuple[str, ...]:
         """The effects of other families with which a set that is good does without this one, as often as not."""
@@ -433,7 +436,7 @@ def read_certainty() -> Mapping[int, tuple[float, ...]]:
     return {int(depth): tuple(row) for depth, row in data["depths"].items()}
 
 
-def _weigh(claim: Claim) -> float:
+def weigh_claim(claim: Claim) -> float:
     """The probability of a claim: what would be said again in so many of the resamples is no likelier than that."""
     return min(to_probability(claim.depth, to_features(claim)), claim.frequency)
 

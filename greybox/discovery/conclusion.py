@@ -34,6 +34,7 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.execution import SearchStage
+from greybox.discovery.false_names import ContestTable, FalseNameRate, lower_common, measure_false_names
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
@@ -118,6 +119,8 @@ class SearchAnswer:
         What the plain model leaves unexplained, and where.
     claims
         What resampling the records says.
+    rates
+        How often signals without meaning would have been established in the place of its effects.
     signals
         The signal of each effect of the answer.
     refinement
@@ -137,6 +140,7 @@ class SearchAnswer:
     decided: Conclusion
     location: ResidualLocalisation
     claims: tuple[Claim, ...] = ()
+    rates: tuple[FalseNameRate, ...] = ()
     signals: tuple[EffectSignal, ...] = ()
     refinement: Refinement | None = None
     law: LawAnswer | None = None
@@ -220,6 +224,7 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
     signals = _estimate_signals(final)
     location = _locate(judged.baseline, selection)
     claims: tuple[Claim, ...] = ()
+    rates: tuple[FalseNameRate, ...] = ()
     if candidates and decided.verdict is not Verdict.COMPLETE:
         problem.executor.release_reserve()
         known = selection.fits if refinement is None or not refinement.steps else {}
@@ -234,14 +239,14 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
             selection.policy,
         )
         weigh = partial(_weigh, judged, rivals, location)
-        claims = problem.failures.attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ())
+        claims, rates = problem.failures.attempt(SearchStage.EVIDENCE, final.candidate.effects, weigh, ((), ()))
         if problem.executor.skipped:  # not all rivals were tried
             claims = tuple(map(lower_grade, claims))
     tied = [rival.effects for rival in judged.rivals]
     named = [name for name in final.candidate.effects if not is_shape_correction(name)]
     decided = read_verdict(decided, claims, named, tied)
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
-    return SearchAnswer(judged, final, decided, location, claims, signals, refinement)
+    return SearchAnswer(judged, final, decided, location, claims, rates, signals, refinement)
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:
@@ -253,15 +258,15 @@ def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:
     law: LawAnswer | None = answer.problem.failures.attempt(SearchStage.LAWS, judged.selected.effects, look, None)
     if law is None:
         return answer
-    final, claims = answer.final, answer.claims
+    final, claims, rates = answer.final, answer.claims, answer.rates
     best = law.best or (law.base if law.verdict is Verdict.COMPLETE else final.fit)
     if law.best is not None and law.search.candidate is not None:
         final = FinalModel(HoldoutScores(of_laws, judged.scores.validation), law.search.candidate, best)
     judged = replace(judged, base=law.base, best=best, holdout=compare_holdout_errors(law.base, best))
     if law.verdict is Verdict.COMPLETE:
-        final, claims = FinalModel(judged.scores, judged.baseline, best), ()
+        final, claims, rates = FinalModel(judged.scores, judged.baseline, best), (), ()
     decided = replace(answer.decided, verdict=law.verdict)
-    return replace(answer, judged=judged, final=final, claims=claims, law=law, decided=decided)
+    return replace(answer, judged=judged, final=final, claims=claims, rates=rates, law=law, decided=decided)
 
 
 def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
@@ -302,6 +307,7 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         final=FinalModel(judged.scores, judged.baseline, judged.base),
         decided=replace(_decide(judged), checks=checks),
         claims=(),
+        rates=(),
         signals=(),
         refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),
         law=None if law is None else replace(law, best=None, search=replace(law.search, laws=())),
@@ -394,6 +400,7 @@ def _describe(
         surrogate=surrogate,
         refinement=answer.refinement,
         claims=answer.claims,
+        false_names=answer.rates,
         left=left,
         policy=selection.policy,
         options=problem.options,
@@ -464,10 +471,15 @@ def _locate(candidate: FittedCandidate, selection: StepwiseSelection) -> Residua
     return located or ResidualLocalisation.without_sites(candidate)
 
 
-def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation) -> tuple[Claim, ...]:
-    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer."""
+def _weigh(
+    judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocalisation
+) -> tuple[tuple[Claim, ...], tuple[FalseNameRate, ...]]:
+    """What resampling the records says of all sets of effects that were fitted: the search's own, and every rival of the answer.
+
+    With it, how often signals without meaning would have been established in the place of the answer's effects.
+    """
     selection, answer = judged.selection, rivals.selected
-    table = FitTable(judged.scores)
+    table, attempt = FitTable(judged.scores), selection.problem.failures.attempt
 
     def weigh() -> tuple[Claim, ...]:
         table.add(selection.baseline, answer, *selection.problem.fitted)
@@ -481,16 +493,20 @@ def _weigh(judged: JudgedSelection, rivals: RivalSearch, location: ResidualLocal
         return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
 
     fit_rivals = partial(refit_rivals, rivals)
-    without = selection.problem.failures.attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
+    without = attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
     claims = weigh()
     if without is None:  # a name that was held against no rival is not certain; the place may be
-        return tuple(lower_grade(c) if c.name else c for c in claims)
+        return tuple(lower_grade(c) if c.name else c for c in claims), ()
     standing = [
         rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
-    return weigh() if standing else claims
+    claims = weigh() if standing else claims
+    taking_part = table.leading((selection.baseline, answer))
+    contests = ContestTable(table, taking_part, answer, location.sets, len(rivals.candidates))
+    rates = measure_false_names(contests, without, rivals.signals, claims)
+    return lower_common(claims, rates, answer.model), rates
 
 
 def _look_for_laws(

@@ -225,7 +225,7 @@ class SignalSmoother:
             Where something was measured (R, m).
         """
         knots, tent = _tent(line.rows, KNOT_SPACING)
-        flat = whiten_columns(_response(line, site, tent) * weight[:, None], colour, present)[present]
+        flat = whiten_columns(respond(line, site, tent) * weight[:, None], colour, present)[present]
         flat = flat - basis @ (basis.T @ flat)
         root = _prior_root(len(knots), LOCALISATION_MEMORY)
         gram = root.T @ (flat.T @ flat) @ root  # of flat @ root, whose many rows are gone through once
@@ -290,14 +290,14 @@ def _prior_root(count: int, memory: float) -> np.ndarray:
     return root
 
 
-def _response(line: LinearisedRun, site: DisturbanceSite, tent: np.ndarray) -> np.ndarray:
-    """Outputs (R, ny, K) of the linearised model to each hat function at ``site``."""
+def respond(line: LinearisedRun, site: DisturbanceSite, signals: np.ndarray) -> np.ndarray:
+    """Outputs (R, ny, K) of the linearised model to each of the ``signals`` (R, K) at ``site``."""
     ny = line.c.shape[1]
     if site.kind == SiteKind.SENSOR:
-        response = np.zeros((line.rows, ny, tent.shape[1]))
-        response[:, site.column] = tent
+        response = np.zeros((line.rows, ny, signals.shape[1]))
+        response[:, site.column] = signals
         return response
-    return _simulate_linear(line, np.zeros((line.x.shape[1], tent.shape[1])), line.gamma[site], tent)
+    return _simulate_linear(line, np.zeros((line.x.shape[1], signals.shape[1])), line.gamma[site], signals)
 
 
 def _initial(line: LinearisedRun) -> np.ndarray:

@@ -56,6 +56,8 @@ class SearchStage(StrEnum):
     """Further effects cannot be looked for."""
     EVIDENCE = "evidence"
     """Rivals of an answer cannot be fitted, or its claims cannot be weighed."""
+    FALSE_NAMES = "false_names"
+    """How often signals without meaning are established cannot be measured."""
     LAWS = "laws"
     """No equation can be looked for."""
     PROPOSAL = "proposal"

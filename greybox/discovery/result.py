@@ -13,6 +13,7 @@ from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.effect_signal import EffectSignal, RemainingError
 from greybox.discovery.execution import SearchFailure
+from greybox.discovery.false_names import FalseNameRate
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, worst_output
 from greybox.discovery.laws.search import Law
@@ -180,6 +181,8 @@ class Discovery(Printable, StoredResult):
     claims
         What is said of the plain model, as a tree: where something is missing, of which variables, of which family, which effect; each
         with its probability, its grade and its best rival.
+    false_names
+        For each effect of which more than the place is probable, how often signals without meaning would have been established there.
     left
         By output, what the best model leaves on the validation records.
     not_tried
@@ -219,6 +222,7 @@ class Discovery(Printable, StoredResult):
     not_tried: Mapping[str, Finding] = field(default_factory=dict)
     failures: tuple[SearchFailure, ...] = ()
     claims: tuple[Claim, ...] = ()
+    false_names: tuple[FalseNameRate, ...] = ()
     left: Mapping[str, RemainingError] = field(default_factory=dict)
     laws: tuple[Law, ...] = ()
     test: Mapping[str, HoldoutError] = field(default_factory=dict)
@@ -227,7 +231,7 @@ class Discovery(Printable, StoredResult):
     KEYS: ClassVar[str] = """
         verdict effects! form=shape_corrections alternatives plain_misfit sites=ranked_sites when=localisation.windows
         regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
-        gap=holdout test claims effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
+        gap=holdout test claims false_names effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
         model=best.model.name equations=best.provenance.equations noise=best.noise.std noise_source=best.noise.source
         integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions

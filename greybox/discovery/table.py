@@ -208,34 +208,48 @@ class FitTable:
 
     def sums(self, candidate: FittedCandidate) -> BlockSums | None:
         """The sums of a candidate by block; None where it cannot be run."""
+        if id(candidate) not in self._sums:
+            slopes = self.slopes(candidate)
+            self._sums[id(candidate)] = candidate, None if slopes is None else slopes.sum_blocks()
+        return self._sums[id(candidate)][1]
+
+    @property
+    def blocks(self) -> int:
+        """Into how many blocks the records that were fitted, and those that judge, are divided."""
         if not self._blocks:
             self._blocks = _count_blocks(self.candidates[0])
-        if id(candidate) not in self._sums:
-            compute = partial(_sum_blocks, self.scores, candidate, self._blocks)
-            sums = self.scores.problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, compute, None)
-            self._sums[id(candidate)] = candidate, sums
-        return self._sums[id(candidate)][1]
+        return self._blocks
 
     def draw(self, candidates: Sequence[FittedCandidate], resamples: int = RESAMPLES) -> Draws:
         """Resample the records and see which of ``candidates`` wins."""
-        sets = _keep_whole([FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None])
-        if not sets:
-            return Draws((), np.zeros((0, 0)), np.zeros((0, 0), bool), np.zeros(0, int))
-        blocks = len(sets[0].sums.count)
-        draws = np.random.default_rng(SEED).integers(0, blocks, (resamples, blocks))
-        drawn = np.zeros((resamples, blocks))
-        np.add.at(drawn, (np.arange(resamples)[:, None], draws), 1.0)
-        left = drawn == 0
-        count = sets[0].sums.count
-        # Outputs count relative to the least that any set leaves in them: no level of noise is needed.
-        level = np.min([s.sums.square.sum(axis=0) / np.maximum(count.sum(axis=0), 1) for s in sets], axis=0)
-        measured = count.sum(axis=0) > 0
-        weight = np.where(measured, 1 / np.maximum(level, TINY), 0.0)
-        squares = np.stack([s.sums.mean_squares(s.sums.refit(drawn, weight)) for s in sets])[..., measured]
-        # Each output of the records that were fitted, and of those that judge, counts alike, however long they are.
-        judging = sets[0].sums.is_judging[:, None]
-        counts = np.concatenate([count[:, measured] * ~judging, count[:, measured] * judging], axis=1)
-        return _judge_draws(tuple(sets), np.concatenate([squares, squares], axis=-1), left, counts)
+        return draw_sets([FittedSet(c, sums) for c in candidates if (sums := self.sums(c)) is not None], resamples)
+
+    def slopes(self, candidate: FittedCandidate) -> LinearisedSet | None:
+        """A candidate on the table, linearised on all records in as many blocks as the others; None where it cannot be run."""
+        compute = partial(linearise_set, self.scores, candidate, self.blocks)
+        return self.scores.problem.failures.attempt(SearchStage.EVIDENCE, candidate.effects, compute, None)
+
+
+def draw_sets(sets: Sequence[FittedSet], resamples: int = RESAMPLES) -> Draws:
+    """Resample the records and see which of ``sets`` wins."""
+    sets = _keep_whole(list(sets))
+    if not sets:
+        return Draws((), np.zeros((0, 0)), np.zeros((0, 0), bool), np.zeros(0, int))
+    blocks = len(sets[0].sums.count)
+    draws = np.random.default_rng(SEED).integers(0, blocks, (resamples, blocks))
+    drawn = np.zeros((resamples, blocks))
+    np.add.at(drawn, (np.arange(resamples)[:, None], draws), 1.0)
+    left = drawn == 0
+    count = sets[0].sums.count
+    # Outputs count relative to the least that any set leaves in them: no level of noise is needed.
+    level = np.min([s.sums.square.sum(axis=0) / np.maximum(count.sum(axis=0), 1) for s in sets], axis=0)
+    measured = count.sum(axis=0) > 0
+    weight = np.where(measured, 1 / np.maximum(level, TINY), 0.0)
+    squares = np.stack([s.sums.mean_squares(s.sums.refit(drawn, weight)) for s in sets])[..., measured]
+    # Each output of the records that were fitted, and of those that judge, counts alike, however long they are.
+    judging = sets[0].sums.is_judging[:, None]
+    counts = np.concatenate([count[:, measured] * ~judging, count[:, measured] * judging], axis=1)
+    return _judge_draws(tuple(sets), np.concatenate([squares, squares], axis=-1), left, counts)
 
 
 def _keep_whole(sets: list[FittedSet]) -> list[FittedSet]:
@@ -301,8 +315,68 @@ def _count_blocks(best: FittedCandidate) -> int:
     return int(np.clip(rows / (BLOCK_MEMORIES * memory), LEAST_BLOCKS, MOST_BLOCKS))
 
 
-def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) -> BlockSums | None:
-    """Residuals and their slopes on all records, summed by block."""
+@dataclass(frozen=True, eq=False)
+class LinearisedSet:
+    """One set of effects on all records, those that were fitted and then those that judge, to first order about its fit.
+
+    Parameters
+    ----------
+    candidate
+        The candidate with all records in its problem.
+    residuals
+        For each record the residuals over the noise (N, ny), 0 where nothing counts.
+    jacobians
+        Their slopes (N, ny, n) along the constants and the first states of that record.
+    present
+        Which of them count (N, ny).
+    fitted, uncounted
+        How many of the records were fitted, and how many rows at the start of each of the others do not count.
+    blocks
+        Into how many blocks these, and those that judge, are divided.
+    """
+
+    candidate: FittedCandidate
+    residuals: tuple[np.ndarray, ...]
+    jacobians: tuple[np.ndarray, ...]
+    present: tuple[np.ndarray, ...]
+    fitted: int
+    uncounted: int
+    blocks: int
+
+    def columns(self, record: int) -> np.ndarray:
+        """Which of all unknowns the slopes of a record are along."""
+        return np.asarray(self.candidate.variables.columns(record))
+
+    def sum_blocks(self) -> BlockSums | None:
+        """The sums by block; None where they are not finite."""
+        variables, experiments = self.candidate.variables, self.candidate.problem.experiments
+        rows = [sum(e.rows for e in part) for part in (experiments[: self.fitted], experiments[self.fitted :])]
+        size = variables.size
+        parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
+        for e, (residual, jacobian) in enumerate(zip(self.residuals, self.jacobians, strict=True)):
+            is_judging = e >= self.fitted
+            first = self.uncounted if is_judging else 0
+            length = max(math.ceil(rows[is_judging] / self.blocks), LEAST_BLOCK_ROWS)
+            pieces = max(round((len(residual) - first) / length), 1)
+            columns = self.columns(e)
+            for part in np.array_split(np.arange(first, len(residual)), pieces):
+                slopes = np.zeros((residual.shape[1], size))
+                curvature = np.zeros((residual.shape[1], size, size))
+                slopes[:, columns] = np.einsum("no,noi->oi", residual[part], jacobian[part])
+                curvature[np.ix_(np.arange(residual.shape[1]), columns, columns)] = np.einsum(
+                    "noi,noj->oij", jacobian[part], jacobian[part], optimize=True
+                )
+                square = (residual[part] ** 2).sum(axis=0)
+                parts.append((square, self.present[e][part].sum(axis=0), slopes, curvature, is_judging))
+        square, count, gradient, curvature, judges = (np.array(each) for each in zip(*parts, strict=True))
+        low, high = variables.bounds()
+        if not all(np.isfinite(sums).all() for sums in (square, gradient, curvature)):
+            return None
+        return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges)
+
+
+def linearise_set(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) -> LinearisedSet | None:
+    """Residuals and their slopes on all records; None where the set cannot be run over them."""
     run = scores.run(candidate)
     if run is None:
         return None
@@ -316,32 +390,15 @@ def _sum_blocks(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) 
     guess = np.vstack([candidate.variables.initial.guess, np.array(begun).reshape(len(judging), len(names))])
     variables = prepared.variables.start_at(candidate.model.values)
     variables = replace(variables, initial=replace(variables.initial, guess=guess))
-    shooting = prepared.shooting(variables)
-    rows = sum(e.rows for e in fitted), sum(e.rows for e in judging)
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, bool]] = []
-    for e, (residual, jacobian) in enumerate(shooting.residuals(variables.here)):
-        is_judging = e >= len(fitted)
-        first = scores.validation.uncounted if is_judging else 0
+    residuals, jacobians, counted, uncounted = [], [], [], scores.validation.uncounted
+    for e, (residual, jacobian) in enumerate(prepared.shooting(variables).residuals(variables.here)):
         present = np.isfinite(residual)
-        present[:first] = False
+        if e >= len(fitted):
+            present[:uncounted] = False
         if not np.isfinite(jacobian[present]).all():
             return None
-        residual = np.where(present, residual, 0.0)
-        jacobian = np.where(present[:, :, None], jacobian, 0.0)
-        length = max(math.ceil(rows[is_judging] / blocks), LEAST_BLOCK_ROWS)
-        pieces = max(round((len(residual) - first) / length), 1)
-        columns = variables.columns(e)
-        for part in np.array_split(np.arange(first, len(residual)), pieces):
-            slopes = np.zeros((residual.shape[1], variables.size))
-            curvature = np.zeros((residual.shape[1], variables.size, variables.size))
-            slopes[:, columns] = np.einsum("no,noi->oi", residual[part], jacobian[part])
-            curvature[np.ix_(np.arange(residual.shape[1]), columns, columns)] = np.einsum(
-                "noi,noj->oij", jacobian[part], jacobian[part], optimize=True
-            )
-            square = (residual[part] ** 2).sum(axis=0)
-            parts.append((square, present[part].sum(axis=0), slopes, curvature, is_judging))
-    square, count, gradient, curvature, judges = (np.array(each) for each in zip(*parts, strict=True))
-    low, high = variables.bounds()
-    if not all(np.isfinite(sums).all() for sums in (square, gradient, curvature)):
-        return None
-    return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges)
+        residuals.append(np.where(present, residual, 0.0))
+        jacobians.append(np.where(present[:, :, None], jacobian, 0.0))
+        counted.append(present)
+    extended = replace(candidate, problem=prepared, variables=variables)
+    return LinearisedSet(extended, tuple(residuals), tuple(jacobians), tuple(counted), len(fitted), uncounted, blocks)

@@ -30,6 +30,7 @@ from greybox.show.sentences.discovery import (
     GRADES,
     claim_text,
     constant_text,
+    false_names_text,
     name_text,
     probability_text,
     refinement_text,
@@ -81,6 +82,8 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
     )
     if d.claims and d.verdict is not Verdict.NAMED:
         yield _claims(d)
+    if d.false_names:
+        yield doc.Paragraphs([false_names_text(rate) for rate in d.false_names])
     if d.ranking:
         yield _candidates_table(d, LISTED_CANDIDATES)
     failed = {name: finding for name, finding in d.not_tried.items() if finding.code in FAILED_CODES}
@@ -133,7 +136,7 @@ def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) ->
     figure = [] if beside_verdict else [doc.FigureBlock(plot_holdout_error(discovery))]
     yield doc.Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
     if discovery.claims:
-        yield doc.Section("claims", "Claims", [_claims(discovery)])
+        yield doc.Section("claims", "Claims", [_claims(discovery), *_false_names(discovery)])
     signals: list[doc.Block] = [
         doc.FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
     ]
@@ -173,6 +176,18 @@ def _claims(discovery: Discovery) -> doc.TableBlock:
     ]
     head = ["claim", "certainty", "share of the error", "best rival", "in words"]
     return doc.TableBlock("What the plain model lacks, from something to its name", head, rows)
+
+
+def _false_names(discovery: Discovery) -> Iterator[doc.Block]:
+    """How often nonsense would have been established in the place of each effect."""
+    rows = [
+        [r.effect, DEPTHS[r.depth], str(r.among), str(r.tried), str(r.established), f"{100 * r.upper:.0f} %"]
+        for r in discovery.false_names
+    ]
+    if rows:
+        head = ["in the place of", "claim", "signals in a draw", "draws", "established", "at most (95 %)"]
+        note = "The best signal of each draw takes the place of the effect, and is weighed as it was."
+        yield doc.TableBlock("Signals without meaning, made from these records", head, rows, note)
 
 
 # The same of a discovery, on its validation records.

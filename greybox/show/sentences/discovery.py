@@ -15,10 +15,18 @@ from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentence
-from greybox.show.sentences.wording import MOST_PERCENT, change_text, join_names, quantity_text, value_with_unit
+from greybox.show.sentences.wording import (
+    MOST_PERCENT,
+    change_text,
+    count_noun,
+    join_names,
+    quantity_text,
+    value_with_unit,
+)
 
 if TYPE_CHECKING:
     from greybox.discovery import Claim, Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
+    from greybox.discovery.false_names import FalseNameRate
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
 
 
@@ -261,6 +269,18 @@ def name_text(claim: Claim) -> str:
         text += f"; {join_names([effect_title(name) for name in claim.equals])} in its place would do the same"
     elif claim.rival:
         text += f"; its best rival is {rival_text(claim.rival)}"
+    return text
+
+
+def false_names_text(rate: FalseNameRate) -> str:
+    """How often signals without meaning would have been established in the place of an effect, and what follows."""
+    won = f"{rate.established or 'none'} of {count_noun(rate.tried, 'draw')}"
+    text = (
+        f"In the place of {effect_title(rate.effect)} the best of {count_noun(rate.among, 'signal')} without meaning, made from"
+        f" these records, would have been established in {won} (at most {100 * rate.upper:.0f} %, with 95 % confidence)."
+    )
+    if rate.is_common:
+        text += " That is more often than an established claim may be wrong: beyond the place nothing here is more than probable."
     return text
 
 

@@ -3,6 +3,8 @@
 import pytest
 
 from greybox.base.findings import Check, Finding
+from greybox.discovery.claims import Depth
+from greybox.discovery.false_names import FalseNameRate
 from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.discovery.findings import DiscoveryRule as Rule
 from greybox.discovery.holdout import HoldoutError
@@ -12,6 +14,7 @@ from greybox.show.sentences.discovery import (
     _percent,
     dependence_text,
     explained_share_text,
+    false_names_text,
     shape_text,
     sites_text,
     surrogate_text,
@@ -574,6 +577,23 @@ def test_a_dependence_says_its_share_loop_and_tone():
     assert alone == "a loop over v: another value on its way up than on its way down (explains 20 %)"
     assert (
         dependence_text(STEP | {"tone": 50.0}) == "a tone of 50 Hz that does not depend on the motion (explains 78 %)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("established", "won", "more"),
+    [
+        (0, "none of 20 draws (at most 14 %, with 95 % confidence).", ""),
+        (
+            *(6, "6 of 20 draws (at most 51 %, with 95 % confidence)."),
+            " That is more often than an established claim may be wrong: beyond the place nothing here is more than probable.",
+        ),
+    ],
+)
+def test_signals_without_meaning_say_how_often_they_won(established, won, more):
+    assert false_names_text(FalseNameRate("coulomb_friction", Depth.NAME, 20, established, 24)) == (
+        "In the place of coulomb friction the best of 24 signals without meaning, made from these records, would have been"
+        f" established in {won}{more}"
     )
 
 

@@ -1,0 +1,149 @@
+"""Signals without meaning in the place of an effect: how they are drawn, screened and weighed, and what follows."""
+
+from itertools import cycle
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+import greybox as gb
+from greybox.base.errors import FitError
+from greybox.discovery import false_names
+from greybox.discovery.claims import Claim, Depth
+from greybox.discovery.decision import Grade
+from greybox.discovery.execution import SearchStage
+from greybox.discovery.false_names import FalseNameRate, lower_common
+from greybox.discovery.pipeline import discover
+from greybox.discovery.table import RIDGE
+from models.micro_actuator import micro_actuator
+from tests.support.hidden_rigs import AT_REST, plain_model, simulate_records
+
+NOISE = {"x": 2e-7, "i": 5e-3}
+
+
+def rate_of(established, tried=20):
+    return FalseNameRate("cubic_stiffness", Depth.NAME, tried, established, 2)
+
+
+@pytest.mark.parametrize(("established", "tried"), [(0, 20), (3, 20), (5, 7)])
+def test_the_bound_is_the_rate_at_which_so_few_are_still_seen_once_in_twenty(established, tried):
+    assert binom.cdf(established, tried, rate_of(established, tried).upper) == pytest.approx(0.05)
+
+
+def test_where_all_are_established_nothing_bounds_the_rate():
+    assert rate_of(20).upper == 1.0 and rate_of(20).rate == 1.0
+
+
+def test_nonsense_is_common_where_it_is_established_more_often_than_a_claim_may_be_wrong():
+    assert [rate_of(k).is_common for k in (0, 5, 6)] == [False, False, True]
+
+
+def claims_at(site):
+    made = {"probability": 0.9, "grade": Grade.ESTABLISHED}
+    deep = {"variables": ("x",), "family": ("cubic_stiffness",), "name": "cubic_stiffness"}
+    return tuple(
+        Claim(depth, "x", (site,), **{k: v for k, v in deep.items() if depth >= Depth[k.upper()]}, **made)
+        for depth in (Depth.PLACE, Depth.VARIABLES, Depth.FAMILY, Depth.NAME)
+    )
+
+
+def test_only_the_place_stays_established_where_nonsense_is():
+    model = plain_model(micro_actuator) + gb.effect("cubic_stiffness")
+    here, elsewhere = claims_at("balance force"), claims_at("input u")
+    lowered = lower_common((*here, *elsewhere), [rate_of(6)], model)
+    assert [c.is_established for c in lowered] == [True, False, False, False, True, True, True, True]
+    assert lower_common(here, [rate_of(5)], model) == here
+
+
+def signal_of(values):
+    time = 0.01 * np.arange(len(values))
+    return SimpleNamespace(time=time, value=values, modelled=values)
+
+
+@pytest.fixture
+def motion():
+    t = np.arange(400)
+    values = np.convolve(np.random.default_rng(1).standard_normal(len(t) + 40), np.hanning(40), "valid")[: len(t)]
+    return signal_of(5.0 + values)
+
+
+def test_a_signal_without_meaning_keeps_its_size_and_forgets_its_course(motion):
+    drawn = false_names._draw_signals(motion, motion.time, 12, np.random.default_rng(3))
+    own = motion.value - motion.value.mean()
+    assert drawn.std(axis=0) == pytest.approx(own.std(), rel=0.02)
+    assert np.abs(np.corrcoef(own, drawn.T)[0, 1:]).max() < 0.55
+    # The whole spectrum, shifted or of random phase; between the samples lines lose a little.
+    spectrum = np.abs(np.fft.rfft(own))[:10]
+    for k in (0, 1, 2, 3):
+        assert np.abs(np.fft.rfft(drawn[:, k]))[:10] == pytest.approx(spectrum, abs=0.05 * spectrum.max())
+    again = false_names._draw_signals(motion, motion.time, 12, np.random.default_rng(3))
+    assert np.array_equal(drawn, again)
+
+
+def test_a_constant_has_no_meaning_to_lose(motion):
+    assert false_names._varies(motion)
+    assert not false_names._varies(signal_of(5.0 + 0.01 * motion.value))
+
+
+def test_the_promise_of_a_signal_is_that_of_least_squares():
+    rng = np.random.default_rng(5)
+    jacobian, residual, signals = rng.standard_normal((60, 1, 3)), rng.standard_normal((60, 1)), rng.random((60, 1, 4))
+    slopes = SimpleNamespace(
+        candidate=SimpleNamespace(variables=SimpleNamespace(size=3)),
+        fitted=1,
+        columns=lambda e: np.arange(3),
+        present=[np.ones((60, 1), bool)],
+        jacobians=[jacobian],
+        residuals=[residual],
+    )
+
+    def least(columns):
+        full = np.vstack([columns, np.sqrt(RIDGE) * np.eye(columns.shape[1])])
+        wanted = np.append(residual[:, 0], np.zeros(columns.shape[1]))
+        return np.sum((wanted - full @ np.linalg.lstsq(full, wanted, rcond=None)[0]) ** 2)
+
+    plain = least(jacobian[:, 0])
+    expected = [plain - least(np.column_stack([jacobian[:, 0], signals[:, 0, k]])) for k in range(4)]
+    assert false_names._promised_decrease(slopes, [signals]) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return simulate_records(micro_actuator, {"cubic_stiffness": {"K3": 1e10}}, tuple(NOISE.values()), rows=300)
+
+
+def answer(rig):
+    among = [gb.effect(name) for name in ("cubic_stiffness", "input_offset", "quadratic_damping")]
+    plain = plain_model(micro_actuator)
+    return discover(plain, rig[0], validation=rig[1], noise=NOISE, options=AT_REST, effects=among, workers=1)
+
+
+def test_nonsense_is_not_established_where_a_spring_hardens(rig):
+    found = answer(rig)
+    (rate,) = found.false_names
+    assert (rate.effect, rate.tried, rate.among, rate.established) == ("cubic_stiffness", 20, 3, 0)
+    assert [e["grade"] for e in found.effects] == ["established"]
+
+
+def test_the_signal_of_the_effect_itself_is_established_and_takes_its_name_the_certainty(rig, monkeypatch):
+    """The control: what adds x^3 to the force does what the spring does, under a name of no meaning."""
+    cubes = [1e10 * record.outputs["x"] ** 3 for record in rig]
+    # An input is held between samples: the mean of both ends is as late as the force itself.
+    held = cycle([(0.5 * (f + np.append(f[1:], f[-1])))[:, None] for f in cubes])
+    monkeypatch.setattr(false_names, "_draw_signals", lambda *_: next(held))
+    found = answer(rig)
+    (rate,) = found.false_names
+    assert rate.established == rate.tried
+    assert [e["grade"] for e in found.effects] == ["probable"]
+    assert found.verdict != "named"
+
+
+def test_contests_that_fail_leave_the_answer_as_it_is(rig, monkeypatch):
+    def fail(*_):
+        raise FitError("on purpose")
+
+    monkeypatch.setattr(false_names, "linearise_run", fail)
+    found = answer(rig)
+    assert not found.false_names and found.verdict == "named"
+    assert (SearchStage.FALSE_NAMES, "on purpose") in {(f.stage, f.reason) for f in found.failures}
