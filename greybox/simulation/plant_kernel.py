@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base import ModelError
 from greybox.data.experiment import Experiment
-from greybox.simulation.kernel.interface import GaussNewtonSums, check_sums
+from greybox.simulation.kernel.interface import GaussNewtonSums, KernelPoint, check_sums
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.plant import CanDifferentiate, PlantModel, PlantRecord, PlantRunError, to_plant_record
 from greybox.simulation.ports import PlantPorts
@@ -185,40 +185,19 @@ class PlantKernel:
             raise PlantRunError(f"{title}: an output is not finite to the end of the record")
         return outputs
 
-    def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, record: Record, point: KernelPoint, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and where the run fails."""
         try:
-            y = self.run(record, p, x0)
-            slopes = self.differentiate(record, p, dp, x0, dx0)
+            y = self.run(record, point.p, point.x0)
+            slopes = self.differentiate(record, point.p, point.dp, point.x0, point.dx0)
         except PlantRunError:
-            return np.full(record.y.shape, np.nan), np.full((*record.y.shape, dx0.shape[1]), np.nan)
+            return np.full(record.y.shape, np.nan), np.full((*record.y.shape, point.dx0.shape[1]), np.nan)
         return (record.y - y) * weight, -slopes * weight[None, :, None]
 
-    def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
-    ) -> GaussNewtonSums:
+    def sums(self, record: Record, point: KernelPoint, weight: np.ndarray, rows: int | None = None) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
         part = record if rows is None else record.first(rows)
-        r, jacobian = self.residuals(part, q, dq, p, dp, x0, dx0, weight)
+        r, jacobian = self.residuals(part, point, weight)
         measured = np.isfinite(part.y)
         error, slopes = r[measured], jacobian[measured]
         failed = None if np.isfinite(error).all() else 0
