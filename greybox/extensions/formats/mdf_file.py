@@ -70,7 +70,7 @@ def _open(stream: Any) -> Any:
     except Exception as error:  # raised again
         # What the library has half made complains when it is thrown away, unless it counts as closed.
         for frame, _ in traceback.walk_tb(error.__traceback__):
-            half_made = frame.f_locals.get("self")
+            half_made: Any = frame.f_locals.get("self")
             # Its blocks have slots; only the file itself has attributes of its own.
             if type(half_made).__module__.startswith("asammdf") and hasattr(half_made, "__dict__"):
                 half_made._closed = True
