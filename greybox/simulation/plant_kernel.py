@@ -233,7 +233,7 @@ class PlantKernel:
         y = self._run_at(record, settings)
         result = np.zeros((*y.shape, len(which)))
         is_own = np.isin(which, self._own)
-        left = np.arange(len(which))
+        left: np.ndarray = np.arange(len(which))
         if self._can_differentiate and not self.central and is_own.any():
             slopes = self._ask_for_slopes(record.experiment, settings, which[is_own])
             self._can_differentiate = slopes is not None
