@@ -79,11 +79,9 @@ class CompiledKernel:
     def _get_functions(self, shape: LibraryShape) -> KernelFunctions:
         """The functions of a shape, compiled when first asked for."""
         if shape not in self._functions:
-            self._functions[shape] = self._load(shape)
+            library = load_library(lambda: self.source(shape), self._key(shape))
+            self._functions[shape] = self._declare(library, shape)
         return self._functions[shape]
-
-    def _load(self, shape: LibraryShape) -> KernelFunctions:
-        return self._declare(load_library(lambda: self.source(shape), self._key(shape)), shape)
 
     def _key(self, shape: LibraryShape) -> str:
         """What `source` is made from, which takes longer to write than a library to load."""
