@@ -65,7 +65,7 @@ def pass_ratio(case: Case) -> float:
     """Cost, gradient and Gauss-Newton matrix in one RK4 pass, over one RK4 simulation."""
     problem = prepared(case, method="rk4")
     shooting = problem.shooting()
-    arguments = (shooting.records[0], *shooting.at(problem.variables.here, 0), shooting.weight)
+    arguments = (shooting.records[0], shooting.at(problem.variables.here, 0), shooting.weight)
     unit = simulation(case)
     problem.kernel.sums(*arguments)
     ratios = []

@@ -31,6 +31,7 @@ from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.model import Model
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.runge_kutta import rk4
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
@@ -85,7 +86,7 @@ def measure_pass(bodies: int, hardening: bool, directions: int, rows: int = 1000
 
     def run() -> None:
         q, dq = kernel.coefficients(record, p, dp)
-        kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
+        kernel.sums(record, KernelPoint(q, dq, p, dp, x0, dx0), weight)
 
     return {"simulation": take_time(simulate), "pass": take_time(run), "kernel": kernel.description}
 
@@ -136,7 +137,7 @@ def measure_peers(*sizes: int) -> Numbers:
 
         def run() -> Sums:
             q, dq = kernel.coefficients(record, p, dp)
-            sums = kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
+            sums = kernel.sums(record, KernelPoint(q, dq, p, dp, x0, dx0), weight)
             return sums.cost, sums.gradient, sums.gauss_newton
 
         began = time.process_time()

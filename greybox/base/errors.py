@@ -67,7 +67,8 @@ def is_own_bug(error: Exception) -> bool:
     """Whether lines of this library raised an error that models, solvers and compilers do not: it must end the run."""
     frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
     is_ours = bool(frames) and str(frames[-1].f_globals.get("__name__")).partition(".")[0] == __name__.partition(".")[0]
-    return is_ours and not isinstance(error, NUMERICAL_ERRORS)
+    # A class of another library (zlib.error) comes from its compiled code, which has no line of its own.
+    return is_ours and type(error).__module__ == "builtins" and not isinstance(error, NUMERICAL_ERRORS)
 
 
 class WorkersLostError(GreyboxError):

@@ -99,8 +99,10 @@ def list_extensions(kind: ExtensionKind) -> tuple[Extension, ...]:
                     raise GreyboxError(f"{owners[name]} has the name {name!r} already; choose another one")
             owners |= dict.fromkeys(names, entered.distribution)
             entered = replace(entered, value=value)
-        except Exception as error:  # a stranger's module may raise anything while it is imported
-            if entered.distribution == OWN:  # a bug of ours is not an extension that is missing
+        # A stranger's module may raise anything while it is imported, and its values while they are asked for a name: it must hurt nobody
+        # else. A bug of ours is not an extension that is missing.
+        except Exception as error:
+            if entered.distribution == OWN:
                 raise
             reason = str(error) if isinstance(error, GreyboxError) else f"{type(error).__name__}: {error}"
             entered = replace(entered, failure=reason)

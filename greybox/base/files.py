@@ -20,7 +20,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Generic, TypeVar
 
-from greybox.base.errors import DataError, OutputError
+from greybox.base.errors import DataError, GreyboxError, OutputError
 from greybox.base.findings import Finding, Severity
 
 if sys.platform != "win32":
@@ -145,7 +145,7 @@ def append_line(path: str | os.PathLike[str], line: str) -> None:
                 if file.write(data) != len(data):
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 os.fsync(file.fileno())
-            except BaseException:
+            except BaseException:  # raised again
                 with contextlib.suppress(OSError):
                     os.ftruncate(file.fileno(), end)
                 raise
@@ -237,6 +237,11 @@ class JournalContent(Generic[Entry]):
     findings: tuple[Finding, ...] = ()
 
 
+# What reading a line raises that is no entry: of the decoder (text, JSON, its depth), and of a parser that meets other keys or types. Any
+# other error is a bug, and must not pass for a damaged file that a person is told to delete.
+NO_ENTRY = (GreyboxError, ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+
+
 def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> JournalContent[Entry]:
     """The entries of a journal; a last line that was cut short is cut off. No entries where there is no file yet.
 
@@ -245,7 +250,7 @@ def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> Jou
     path
         The file.
     parse
-        Makes an entry of a JSON object; raises ValueError, KeyError, TypeError or another ordinary exception where it is none.
+        Makes an entry of a JSON object; raises one of `NO_ENTRY` where it is none.
 
     Raises
     ------
@@ -272,7 +277,7 @@ def read_journal(path: Path, parse: Callable[[Mapping[str, Any]], Entry]) -> Jou
                     if not isinstance(data, dict):
                         raise TypeError("not a JSON object")
                     entries.append(parse(data))
-                except Exception as error:  # of the decoder, of a number with thousands of digits, of a missing key ...
+                except NO_ENTRY as error:
                     broken[number] = f"{type(error).__name__}: {error}"[:100]
             if len(lines) + 1 in broken and tail.startswith(b"{"):
                 del broken[len(lines) + 1]

@@ -311,7 +311,8 @@ def _symbol(symbol: str, unit: str) -> tuple[Unit, bool]:
             base = known.Quantity(1.0, f"delta_{symbol}").to_base_units()
         if not 0 < base.magnitude < math.inf:
             raise ValueError(base.magnitude)
-    except Exception:  # pint reads numbers, functions and Python's own words too, and fails in many ways
+    # Pint reads numbers and powers too. Its errors: AttributeError (unknown), ValueError (syntax), TypeError (zero points), KeyError (m⁰).
+    except (AttributeError, TypeError, ValueError, LookupError, ArithmeticError, AssertionError):
         raise ModelError(f"unit {unit!r}: {symbol!r} is not a unit; {nearest(symbol, PREFIXED)}") from None
     # What is left out (radian, count, bit) has no dimension.
     powers = tuple((BASE[unit_name], float(e)) for unit_name, e in base.unit_items() if unit_name in BASE)

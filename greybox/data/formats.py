@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.base import DataError, Finding, GreyboxError, shorten
+from greybox.base.errors import is_own_bug
 from greybox.base.extensions import ExtensionKind, describe_failures, load_extensions
 from greybox.data import channels, columns, text_table, time_base
 from greybox.data.policy import READING_POLICY, ReadingPolicy
@@ -180,7 +181,10 @@ def _guarded(file: Path, kind: FileFormat) -> Iterator[None]:
         raise DataError(f"{file}: cannot be read ({error.strerror})") from error
     except MemoryError as error:
         raise DataError(f"{file.name}: not enough memory to read it, or it is damaged; {kind.remedy}") from error
-    except Exception as error:  # of a library, on bytes that it did not expect
+    # Of the library of a format, or of a stranger's reader, on bytes that it did not expect, in as many kinds as there are libraries.
+    except Exception as error:
+        if is_own_bug(error):
+            raise
         reason = shorten(str(error), 120) or type(error).__name__
         raise DataError(f"{file.name}: not a readable {kind.name} file ({reason}); {kind.remedy}") from error
     finally:

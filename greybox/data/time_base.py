@@ -411,7 +411,8 @@ def _refine(first: Samples, second: Samples, offset: float, step: float) -> Cloc
     """Gauss-Newton on offset, drift, gain and level: ``second(t) = gain * first(t + offset + drift (t - middle)) + level``."""
     middle, drift = float(second.time.mean()), 0.0
     slope = Samples(first.time, np.gradient(first.values, first.time))
-    correlation, covariance = 0.0, np.full((2, 2), np.inf)
+    correlation = 0.0
+    covariance: np.ndarray = np.full((2, 2), np.inf)
     for _ in range(OFFSET_ITERATIONS):
         at = second.time + offset + drift * (second.time - middle)
         inside = (at >= first.time[0]) & (at <= first.time[-1])

@@ -193,7 +193,8 @@ def estimate_likelihood_covariance(
         _reduce_information(whole, wanted, first_states),
         decomposition.strong / decomposition.scale[:, None],
     )
-    values, vectors = np.full(1, np.nan), basis
+    values: np.ndarray = np.full(1, np.nan)
+    vectors = basis
     if np.isfinite(observed).all():
         # The observed curvature along the directions that are determined.
         values, vectors = np.linalg.eigh(_symmetrise(basis.T @ observed @ basis))

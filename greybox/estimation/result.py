@@ -259,7 +259,8 @@ def _finding(data: Mapping[str, Any]) -> Finding:
     finding = from_json_data(Finding, data)
     try:
         str(finding)
-    except Exception:  # templates take figures as they need them: a missing or foreign one fails in many ways
+    # A sentence takes figures as it needs them: one that is missing, of another type or zero.
+    except (GreyboxError, LookupError, TypeError, ValueError, AttributeError, ArithmeticError):
         code = shorten(data["code"])
         return Finding(ResultCode.FOREIGN_FINDING, finding.severity, shorten(finding.subject), {"code": code})
     return finding

@@ -142,7 +142,8 @@ def import_from_project(root: Path, file: Path) -> ModuleType:
         return importlib.import_module(name)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # a user's file may raise whatever it likes
+    # A user's file may raise whatever it likes, and call sys.exit.
+    except BaseException as error:
         raise _model_error(error, file) from error
 
 
@@ -169,7 +170,8 @@ def import_standalone(file: Path) -> ModuleType:
     try:
         # From these very bytes: kept bytecode goes by the second and the size of a file, and a refit may leave both.
         exec(compile(text, str(file), "exec", dont_inherit=True), vars(module))
-    except BaseException as error:  # a user's file may raise whatever it likes
+    # A user's file may raise whatever it likes, and call sys.exit.
+    except BaseException as error:
         del sys.modules[name]
         if isinstance(error, KeyboardInterrupt):
             raise
@@ -245,7 +247,8 @@ def _model_error(error: BaseException, file: Path) -> ModelError:
     kind = "" if isinstance(error, GreyboxError) else f"{type(error).__name__}: "
     try:
         message = error.msg if isinstance(error, SyntaxError) else str(error)
-    except Exception:  # its own text fails
+    # A user's own class of error, whose text may fail.
+    except Exception:
         message = "an error without a text"
     return ModelError(f"{display_path(place)}{f', line {line}' if line else ''}: {kind}{message}")
 

@@ -78,7 +78,7 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
             try:
                 try:
                     command(*args, **options)
-                except Exception as error:
+                except Exception as error:  # raised again
                     # Inside a library the interrupt is swallowed, and what it makes of it fails somewhere else.
                     if asked.is_set() and not isinstance(error, click.exceptions.Exit):
                         raise KeyboardInterrupt from error

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from greybox.base.errors import DataError
-from greybox.base.files import JournalCode
+from greybox.base.files import JournalCode, read_journal
 from greybox.base.parallel.jobs import run_jobs
 from greybox.discovery.execution import FailureLog, RefitExecutor, RefitJob, RefitJournal, RefitOutcome
 from models.micro_actuator import micro_actuator
@@ -81,6 +81,16 @@ def test_a_file_that_is_no_journal_is_refused_and_left_alone(tmp_path, content):
     with pytest.raises(DataError, match="line 1 is not a journal entry"):
         RefitJournal(path)
     assert path.read_bytes() == content
+
+
+def test_a_bug_in_the_reading_is_no_damaged_file(written):
+    """Who is told to delete a journal loses all its results: what is no fault of the file must not say so."""
+
+    def parse(data):
+        return missing_name  # noqa: F821
+
+    with pytest.raises(NameError):
+        read_journal(written, parse)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="pipes with a name")

@@ -1,9 +1,11 @@
 """Reading records: the same arrays whatever the file looks like, and one clear message for a file that is not right."""
 
+import json
 import re
 import string
 import time as clock
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,9 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from greybox.base.errors import DataError
+from greybox.base.errors import DataError, nearest
 from greybox.data.columns import parse_header
 from greybox.data.findings import RecordCode
+from greybox.data.formats import FileFormat, RecordFile
 from greybox.data.policy import ReadingPolicy
 from greybox.data.read import read_csv, read_experiments
 from greybox.data.text_table import read_text
@@ -604,6 +607,19 @@ def test_a_file_of_the_wrong_kind(tmp_path, name, content, message):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(DataError, match=re.escape(message)):
         read_csv(tmp_path / name, RIG)
+
+
+@pytest.mark.parametrize(
+    ("fails", "expected"),
+    [
+        (lambda: nearest("x", None), TypeError),  # in a line of the library itself
+        (lambda: json.loads(None), DataError),  # in one of another library
+    ],
+)
+def test_a_bug_of_a_reader_is_not_taken_for_a_damaged_file(tmp_path, fails, expected):
+    table = SimpleNamespace(values=lambda positions: fails())
+    with pytest.raises(expected, match=None if expected is TypeError else "not a readable ROS file"):
+        RecordFile(tmp_path / "run.bag", FileFormat("ROS", (".bag",), None, "export it"), table).values([0])
 
 
 def test_a_damaged_matlab_7_3_file_is_refused_with_the_remedy(tmp_path):

@@ -12,6 +12,7 @@ from greybox.data.experiment import Experiment
 from greybox.data.read import read_csv
 from greybox.model.effects.catalogue import CATALOGUE, effect
 from greybox.simulation.integrators.discretisation import discretise
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.records import to_record
 from models.micro_actuator import micro_actuator
@@ -217,7 +218,9 @@ def test_slopes_along_the_parameters_are_those_of_differences(rig, names):
     kernel, seen, weight = make_kernel(step), record.read_by(step), 1 / np.array(NOISE[rig])
     which = np.array([model.system.parameter_names.index(model.bound_effects[0].model_names[k]) for k in truth])
     q, dq = step.coefficients(p, record.lengths, which)
-    _, slopes = kernel.residuals(seen, q, dq, p, np.eye(len(p))[:, which], x0.ravel(), dx0[:, which], weight)
+    _, slopes = kernel.residuals(
+        seen, KernelPoint(q, dq, p, np.eye(len(p))[:, which], x0.ravel(), dx0[:, which]), weight
+    )
     for k, number in enumerate(which):
         ends = []
         for share in (1 + 1e-6, 1 - 1e-6):

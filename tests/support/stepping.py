@@ -5,6 +5,7 @@ import numpy as np
 
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State
 from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.kernel.record import Record
 
@@ -40,7 +41,7 @@ def slopes(step, data, p, x0, kernel=CompiledKernel):
     q, dq = step.coefficients(p, seen.lengths, np.arange(n))
     seen = type(seen)(seen.u, np.zeros_like(seen.y), seen.h, seen.row, seen.lengths, seen.first_order)
     _, jacobian = kernel(step).residuals(
-        seen, q, dq, p, np.eye(n), np.asarray(x0, float), np.zeros((len(x0), n)), np.ones(seen.y.shape[1])
+        seen, KernelPoint(q, dq, p, np.eye(n), np.asarray(x0, float), np.zeros((len(x0), n))), np.ones(seen.y.shape[1])
     )
     return -jacobian
 

@@ -124,7 +124,8 @@ class DaskHealth:
         try:
             call = getattr(self._client.scheduler, name)
             return self._client.sync(call, callback_timeout=CALL_SECONDS, **arguments)
-        except Exception:  # of the network, in as many kinds as there are transports: each means no answer
+        # Only Dask runs here: of the network in as many kinds as there are transports, or of the scheduler. Each means no answer.
+        except Exception:
             return None
 
 
@@ -151,7 +152,8 @@ async def _hand_over(asked: Any, answer: Future) -> None:
     """Wait for what Dask was ``asked``, on its own thread, and give it to whoever waits for the ``answer``."""
     try:
         value = await asked
-    except BaseException as error:  # of the job's worker, or of the connection: each is an answer
+    # Only Dask runs here: of the job's worker, of the connection, or that it is cancelled. Whoever waits for the answer must hear of it.
+    except BaseException as error:
         lost = error if isinstance(error, Exception) else CancelledError(str(error))
         if answer.set_running_or_notify_cancel():
             answer.set_exception(lost)
@@ -240,5 +242,6 @@ CLOSE_SECONDS = 5.0
 
 
 def _close(value: Any) -> None:
-    with suppress(Exception):  # it may be lost already, and its loss was told
+    # Only Dask runs here: a cluster that is lost already fails in as many kinds as it can be lost, and its loss was told.
+    with suppress(Exception):
         value.close(timeout=CLOSE_SECONDS)

@@ -183,9 +183,11 @@ class _Book:
         waiting: dict[Future, int] = {}
         try:
             for k in group:
+                item = pack(self.items[k])
+                # A user's executor, which may be broken or closed while jobs are still handed out, in errors of its own.
                 try:
-                    waiting[executor.submit(_work, describe_version(), payload, pack(self.items[k]))] = k
-                except Exception as error:  # broken or closed while we were still handing out jobs
+                    waiting[executor.submit(_work, describe_version(), payload, item)] = k
+                except Exception as error:
                     self.lose(k, error)
             while waiting and not self.is_late:
                 finished, _ = wait(waiting, timeout=WAKE_SECONDS, return_when=FIRST_COMPLETED)
@@ -197,7 +199,7 @@ class _Book:
                 future.cancel()
         except WorkersLostError:  # nobody is there who could be told to stop
             raise
-        except BaseException:
+        except BaseException:  # raised again
             if not isinstance(executor, LocalPool):  # its processes are ended
                 for future in waiting:
                     future.cancel()
@@ -205,9 +207,10 @@ class _Book:
 
     def take(self, k: int, future: Future, is_alone: bool) -> None:
         """What came of a job, which ``is_alone`` or ran beside others. Raises WorkersLostError where workers cannot do any job."""
+        # Jobs return their exceptions: an error here is the executor's, or says that the worker cannot read the job.
         try:
-            result = unpack(future.result())
-        except Exception as error:  # jobs return their exceptions: this one is the executor's
+            packed = future.result()
+        except Exception as error:
             self.lose(k, error)
             if type(error).__name__ == "KilledWorker":
                 # Dask tried it several times, but counts the deaths by its neighbours as well: it is tried alone.
@@ -218,6 +221,7 @@ class _Book:
                         JobResult(error=f"its worker died again and again, also when it ran alone ({self.losses[k]})"),
                     )
             return
+        result = unpack(packed)
         if isinstance(result, _OtherVersion):
             fault = f"a worker has {result.version}, and this process {describe_version()}; install the same version on both"
             raise WorkersLostError(fault, self.results)
@@ -260,7 +264,7 @@ def _work(version: str, payload: bytes, item: bytes) -> bytes:
     job, common = unpack_shared(payload)
     try:
         return pack(_run_timed(job, common, unpack(item)))
-    except Exception as error:
+    except Exception as error:  # raised again where the results are collected
         return pack(_Bug(error, traceback.format_exc()))
 
 

@@ -115,7 +115,7 @@ def open_local_pool(workers: int) -> Iterator[Executor]:
         pool = LocalPool(workers)
         try:
             yield pool
-        except BaseException:
+        except BaseException:  # raised again
             pool.abandon()
             raise
         pool.shutdown()

@@ -58,7 +58,7 @@ class AutoRegression(Printable):
     @cached_property
     def predictors(self) -> tuple[tuple[np.ndarray, float], ...]:
         """Best predictors from the last 0, 1, ... p samples: coefficients (m,), nearest sample first, and error variance."""
-        predictors = [(np.zeros(0), 1.0)]
+        predictors: list[tuple[np.ndarray, float]] = [(np.zeros(0), 1.0)]
         for k in self.reflection:  # Levinson and Durbin
             a, variance = predictors[-1]
             predictors.append((np.append(a - k * a[::-1], k), variance * (1 - k * k)))
@@ -81,7 +81,7 @@ class AutoRegression(Printable):
 
     def autocorrelation(self, count: int) -> np.ndarray:
         """Autocorrelation at lags 0 ... count-1."""
-        rho = np.ones(1)
+        rho: np.ndarray = np.ones(1)
         for k, (a, variance) in zip(self.reflection, self.predictors, strict=False):
             # Levinson and Durbin: rho_m = k_m E_{m-1} + sum_j a_j rho_{m-j}, with a and E of order m - 1.
             rho = np.append(rho, k * variance + a @ rho[:0:-1][: len(a)])

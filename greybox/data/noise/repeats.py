@@ -101,7 +101,7 @@ def deviations_between_periods(experiment: Experiment, output: str, inputs: Sequ
     if rows is None:
         return []
     count = experiment.rows // rows
-    folded = experiment.outputs[output][: count * rows].reshape(count, rows)
+    folded: np.ndarray = experiment.outputs[output][: count * rows].reshape(count, rows)
     folded = folded[1:] if count > 2 else folded
     while len(folded) > 2 and _is_louder(folded[0], folded[1:]):
         folded = folded[1:]

@@ -51,7 +51,7 @@ class _Callback(ca.Callback):
             if search.error is None:
                 self.fill(search, [None if a is None else np.frombuffer(a) for a in arg], outputs)
                 return 0
-        except BaseException as error:
+        except BaseException as error:  # raised again when IPOPT has returned
             search.error = error
         # Infinite: IPOPT takes the point for a bad trial and ends at its next look at the flag.
         for values in outputs:

@@ -85,7 +85,8 @@ class _CollocationSearch:
         self.options, self.report = options, report
         self.scheme = choice.transcription.removeprefix("collocation-")
         self.elements, self.is_over = max(options.substeps, 1), False
-        self.error, self.shift = np.zeros(len(problem.noise.std)), np.zeros(len(problem.variables.which))
+        self.error: np.ndarray = np.zeros(len(problem.noise.std))
+        self.shift: np.ndarray = np.zeros(len(problem.variables.which))
         guess = problem.variables.initial.guess
         start, states = initialise_without_continuity(problem, cut_by_growth(problem))
         # Where no piece of a record can be simulated, its first states stay.
@@ -264,7 +265,7 @@ class Collocation:
             starts.append(np.clip(record_start, np.tile(edges[0], repetitions), np.tile(edges[1], repetitions)))
             lows.append(np.tile(edges[0], repetitions))
             highs.append(np.tile(edges[1], repetitions))
-        start, low, high = map(np.concatenate, (starts, lows, highs))
+        start, low, high = (np.concatenate(parts) for parts in (starts, lows, highs))
         # Over chi-square of a model that stands still the cost is of order one, and so are its derivatives.
         y = np.concatenate([record.y for record in self.records]) * self.weight
         y = y[:, np.isfinite(y).any(axis=0)]

@@ -137,7 +137,7 @@ class ProjectedShooting:
         v, shooting, n = self.variables, self.shooting, len(self.shooting.views[e].constants)
         point = np.concatenate([z, np.zeros(v.size - self.size)])
         v.split(point).initial_states[e] = states
-        sums = shooting.kernel.sums(shooting.records[e], *shooting.at(point, e), shooting.weight, shooting.rows[e])
+        sums = shooting.kernel.sums(shooting.records[e], shooting.at(point, e), shooting.weight, shooting.rows[e])
         cost = float(sums.squares.sum()) if np.isfinite(sums.cost) else np.inf
         return _StateModel(cost, 2 * sums.gradient[n:], 2 * sums.gauss_newton[n:, n:], sums)
 

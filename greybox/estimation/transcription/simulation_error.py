@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import RobustLoss
 from greybox.estimation.transcription.decision_vector import DecisionVector, ExperimentView
 from greybox.simulation.integrators.step import Step
-from greybox.simulation.kernel.interface import Kernel
+from greybox.simulation.kernel.interface import Kernel, KernelPoint
 from greybox.simulation.kernel.record import Record
 
 
@@ -55,22 +54,7 @@ class Evaluation(QuadraticModel):
         return float(np.sqrt(self.cost / max(self.count, 1)))
 
 
-class KernelPoint(NamedTuple):
-    """One record at one point, with slopes along the entries of ``z`` that concern it (`ExperimentView.columns`)."""
-
-    q: np.ndarray
-    dq: np.ndarray
-    """Coefficients of the step (nh, nq) and their slopes (nh, nq, L)."""
-
-    p: np.ndarray
-    dp: np.ndarray
-    """All parameters (np,) and their slopes (np, L)."""
-
-    x0: np.ndarray
-    dx0: np.ndarray
-    """Initial state (nx,) and its slopes (nx, L)."""
-
-
+@dataclass(eq=False, repr=False)
 class SingleShooting:
     """Cost of the free-run simulation error over one or more records.
 
@@ -88,23 +72,19 @@ class SingleShooting:
         Share of every record that is used, from its beginning.
     """
 
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-    ):
-        self.variables = variables
-        self.step = step
-        self.kernel = kernel
+    variables: DecisionVector
+    step: Step
+    kernel: Kernel
+    records: Sequence[Record]
+    weight: np.ndarray
+    share: float = 1.0
+
+    def __post_init__(self) -> None:
+        step, records = self.step, self.records
         # A piece of a record that the step has read carries the past of a delayed input already.
         has_history = [step.past is not None and r.u.shape[1] == step.advance.size1_in(1) for r in records]
         self.records = tuple(r if has else r.read_by(step) for r, has in zip(records, has_history, strict=True))
-        self.weight = weight
-        self.rows = [max(2, round(share * len(r.u))) for r in records]
+        self.rows = [max(2, round(self.share * len(r.u))) for r in records]
         self._last_coefficients: tuple[tuple[bytes, bytes, bytes], tuple[np.ndarray, np.ndarray]] | None = None
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
@@ -115,7 +95,7 @@ class SingleShooting:
         squares, counts = np.zeros(ny), np.zeros(ny, int)
         free = v.constants(z)
         for e, (record, view) in enumerate(zip(self.records, self.views, strict=True)):
-            sums = self.kernel.sums(record, *self.at(z, e, free), self.weight, self.rows[e])
+            sums = self.kernel.sums(record, self.at(z, e, free), self.weight, self.rows[e])
             if not np.isfinite(sums.cost):
                 return Evaluation.failure(v.size, ny, (e, sums.failed_at or 0))
             # cost = sum r^2: its gradient is 2 J'r, and 2 J'J the Gauss-Newton matrix.
@@ -155,7 +135,7 @@ class SingleShooting:
         """For each record measured minus model over the noise (N, ny), and its Jacobian (N, ny, L)."""
         result = []
         for e, record in enumerate(self.records):
-            r, slopes = self.kernel.residuals(record, *self.at(z, e), self.weight)
+            r, slopes = self.kernel.residuals(record, self.at(z, e), self.weight)
             result.append((record.samples(r), self.views[e].spread(record.samples(slopes))))
         return result
 
@@ -168,7 +148,10 @@ class SingleShooting:
         return self.kernel.simulate(self.records[e], point.q, point.p, point.x0)
 
     def at(self, z: np.ndarray, e: int, free: np.ndarray | None = None) -> KernelPoint:
-        """What the kernel needs at ``z`` for record ``e``; ``free``: `DecisionVector.constants` there, if known already."""
+        """Where the kernel runs record ``e`` at ``z``, with slopes along `ExperimentView.columns`.
+
+        ``free``: `DecisionVector.constants` there, if known already.
+        """
         p, dp, x0, dx0 = self.views[e].at(z, self.variables.constants(z) if free is None else free)
         # Records with the same intervals (the arcs of one record) share one matrix exponential.
         key = p.tobytes(), dp.tobytes(), self.records[e].lengths.tobytes()
@@ -182,6 +165,7 @@ class SingleShooting:
         return [ExperimentView(self.variables, e) for e in range(len(self.records))]
 
 
+@dataclass(eq=False, repr=False, kw_only=True)
 class WhitenedShooting(SingleShooting):
     """Cost of the free-run error in units of its own innovations: minus twice the log-likelihood of autoregressive noise.
 
@@ -192,20 +176,8 @@ class WhitenedShooting(SingleShooting):
     the whole Jacobian (N, ny, L) of a record in memory, where white noise needs only sums.
     """
 
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-        *,
-        colour: Sequence[AutoRegression],
-        loss: RobustLoss | None = None,
-    ):
-        super().__init__(variables, step, kernel, records, weight, share)
-        self.colour, self.loss = tuple(colour), loss
+    colour: Sequence[AutoRegression]
+    loss: RobustLoss | None = None
 
     def evaluate(self, z: np.ndarray) -> Evaluation:
         """Cost and derivatives at ``z``."""
@@ -291,20 +263,10 @@ class PlantShooting(WhitenedShooting):
     1965), as long as steps gain what they promise: a slope by differences costs a run for each unknown.
     """
 
-    def __init__(
-        self,
-        variables: DecisionVector,
-        step: Step,
-        kernel: Kernel,
-        records: Sequence[Record],
-        weight: np.ndarray,
-        share: float = 1.0,
-        *,
-        colour: Sequence[AutoRegression],
-        loss: RobustLoss | None = None,
-    ):
-        parts = [r.first(max(2, round(share * len(r.u)))) for r in records]
-        super().__init__(variables, step, kernel, parts, weight, colour=colour, loss=loss)
+    def __post_init__(self) -> None:
+        self.records = [r.first(max(2, round(self.share * len(r.u)))) for r in self.records]
+        self.share = 1.0
+        super().__post_init__()
         self.follows_secants = False
         self._last: tuple[np.ndarray, Errors] | None = None
 

@@ -10,7 +10,9 @@ import math
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -178,7 +180,9 @@ def _run(connection: Connection, kind: JobKind, payload: bytes) -> None:
         news, content = JobNews.STOPPED, None
     except GreyboxError as error:
         news, content = JobNews.FAILED, str(error)
-    except Exception as error:  # the page must hear of whatever went wrong
+    # A bug ends this process with all of it on the terminal, and the page must hear that.
+    except Exception as error:
+        traceback.print_exc(file=sys.stderr)
         news, content = JobNews.FAILED, f"{type(error).__name__}: {error}"
     connection.send((str(news), content))
 

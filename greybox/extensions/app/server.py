@@ -212,7 +212,8 @@ class GuardedHandler(RequestHandler):
             self.answer({"error": str(error), "choice": error.choice}, UNPROCESSABLE)
         except (GreyboxError, OSError) as error:
             self.answer({"error": str(error)}, UNPROCESSABLE)
-        except Exception as error:  # nobody expected it: the terminal gets all of it, the page what it is
+        # A bug ends this answer alone: the terminal gets all of it, the page what it is.
+        except Exception as error:
             traceback.print_exc(file=sys.stderr)
             self.answer({"error": f"{type(error).__name__}: {error}"}, FAILED)
         else:
@@ -381,8 +382,7 @@ class UploadHandler(GuardedHandler):
             file = self._store(bench.uploads, name)
             try:
                 bench.load(file, validates=validates, columns=columns)
-            except BaseException:
-                # What could not be read is not kept.
+            except BaseException:  # raised again: what could not be read is not kept
                 file.unlink(missing_ok=True)
                 raise
             return bench.show()

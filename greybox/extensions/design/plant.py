@@ -14,9 +14,9 @@ from greybox.base.linear_algebra import eliminate
 from greybox.data.experiment import Experiment
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, guess_initial_states, prepare_problem
-from greybox.estimation.transcription.simulation_error import KernelPoint
 from greybox.extensions.design.problem import DesignProblem
 from greybox.model import Model
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.records import to_record
 from greybox.simulation.simulate import declared_initial_state
@@ -129,7 +129,7 @@ class PlantScenario:
         """Outputs, states and sensitivities under these inputs."""
         record, point = self.make_record(inputs), self.point
         weight = np.where(self.weight > 0, self.weight, 1.0)
-        _, slopes = self.problem.kernel.residuals(record, *point, weight)
+        _, slopes = self.problem.kernel.residuals(record, point, weight)
         y, x = self.problem.kernel.simulate(record, point.q, point.p, point.x0)
         y, x, slopes = (record.samples(v) for v in (y, x, slopes))
         finite = bool(np.isfinite(y).all() and np.isfinite(x).all() and np.isfinite(slopes[:, self.measured]).all())

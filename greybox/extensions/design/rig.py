@@ -200,7 +200,7 @@ def _run(words: list[str], seconds: float, number: int, held: BinaryIO | None) -
             f"rig {words[0]!r}: did not end within {seconds:.0f} s in experiment {number} and was stopped; check the rig, then run the same"
             " command again"
         ) from None
-    except BaseException:
+    except BaseException:  # raised again
         _end(process)
         raise
     return process.returncode, output

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.base import DataError, ModelError, nearest, to_identifiers, unit_converter
+from greybox.base.errors import is_own_bug
 
 REAL = ("Real", "Float64", "Float32")
 
@@ -79,9 +80,10 @@ def read_description(path: str | os.PathLike[str], outputs: Sequence[str] | None
                 f"{file.name}: unpacks to {size / 1e6:.0f} MB, at most {LARGEST_UNPACKED / 1e6:.0f} MB are read"
             )
         description = read_model_description(str(file), validate=False)
-    except DataError:
-        raise
-    except Exception as error:  # of the library, on bytes that it did not expect
+    # Of zipfile, the XML parser or fmpy, which raises Exception itself, on bytes that they did not expect.
+    except Exception as error:
+        if isinstance(error, DataError) or is_own_bug(error):
+            raise
         raise DataError(
             f"{file.name}: not a readable FMU ({str(error)[:120] or type(error).__name__}); export it again"
         ) from error

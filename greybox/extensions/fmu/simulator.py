@@ -85,6 +85,7 @@ class FmuSimulator:
         try:
             extract(str(self.plant.path), unzipdir=self._folder)
             self._description = read_model_description(self._folder, validate=False)
+        # Only fmpy runs here, which raises Exception itself. An interrupt goes on when the folder is removed.
         except BaseException as error:
             self._discard()
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -134,7 +135,8 @@ class FmuSimulator:
         self.rows += experiment.rows
         try:
             result = self._simulate(experiment, time, step, values)
-        except Exception as error:  # of the FMU, its solver or the library: whatever it is, the run is lost
+        # Of the FMU, its solver or fmpy, which raises Exception itself: whatever it is, the run is lost. A bug of ours ends all.
+        except Exception as error:
             if is_own_bug(error):
                 raise
             self.failures += 1
@@ -259,7 +261,8 @@ class FmuSimulator:
                 run, slopes = runner.run(experiment, values, unknowns, widths)
             if lost:
                 raise lost[0]
-        except Exception as raised:  # of the FMU or the library: differences take their place
+        # Of the FMU or fmpy, which raises Exception itself: differences take their place. A bug of ours ends all.
+        except Exception as raised:
             if is_own_bug(raised):
                 raise
             self._may_differentiate = False
@@ -289,6 +292,7 @@ class FmuSimulator:
 
     def _discard(self) -> None:
         if self._instance is not None:
+            # Only the FMU and fmpy run here: an instance whose run failed may fail again when it is freed.
             with contextlib.suppress(Exception), _silence():
                 self._instance.freeInstance()
             self._instance = None
@@ -335,6 +339,7 @@ class SensitivityRunner:
     def close(self) -> None:
         """Free every instance."""
         for instance in self._instances:
+            # Only the FMU and fmpy run here: an instance whose run failed may fail again when it is freed.
             with contextlib.suppress(Exception):
                 instance.terminate()
             with contextlib.suppress(Exception):

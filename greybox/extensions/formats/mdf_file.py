@@ -67,13 +67,14 @@ def _open(stream: Any) -> Any:
 
     try:
         return MDF(stream)
-    except Exception as error:
+    except Exception as error:  # raised again
         # What the library has half made complains when it is thrown away, unless it counts as closed.
         for frame, _ in traceback.walk_tb(error.__traceback__):
-            half_made = frame.f_locals.get("self")
-            if type(half_made).__module__.startswith("asammdf"):
-                vars(half_made)["_closed"] = True
-                temporary = vars(half_made).get("_tempfile")
+            half_made: Any = frame.f_locals.get("self")
+            # Its blocks have slots; only the file itself has attributes of its own.
+            if type(half_made).__module__.startswith("asammdf") and hasattr(half_made, "__dict__"):
+                half_made._closed = True
+                temporary = getattr(half_made, "_tempfile", None)
                 if temporary is not None:
                     temporary.close()
         raise

@@ -132,7 +132,7 @@ class Switches:
         self, edges: np.ndarray, z: np.ndarray, direction: np.ndarray, *parameters: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Values (m,) and slopes (m, n) at ``z`` with every switch at its edge put on the side to which ``direction`` (n,) leads."""
-        signs = np.zeros(0)
+        signs: np.ndarray = np.zeros(0)
         if len(edges):
             beside = self._values(z + SWITCH_PROBE * direction, *parameters)[0].full().ravel()[edges]
             signs = np.where(beside < 0, -1, 1)

@@ -114,7 +114,8 @@ def mathml(latex: str) -> Markup:
     latex = _as_text(latex)
     try:
         root = convert_to_element(latex, display="block")
-    except Exception:  # whatever the converter stumbles over: the reader gets the formula as it is written
+    # Only the converter runs here, whose errors have no common class: the reader gets the formula as it is written.
+    except Exception:
         return Markup("<code>{}</code>").format(latex)
     for element in root.iter():
         # The converter leaves texts as they came, with marks of its own such as &#x0002B; among them.

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from greybox.model import System
 from greybox.simulation.integrators.step import CoefficientFunction, Step
-from greybox.simulation.kernel.interface import Kernel
+from greybox.simulation.kernel.interface import Kernel, KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
@@ -536,7 +536,7 @@ class KalmanFilter:
             else initial_covariance.slopes(rows, q, dq, pn, dpn, x0, dx0)
         )
         start, dz0 = self._initial_filter_state(rows, q, pn, x0, None), np.vstack([dx0, covariance_slopes])
-        r, jacobian = self.kernel.residuals(rows, q, dq, pn, dpn, start, dz0, np.ones(2 * ny))
+        r, jacobian = self.kernel.residuals(rows, KernelPoint(q, dq, pn, dpn, start, dz0), np.ones(2 * ny))
         # The kernel's residuals are zero minus the filter's outputs.
         measured = np.nonzero(np.isfinite(record.y))
         row, output = measured

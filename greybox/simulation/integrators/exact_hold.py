@@ -61,12 +61,8 @@ class HoldBlocks(NamedTuple):
 LARGEST_NORM = 2.0
 # What series and quadrature leave out, relative to the norm: half a unit of the last digit.
 LEFT_OUT = 2.0**-54
-
-
-@lru_cache(maxsize=1)
-def _count_terms() -> int:
-    """Terms of the exponential's series: ``norm^k / k!`` is what the next one adds."""
-    return next(k for k in range(1, 100) if LARGEST_NORM**k / math.factorial(k) < LEFT_OUT)
+# Terms of the exponential's series: ``norm^k / k!`` is what the next one adds.
+TERMS = next(k for k in range(1, 100) if LARGEST_NORM**k / math.factorial(k) < LEFT_OUT)
 
 
 @lru_cache(maxsize=1)
@@ -117,23 +113,23 @@ def compute_hold(generator: Generator, length: float) -> HoldBlocks:
 
 def _exponentiate(m: np.ndarray, entries: Generator) -> tuple[np.ndarray, np.ndarray]:
     """``exp(m)`` (size, size) of a small ``m`` by its series, and the first rows (n, nx, size) of its slopes along what ``entries`` say."""
-    size, nx, terms = len(m), len(entries.matrix), _count_terms()
+    size, nx = len(m), len(entries.matrix)
     power = np.eye(size)
     if not len(entries.slopes):
         e = power.copy()
-        for k in range(1, terms + 1):
+        for k in range(1, TERMS + 1):
             power = power @ m / k
             e += power
         return e, np.zeros((entries.along, nx, size))
     # m^k / k!, from which the exponentials at all nodes are sums.
-    powers = np.empty((terms + 1, size, size))
+    powers = np.empty((TERMS + 1, size, size))
     powers[0] = power
-    for k in range(1, terms + 1):
+    for k in range(1, TERMS + 1):
         np.matmul(powers[k - 1], m, out=powers[k])
         powers[k] /= k
     nodes, weights = _find_quadrature()
     # exp(m s) = sum s^k m^k / k!, at every node s.
-    at_nodes = (nodes[:, None] ** np.arange(terms + 1) @ powers.reshape(terms + 1, -1)).reshape(-1, size, size)
+    at_nodes = (nodes[:, None] ** np.arange(TERMS + 1) @ powers.reshape(TERMS + 1, -1)).reshape(-1, size, size)
     e, d = powers.sum(axis=0), np.zeros((entries.along, nx, size))
     # exp(m (1 - s)): the nodes lie symmetrically.
     left = at_nodes[::-1, :nx] * weights[:, None, None]

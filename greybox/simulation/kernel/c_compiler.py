@@ -529,7 +529,7 @@ def _run(command: Sequence[str], timeout: float = COMPILE_SECONDS) -> subprocess
         os.close(leash)
     try:
         output, errors = _wait(process, timeout)
-    except BaseException:  # too slow, or interrupted
+    except BaseException:  # too slow, or interrupted: raised again
         _kill_group(process)
         raise
     finally:

@@ -79,11 +79,9 @@ class CompiledKernel:
     def _get_functions(self, shape: LibraryShape) -> KernelFunctions:
         """The functions of a shape, compiled when first asked for."""
         if shape not in self._functions:
-            self._functions[shape] = self._load(shape)
+            library = load_library(lambda: self.source(shape), self._key(shape))
+            self._functions[shape] = self._declare(library, shape)
         return self._functions[shape]
-
-    def _load(self, shape: LibraryShape) -> KernelFunctions:
-        return self._declare(load_library(lambda: self.source(shape), self._key(shape)), shape)
 
     def _key(self, shape: LibraryShape) -> str:
         """What `source` is made from, which takes longer to write than a library to load."""
@@ -194,7 +192,7 @@ class CompiledKernel:
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0)
+        arguments = interface.check_arguments(self.sizes, record, q, None, p, None, x0, None)
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
         self._get_functions(SIMULATION).simulate(
             *self._leading_arguments(record, len(y)),
@@ -203,19 +201,10 @@ class CompiledKernel:
         return y, x
 
     def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
+        self, record: Record, point: interface.KernelPoint, weight: np.ndarray, rows: int | None = None
     ) -> interface.GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = interface.check_arguments(self.sizes, record, *point, weight)
         samples = len(record.y) if rows is None else min(rows, len(record.y))
         ny, directions, padded = self.sizes.ny, arguments.directions, _count_padded(arguments.directions)
         # One array for squares, counts, J'r and J'J: one address to hand over.
@@ -230,18 +219,10 @@ class CompiledKernel:
         )
 
     def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
+        self, record: Record, point: interface.KernelPoint, weight: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = interface.check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = interface.check_arguments(self.sizes, record, *point, weight)
         samples = len(record.y)
         r, jacobian = (
             np.full((samples, self.sizes.ny), np.nan),

@@ -42,13 +42,26 @@ class GaussNewtonSums:
     the simulation went through and only a sensitivity did not."""
 
 
+class KernelPoint(NamedTuple):
+    """Where a kernel runs over a record, with slopes along L directions."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    """Coefficients of the step (rows, nq), one row for each entry of ``record.lengths`` or one row for all; their slopes (rows, nq, L)."""
+
+    p: np.ndarray
+    dp: np.ndarray
+    """Parameters (np,) of the output equations and their slopes (np, L)."""
+
+    x0: np.ndarray
+    dx0: np.ndarray
+    """Initial state (nx,) and its slopes (nx, L)."""
+
+
 class Kernel(Protocol):
     """Runs one `Step` over a `Record`.
 
-    Arguments: coefficients ``q`` (rows, nq), one row for each entry of ``record.lengths`` or one row for all;
-    parameters ``p`` (np,) of the output equations; first state ``x0`` (nx,). Their derivatives along L directions:
-    ``dq`` (rows, nq, L), ``dp`` (np, L), ``dx0`` (nx, L). ``weight`` (ny,) is one over the noise of each output;
-    samples that are NaN in ``record.y`` are left out.
+    ``weight`` (ny,) is one over the noise of each output; samples that are NaN in ``record.y`` are left out.
     """
 
     @property
@@ -72,31 +85,10 @@ class Kernel(Protocol):
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
 
-    def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
-    ) -> GaussNewtonSums:
+    def sums(self, record: Record, point: KernelPoint, weight: np.ndarray, rows: int | None = None) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
 
-    def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, record: Record, point: KernelPoint, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
 
 
@@ -193,12 +185,11 @@ def check_arguments(
     sizes: StepSizes,
     record: Record,
     q: np.ndarray,
+    dq: np.ndarray | None,
     p: np.ndarray,
+    dp: np.ndarray | None,
     x0: np.ndarray,
-    *,
-    dq: np.ndarray | None = None,
-    dp: np.ndarray | None = None,
-    dx0: np.ndarray | None = None,
+    dx0: np.ndarray | None,
     weight: np.ndarray | None = None,
 ) -> KernelArguments:
     """The arguments as contiguous float64 arrays of the right shapes; None means no directions, weight one. Raises
@@ -270,23 +261,14 @@ class KernelInParts(ABC):
 
     def simulate(self, record: Record, q: np.ndarray, p: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Outputs (N, ny) and states (N, nx); not finite from where the simulation overflows."""
-        parts = list(self.run_parts(record, len(record.y), check_arguments(self.sizes, record, q, p, x0)))
+        parts = list(
+            self.run_parts(record, len(record.y), check_arguments(self.sizes, record, q, None, p, None, x0, None))
+        )
         return np.concatenate([part.y for part in parts]), np.concatenate([part.x for part in parts])
 
-    def sums(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-        rows: int | None = None,
-    ) -> GaussNewtonSums:
+    def sums(self, record: Record, point: KernelPoint, weight: np.ndarray, rows: int | None = None) -> GaussNewtonSums:
         """Cost, gradient and Gauss-Newton matrix over the first ``rows`` samples (None: all)."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, *point, weight)
         samples, directions = len(record.y) if rows is None else min(rows, len(record.y)), arguments.directions
         totals, failed_at = RunningSums(self.sizes.ny, directions), None
         with np.errstate(all="ignore"):  # what is not finite is found and reported
@@ -298,19 +280,9 @@ class KernelInParts(ABC):
                 totals.add(*self.linearise(record, part, arguments))
         return totals.check(failed_at, samples)
 
-    def residuals(
-        self,
-        record: Record,
-        q: np.ndarray,
-        dq: np.ndarray,
-        p: np.ndarray,
-        dp: np.ndarray,
-        x0: np.ndarray,
-        dx0: np.ndarray,
-        weight: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def residuals(self, record: Record, point: KernelPoint, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (N, ny) and their Jacobian (N, ny, L), NaN in gaps and from where the simulation overflows."""
-        arguments = check_arguments(self.sizes, record, q, p, x0, dq=dq, dp=dp, dx0=dx0, weight=weight)
+        arguments = check_arguments(self.sizes, record, *point, weight)
         r = np.full(record.y.shape, np.nan)
         jacobian = np.full((*record.y.shape, arguments.directions), np.nan)
         with np.errstate(all="ignore"):  # what is not finite is left NaN

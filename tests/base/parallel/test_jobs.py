@@ -85,6 +85,23 @@ def test_a_bug_in_a_job_ends_the_run(workers):
         assert "in refuses" in str(caught.value.__cause__)
 
 
+class Unreadable:
+    """A result that cannot be made again from its bytes."""
+
+    def __reduce__(self):
+        return divmod, (1, 0)
+
+
+def answers_unreadably(common, item):
+    return Unreadable()
+
+
+def test_a_result_that_cannot_be_read_ends_the_run():
+    """Its worker has not died, and to try the job again changes nothing."""
+    with ThreadPoolExecutor(1) as threads, pytest.raises(ZeroDivisionError):
+        run_jobs(answers_unreadably, None, [1], executor=threads)
+
+
 def test_a_worker_that_dies_loses_no_finished_job(tmp_path):
     results, _ = run_jobs(dies_once, tmp_path, range(6), workers=2)
     assert (tmp_path / "died").exists()

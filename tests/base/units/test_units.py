@@ -91,6 +91,7 @@ def test_spellings_of_one_unit() -> None:
         ("foo/s", "unit 'foo/s': 'foo' is not a unit; known: m, g, s, "),
         ("kNN", "unit 'kNN': 'kNN' is not a unit; "),
         ("dB", "unit 'dB': 'dB' is not a unit"),
+        ("meter⁰", "unit 'meter⁰': 'meter⁰' is not a unit"),
         ("degC", "unit 'degC' has an offset, which an equation cannot contain; use K"),
         *(
             (text, f"unit {text!r}: {text!r} is not one symbol; write {better}")

@@ -10,6 +10,7 @@ from greybox.base.errors import DataError
 from greybox.model.effects.catalogue import effect
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.records import (
     BAND_LIMITED_KAISER_BETA,
     BAND_LIMITED_POINTS,
@@ -108,7 +109,7 @@ def silverbox_error(folder, hold):
     def misfit(z, data):
         p = z[:n] * scale
         r, jacobian = kernel.residuals(
-            data, p[None], slope[None], p, slope, begin[:, n:] @ z[n:], begin, np.array([1e3])
+            data, KernelPoint(p[None], slope[None], p, slope, begin[:, n:] @ z[n:], begin), np.array([1e3])
         )
         return data.samples(r)[:, 0], data.samples(jacobian)[:, 0]
 

@@ -11,7 +11,8 @@ from greybox import Experiment, FitOptions, fit
 from greybox.base.findings import Finding, Severity
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.signals import multisine
-from greybox.estimation.result import ResultCode
+from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.result import ResultCode, _finding
 from greybox.estimation.result_parts import FitNoise, FitUncertainty
 from greybox.show.sentences.wording import format_with_std, make_formatter
 from greybox.simulation.simulate import simulate
@@ -81,6 +82,14 @@ def test_the_noise_of_a_fit_says_where_it_is_known_from(noise, text):
 def test_a_finding_of_another_version_is_named_by_its_code():
     finding = Finding(ResultCode.FOREIGN_FINDING, Severity.WARNING, "x", {"code": "sensor_upside_down"})
     assert str(finding) == "x: the file holds a finding that this version has no sentence for (sensor_upside_down)"
+
+
+@pytest.mark.parametrize("values", [{}, {"share": "much"}, {"share": None}, {"share": [1]}, {"count": {}, "share": 0}])
+@pytest.mark.parametrize("code", EstimationCode)
+def test_a_finding_whose_figures_this_version_cannot_say_is_named_by_its_code(code, values):
+    data = {"code": str(code), "severity": "warning", "subject": "x", "values": values}
+    finding = _finding(data)
+    assert str(finding) and (finding.code == code or finding.values == {"code": str(code)})
 
 
 def test_the_widening_is_that_of_the_constants_that_are_determined():

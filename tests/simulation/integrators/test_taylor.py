@@ -10,6 +10,7 @@ from greybox.base.errors import ModelError
 from greybox.simulation.integrators.discretisation import DEFAULT_POLICY, discretise, follow_step
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.taylor import TAYLOR_REMAINDER, choose_taylor_order, taylor
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
@@ -59,7 +60,7 @@ def test_cost_gradient_and_matrix_are_those_of_the_matrices(bodies):
     for step in (exact_hold(model.system), taylor(model.system, choose_taylor_order(reach_of(model, STEP)))):
         kernel, read = make_kernel(step), record.read_by(step)
         q, dq = kernel.coefficients(read, p, dp)
-        found.append(kernel.sums(read, q, dq, p, dp, np.zeros(n), dx0, np.ones(bodies)))
+        found.append(kernel.sums(read, KernelPoint(q, dq, p, dp, np.zeros(n), dx0), np.ones(bodies)))
     exact, series = found
     assert series.cost == pytest.approx(exact.cost, rel=1e-11)
     np.testing.assert_allclose(series.gradient, exact.gradient, rtol=1e-9, atol=1e-11 * np.abs(exact.gradient).max())

@@ -19,6 +19,7 @@ from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel import c_compiler as compiling
 from greybox.simulation.kernel.c_compiler import COMPILE_MEMORY, CachePolicy, CompilerError, GreyboxWarning
 from greybox.simulation.kernel.compiled import CompiledKernel
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape import UnsupportedOperationError
@@ -63,7 +64,7 @@ def run(kernel):
 
 def sums(kernel):
     dq, dp, dx0 = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.ones((1, 1))
-    return kernel.sums(RECORD, np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0, np.ones(1))
+    return kernel.sums(RECORD, KernelPoint(np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0), np.ones(1))
 
 
 def write_compiler(path, lines):
@@ -225,7 +226,9 @@ def test_an_operation_without_a_c_form_falls_back(monkeypatch):
     with pytest.warns(GreyboxWarning, match=r"OP_ERFINV\) cannot be written in C"):
         kernel = make_kernel(step)
     dq, dp, dx0 = np.zeros((1, 1, 1)), np.zeros((1, 1)), np.ones((1, 1))
-    _, jacobian = kernel.residuals(RECORD.first(2), np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0, np.ones(1))
+    _, jacobian = kernel.residuals(
+        RECORD.first(2), KernelPoint(np.ones((1, 1)), dq, np.zeros(1), dp, np.ones(1), dx0), np.ones(1)
+    )
     # d erfinv(z)/dz = sqrt(pi)/2 exp(erfinv(z)^2)
     assert jacobian[1, 0, 0] == pytest.approx(-np.sqrt(np.pi) / 4 * np.exp(0.4769362762044699**2), rel=1e-10)
     monkeypatch.setenv("GREYBOX_KERNEL", "compiled")

@@ -7,6 +7,7 @@ from scipy.linalg import expm, expm_frechet
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 from models.micro_actuator import micro_actuator
@@ -136,5 +137,5 @@ def test_constants_that_overflow_give_no_number(build, bad):
     with np.errstate(all="ignore"):
         q, dq = kernel.coefficients(data, p, np.eye(4))
     assert not np.isfinite(q).all()
-    sums = kernel.sums(data, q, dq, p, np.eye(4), np.ones(3), np.zeros((3, 4)), np.ones(1))
+    sums = kernel.sums(data, KernelPoint(q, dq, p, np.eye(4), np.ones(3), np.zeros((3, 4))), np.ones(1))
     assert sums.cost == np.inf and sums.failed_at == 1

@@ -16,6 +16,7 @@ from greybox.simulation.kernel import c_compiler as compiling
 from greybox.simulation.kernel import gradual, llvm_routine
 from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.llvm_routine import has_llvm
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.kernel.tape_machine import TapeMachine
@@ -46,8 +47,8 @@ def run_all(kernel, record, p, x0, directions):
     dp, dx0 = rng.normal(size=(len(p), directions)), rng.normal(size=(len(x0), directions))
     q, dq = kernel.coefficients(record, p, dp)
     weight = np.full(record.y.shape[1], 0.7)
-    sums = kernel.sums(record, q, dq, p, dp, x0, dx0, weight)
-    residuals = kernel.residuals(record, q, dq, p, dp, x0, dx0, weight)
+    sums = kernel.sums(record, KernelPoint(q, dq, p, dp, x0, dx0), weight)
+    residuals = kernel.residuals(record, KernelPoint(q, dq, p, dp, x0, dx0), weight)
     return [q, dq, *kernel.simulate(record, q, p, x0), *residuals, sums.squares, sums.gradient, sums.gauss_newton]
 
 
@@ -170,7 +171,9 @@ def make_pass(rows=60):
 
     def run(kernel):
         dp = np.eye(len(p))[:, :2]
-        return kernel.sums(record, p[None], dp[None], p, dp, x0, np.zeros((3, 2)), np.ones(record.y.shape[1]))
+        return kernel.sums(
+            record, KernelPoint(p[None], dp[None], p, dp, x0, np.zeros((3, 2))), np.ones(record.y.shape[1])
+        )
 
     return run
 

@@ -11,7 +11,7 @@ from greybox.base.errors import DataError, GreyboxError
 from greybox.simulation.integrators.composition import as_coefficients
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.gradual import GradualKernel, GradualPolicy
-from greybox.simulation.kernel.interface import check_sums
+from greybox.simulation.kernel.interface import KernelPoint, check_sums
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
 
@@ -122,7 +122,7 @@ def test_jacobian_is_that_of_finite_differences(build, first_order, rows, direct
     record = with_gaps(oscillator_record(first_order=first_order, rows=rows))
     table, weight = P * np.linspace(1, 1.2, rows)[:, None], np.array([2.0, 0.5])
     dq, dp, dx0 = (rng.standard_normal((*shape, directions)) for shape in ((rows, 3), (3,), (2,)))
-    r, jacobian = build(oscillator_step()).residuals(record, table, dq, P, dp, X0, dx0, weight)
+    r, jacobian = build(oscillator_step()).residuals(record, KernelPoint(table, dq, P, dp, X0, dx0), weight)
     y, _ = numpy_simulation(record, table, P, X0)
     np.testing.assert_allclose(r, (record.y - y) * weight, rtol=1e-9, atol=1e-11)
     step = 1e-6
@@ -142,7 +142,7 @@ def test_sums_are_those_of_the_residuals(build, rows, directions):
     rng = np.random.default_rng(7)
     record, weight = with_gaps(oscillator_record()), np.array([2.0, 0.5])
     dq, dp, dx0 = (rng.standard_normal((*shape, directions)) for shape in ((1, 3), (3,), (2,)))
-    arguments = (record, P[None], dq, P, dp, X0, dx0, weight)
+    arguments = (record, KernelPoint(P[None], dq, P, dp, X0, dx0), weight)
     kernel = build(oscillator_step())
     r, jacobian = (a[:rows] for a in kernel.residuals(*arguments))
     sums = kernel.sums(*arguments, rows=rows)
@@ -161,9 +161,9 @@ def test_gradient_is_half_the_slope_of_the_cost(build):
     kernel, none = build(oscillator_step()), np.zeros((2, 3))
 
     def cost(p):
-        return kernel.sums(record, p[None], np.eye(3)[None], p, np.eye(3), X0, none, weight).cost
+        return kernel.sums(record, KernelPoint(p[None], np.eye(3)[None], p, np.eye(3), X0, none), weight).cost
 
-    sums = kernel.sums(record, P[None], np.eye(3)[None], P, np.eye(3), X0, none, weight)
+    sums = kernel.sums(record, KernelPoint(P[None], np.eye(3)[None], P, np.eye(3), X0, none), weight)
     slope = [(cost(P + e) - cost(P - e)) / 2e-6 for e in 1e-6 * np.eye(3)]
     np.testing.assert_allclose(2 * sums.gradient, slope, rtol=1e-6)
 
@@ -178,7 +178,9 @@ def test_kernels_agree(monkeypatch, tmp_path_factory):
     for name in KERNELS[:2]:
         monkeypatch.setenv("GREYBOX_KERNEL", name)
         kernel = make_kernel(oscillator_step())
-        results.append(kernel.sums(record, P[None], np.eye(3)[None], P, np.eye(3), X0, np.zeros((2, 3)), weight))
+        results.append(
+            kernel.sums(record, KernelPoint(P[None], np.eye(3)[None], P, np.eye(3), X0, np.zeros((2, 3))), weight)
+        )
     for name in ("cost", "gradient", "gauss_newton", "squares"):
         np.testing.assert_allclose(getattr(results[0], name), getattr(results[1], name), rtol=1e-9)
 
@@ -192,7 +194,7 @@ def test_a_kernel_for_some_free_parameters_gives_what_one_for_all_does(monkeypat
     dp = np.zeros((3, 5))
     dp[moved, : len(moved)] = np.eye(len(moved)) + 0.1
     dx0 = np.concatenate([np.zeros((2, 3)), np.eye(2)], axis=1)
-    arguments = (record, P[None], dp[None], P, dp, X0, dx0, weight)
+    arguments = (record, KernelPoint(P[None], dp[None], P, dp, X0, dx0), weight)
     for name in ("sums", "residuals"):
         results = [getattr(make_kernel(step, free), name)(*arguments) for free in (None, (0, 2))]
         values = [(r.gradient, r.gauss_newton) if name == "sums" else r for r in results]
@@ -212,7 +214,8 @@ def test_overflow_is_an_infinite_cost_and_its_place(build, n):
     record = Record(np.zeros((n, 0)), np.zeros((n, 1)), np.ones(n - 1), np.zeros(n - 1, np.int32), np.ones(1))
     q, none = np.array([[1e4]]), np.zeros((0, 1))
     kernel = build(growing_step())
-    arguments = (record, q, np.ones((1, 1, 1)), np.zeros(0), none, np.ones(1), np.zeros((1, 1)), np.array([1e-200]))
+    point = KernelPoint(q, np.ones((1, 1, 1)), np.zeros(0), none, np.ones(1), np.zeros((1, 1)))
+    arguments = (record, point, np.array([1e-200]))
     sums = kernel.sums(*arguments)
     assert sums.failed_at == 78  # 1e4**78 = 1e312
     assert sums.cost == np.inf
@@ -235,7 +238,7 @@ def test_nan_in_the_first_state_fails_at_once(build):
     record = oscillator_record(20)
     x0 = np.array([0.0, np.nan])
     sums = build(oscillator_step()).sums(
-        record, P[None], np.eye(3)[None], P, np.eye(3), x0, np.zeros((2, 3)), np.ones(2)
+        record, KernelPoint(P[None], np.eye(3)[None], P, np.eye(3), x0, np.zeros((2, 3))), np.ones(2)
     )
     assert sums.failed_at == 0
     assert sums.cost == np.inf
@@ -243,8 +246,8 @@ def test_nan_in_the_first_state_fails_at_once(build):
 
 def test_one_sample_and_no_direction(build):
     record = oscillator_record(1)
-    empty = np.zeros((1, 3, 0)), P, np.zeros((3, 0)), X0, np.zeros((2, 0)), np.ones(2)
-    sums = build(oscillator_step()).sums(record, P[None], *empty)
+    empty = KernelPoint(P[None], np.zeros((1, 3, 0)), P, np.zeros((3, 0)), X0, np.zeros((2, 0)))
+    sums = build(oscillator_step()).sums(record, empty, np.ones(2))
     expected = record.y[0] - [X0[0], P[2] * X0[1] ** 2 + record.u[0, 1]]
     assert sums.cost == pytest.approx(expected @ expected)
     assert sums.gradient.shape == (0,)
@@ -266,8 +269,8 @@ def test_states_that_change_places(build):
     kernel = build(step)
     y, _ = kernel.simulate(record, np.zeros((1, 0)), np.zeros(0), np.array([1.0, 2.0]))
     np.testing.assert_array_equal(y, [[1, 3], [2, 3], [1, 3], [2, 3], [1, 3]])
-    rest = np.zeros((1, 0, 2)), np.zeros(0), np.zeros((0, 2)), np.array([1.0, 2.0]), np.eye(2), np.ones(2)
-    sums = kernel.sums(record, np.zeros((1, 0)), *rest)
+    rest = np.zeros((1, 0, 2)), np.zeros(0), np.zeros((0, 2)), np.array([1.0, 2.0]), np.eye(2)
+    sums = kernel.sums(record, KernelPoint(np.zeros((1, 0)), *rest), np.ones(2))
     np.testing.assert_array_equal(sums.gauss_newton, [[3, 0], [0, 2]])
     np.testing.assert_array_equal(sums.gradient, [3, 4])
 
@@ -318,7 +321,7 @@ def test_every_operation_and_its_slope(build, name, point):
 
     dx0, dq = np.array([[1.0, 0, 0], [0, 1, 0]]), np.array([[[0.0, 0, 1]]])
     dp = np.zeros((1, 3))
-    r, jacobian = build(step).residuals(record, np.array([[q]]), dq, np.zeros(1), dp, x0, dx0, np.ones(2))
+    r, jacobian = build(step).residuals(record, KernelPoint(np.array([[q]]), dq, np.zeros(1), dp, x0, dx0), np.ones(2))
     np.testing.assert_allclose(-r[1], value(x0, q), rtol=1e-13)
     e = 1e-6
     slopes = [
@@ -345,12 +348,12 @@ HYGIENE = {
 def test_a_kink_or_a_branch_not_taken_spoils_nothing(build, name):
     operation, a, slope = HYGIENE[name]
     record = Record(np.zeros((2, 1)), np.zeros((2, 2)), np.ones(1), np.zeros(1, np.int32), np.ones(1))
-    rest = np.zeros((1, 1, 2)), np.zeros(1), np.zeros((1, 2)), np.array([a, 0.5]), np.eye(2), np.ones(2)
+    rest = np.zeros((1, 1, 2)), np.zeros(1), np.zeros((1, 2)), np.array([a, 0.5]), np.eye(2)
     step = operation_step(operation)
     inputs = step.advance.sx_in()
     first = ca.Function("advance", inputs, [step.advance.call(inputs)[0][[0, 0]]])
     single = Step("first", first, step.outputs, step.coefficients)
-    r, jacobian = build(single).residuals(record, np.ones((1, 1)), *rest)
+    r, jacobian = build(single).residuals(record, KernelPoint(np.ones((1, 1)), *rest), np.ones(2))
     assert np.isfinite(r).all()
     np.testing.assert_allclose(-jacobian[1, 0], slope, atol=1e-14)
 

@@ -13,6 +13,7 @@ from benchmarks.chains import NOISE, STEP, make_chain, make_trial
 from greybox.simulation.integrators.exact_hold import exact_hold
 from greybox.simulation.integrators.input_delay import require_history
 from greybox.simulation.integrators.step import MANY_STATES
+from greybox.simulation.kernel.interface import KernelPoint
 from greybox.simulation.kernel.interpreted import InterpretedKernel
 from greybox.simulation.kernel.linear import LinearKernel
 from greybox.simulation.kernel.make_kernel import make_kernel
@@ -94,8 +95,8 @@ def test_it_agrees_with_the_virtual_machine_on_uneven_records_with_gaps(first_or
     results = []
     for kernel in (LinearKernel(step), InterpretedKernel(step)):
         q, dq = kernel.coefficients(record, p, dp)
-        sums = kernel.sums(record, q, dq, p, dp, x0, dx0, weight, 250)
-        residuals = kernel.residuals(record, q, dq, p, dp, x0, dx0, weight)
+        sums = kernel.sums(record, KernelPoint(q, dq, p, dp, x0, dx0), weight, 250)
+        residuals = kernel.residuals(record, KernelPoint(q, dq, p, dp, x0, dx0), weight)
         results.append((sums, residuals, kernel.simulate(record, q, p, x0)))
     (sums, (r, j), (y, x)), (sums2, (r2, j2), (y2, x2)) = results
     assert sums.cost == pytest.approx(sums2.cost, rel=1e-11)
@@ -119,7 +120,7 @@ def test_outputs_that_depend_on_constants_and_inputs_have_their_slopes():
     kernel, dp = LinearKernel(step), np.diag(p)
     x0, dx0 = rng.normal(0, 1e-3, 16), np.zeros((16, len(p)))
     q, dq = kernel.coefficients(record, p, dp)
-    _, jacobian = kernel.residuals(record, q, dq, p, dp, x0, dx0, np.ones(2))
+    _, jacobian = kernel.residuals(record, KernelPoint(q, dq, p, dp, x0, dx0), np.ones(2))
 
     def run(p):
         return kernel.simulate(record, step.coefficients(p, record.lengths, np.empty(0, int))[0], p, x0)[0]
@@ -143,7 +144,7 @@ def test_a_delayed_input_is_stepped_alike():
     found = []
     for kernel in (LinearKernel(step), InterpretedKernel(step)):
         q, dq = kernel.coefficients(record, p, dp)
-        found.append(kernel.sums(record, q, dq, p, dp, np.zeros(16), np.zeros((16, len(p))), np.ones(8)))
+        found.append(kernel.sums(record, KernelPoint(q, dq, p, dp, np.zeros(16), np.zeros((16, len(p)))), np.ones(8)))
     assert found[0].cost == pytest.approx(found[1].cost, rel=1e-11)
     np.testing.assert_allclose(found[0].gradient, found[1].gradient, rtol=1e-8, atol=1e-12 * found[1].cost)
 
@@ -157,7 +158,9 @@ def test_a_run_that_overflows_says_where():
     for kernel in (LinearKernel(step), InterpretedKernel(step)):
         with np.errstate(all="ignore"):
             q, dq = kernel.coefficients(record, p, np.diag(p))
-        found.append(kernel.sums(record, q, dq, p, np.diag(p), np.ones(16), np.zeros((16, len(p))), np.ones(8)))
+        found.append(
+            kernel.sums(record, KernelPoint(q, dq, p, np.diag(p), np.ones(16), np.zeros((16, len(p)))), np.ones(8))
+        )
     assert found[0].cost == found[1].cost == np.inf
     assert found[0].failed_at == found[1].failed_at
 
