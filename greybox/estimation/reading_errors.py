@@ -84,8 +84,11 @@ LEAST_JITTER_ROWS = 50
 JITTER_EVIDENCE = 10.0
 # Share of the residual's mean square that jitter must make to be worth saying.
 JITTER_SHARE = 0.2
-# Sizes of the growing part over the constant one that are tried, at the rms of what it grows with.
-GROWTH_GRID = np.concatenate(([0.0], np.geomspace(0.03, 300.0, 121)))
+# Sizes of the growing part over the constant one that are tried, at the rms of what it grows with; around the best of them again, finer.
+GROWTH_GRID = np.concatenate(([0.0], np.geomspace(0.03, 300.0, 41)))
+FINER_GROWTH = np.geomspace(0.8, 1.25, 11)
+# Rows, evenly spread, that tell how the size of an error changes.
+JITTER_ROWS = 5000
 
 
 def estimate_jitter(residual: np.ndarray, rate: np.ndarray, level: np.ndarray) -> tuple[float, float] | None:
@@ -94,6 +97,8 @@ def estimate_jitter(residual: np.ndarray, rate: np.ndarray, level: np.ndarray) -
     A reading ``y`` stamped off by ``d`` is off by ``d dy/dt``: the variance of the residual (N,) is ``s^2 + j^2 (dy/dt)^2``. That is held
     against a variance that is constant and one that grows with the ``level`` (N,) of the reading.
     """
+    every = max(len(residual) // JITTER_ROWS, 1)
+    residual, rate, level = residual[::every], rate[::every], level[::every]
     known = np.isfinite(residual) & np.isfinite(rate) & np.isfinite(level)
     e, rate, level = residual[known], rate[known], level[known]
     sizes = [float(np.sqrt(np.mean(v**2))) for v in (rate, level)]
@@ -114,7 +119,8 @@ def estimate_jitter(residual: np.ndarray, rate: np.ndarray, level: np.ndarray) -
 
 def _fit_growing_variance(e: np.ndarray, v: np.ndarray) -> tuple[float, float]:
     """The largest log likelihood of ``e`` under a variance ``s^2 (1 + c^2 v^2)``, and ``c`` there."""
-    return max((_log_likelihood(e, v, c)[0], c) for c in GROWTH_GRID.tolist())
+    _, best = max((_log_likelihood(e, v, c)[0], c) for c in GROWTH_GRID.tolist())
+    return max((_log_likelihood(e, v, c)[0], c) for c in (best * FINER_GROWTH).tolist())
 
 
 def _log_likelihood(e: np.ndarray, v: np.ndarray, c: float) -> tuple[float, float]:
