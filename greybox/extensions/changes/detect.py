@@ -292,7 +292,7 @@ def detect_changes(
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
         if after.names == before.names:
             shares = _share_beyond_missing_part(compared, before, after)
-            scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
+            scatter = measure_scatter(*compared, before, after, repeats.pairs, adequate=adequate)
         if scatter is not None:
             # From here on the constants are as uncertain as they scatter.
             before, after = scatter.before, scatter.after

@@ -8,10 +8,12 @@ from scipy.stats import multivariate_normal, wishart
 
 import greybox as gb
 from fits.change_study import QUICK, coast_down, coasting
+from greybox.extensions.changes import constants
 from greybox.extensions.changes.constants import (
     SCATTER_PIECES,
     ConstantsEstimate,
     FittedConstants,
+    Yardstick,
     compare_constants,
     cut_records,
     join_estimates,
@@ -102,6 +104,33 @@ def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> N
     assert change.verdict is ChangeVerdict.CHANGED and change.moved == ("b",)
     low, high = change.constants["b"].interval
     assert 0 < low < high
+
+
+@pytest.mark.parametrize("beginning", [0, 30])
+def test_pieces_say_how_far_constants_scatter_and_the_fits_what_they_are(beginning: int) -> None:
+    # From another speed on it is another motion: then the pieces of each by themselves are the yardstick, and not those of pairs.
+    one, other = coast(1), coast(2).window(beginning, coast(2).rows)
+    change = gb.detect_changes(gb.fit(coasting(), one, options=QUICK), other, search_effects=False)
+    (allowed,) = [f for f in change.findings if f.code == ChangeCode.SCATTER_ALLOWED]
+    assert allowed.values["over"] == (Yardstick.PIECES if beginning else Yardstick.PAIRED_PIECES)
+    sides = match_repeats([one], [other]).pairs[0] if not beginning else (one, other)
+    fits = [gb.fit(coasting(), record, options=QUICK).parameters["b"].value for record in sides]
+    # The mean of the pieces lay 8 % below the fits where other motion was compared.
+    assert (change.constants["b"].before, change.constants["b"].after) == pytest.approx(fits, rel=1e-6)
+
+
+def test_a_piece_is_fitted_from_the_constants_of_the_whole_alone(monkeypatch) -> None:
+    starts = []
+
+    def fit_noted(model, piece, *, noise, options):
+        starts.append((model.values["b"], options.other_starts))
+        return gb.fit(model, piece, noise=noise, options=options)
+
+    reference = gb.fit(coasting(), coast(1), options=QUICK)
+    monkeypatch.setattr(constants, "fit", fit_noted)
+    gb.detect_changes(reference, coast(2), search_effects=False)
+    assert len(starts) == 2 * SCATTER_PIECES and {count for _, count in starts} == {0}
+    assert len({b for b, _ in starts}) == 2
 
 
 def test_what_it_writes_is_read_back_and_refitted_to_the_same_constants(tmp_path) -> None:
