@@ -169,3 +169,19 @@ def test_a_machine_that_does_not_wander_is_compared_as_its_intervals_say() -> No
     found = gb.detect_changes(reference, day(9, 2.01), search_effects=False)
     assert found.verdict is ChangeVerdict.CHANGED and found.moved == ("gain",)
     assert ChangeCode.SCATTER_ALLOWED not in [f.code for f in found.findings]
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.02])
+def test_days_that_differ_are_no_noise_that_has_grown(noise: float) -> None:
+    # The gain wanders by a few per cent: three days happened to be near each other, three of today were not.
+    before = [day(k, g) for k, g in enumerate((2.0, 2.002, 1.999))]
+    today = []
+    for k, gain in enumerate((1.96, 2.05, 2.0), start=10):
+        record, generator = day(k, gain), np.random.default_rng(k)
+        y = record.outputs["y"] + np.sqrt(noise**2 - 0.01**2) * generator.normal(size=record.rows)
+        today.append(gb.Experiment(record.name, record.time, dict(record.inputs), {"y": y}))
+    change = gb.detect_changes(gb.fit(first_order(), before, noise={"y": 0.01}), today, search_effects=False)
+    grown = [f for f in change.conclusion if f.code == ChangeCode.NOISE_GREW]
+    assert (change.verdict is ChangeVerdict.CHANGED) == bool(grown) == (noise > 0.01)
+    # By what each day leaves alone, and not with what the days differ by: that is about as much again.
+    assert [f.values["ratio"] for f in grown] == pytest.approx([2.0] * len(grown), rel=0.1)
