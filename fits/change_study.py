@@ -1,6 +1,6 @@
 """Change detection: how often a healthy machine is called changed, and how large a change must be to be named.
 
-    python -m fits.change_study FILE [--part healthy|power|runs|chart|population] [--cases N]
+    python -m fits.change_study FILE [--part healthy|power|runs|chart|population] [--first K] [--cases N]
 
 - healthy: machines that are as they were, each fitted and compared anew, in turn on four benches: a linear plant with known noise; the
   same with noise that nobody tells; a nonlinear plant with coloured noise and a quiet record; a fit of three records against two of
@@ -13,7 +13,8 @@
 - chart: twelve records of a machine that wanders by 1 % from day to day; healthy, and with a jump of 5 % at a random place.
 - population: ten machines that differ by 2 %; all of a kind, and with one or two that are off by 15 %.
 
-Every case appends a line to FILE, so that the study goes on where it was stopped; every call prints the table of what is there.
+Every case appends a line to FILE, so that the study goes on where it was stopped; every call prints the table of what is there. N cases
+from K on: each has seeds of its own.
 """
 
 from __future__ import annotations
@@ -243,11 +244,11 @@ PARTS = {
 }
 
 
-def run_part(path: Path, part: str, cases: int) -> None:
+def run_part(path: Path, part: str, first: int, cases: int) -> None:
     """The cases of one part that the file lacks, each a line."""
     done = {line["case"] for line in read_lines(path) if line["part"] == part}
     path.parent.mkdir(parents=True, exist_ok=True)
-    for seed in range(cases):
+    for seed in range(first, first + cases):
         if seed in done:
             continue
         answer = {"part": part, "case": seed, **PARTS[part](seed)}
@@ -299,8 +300,9 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
     parser.add_argument("--part", choices=[*PARTS], default=None)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--cases", type=int, default=2000)
     asked = parser.parse_args()
     if asked.part:
-        run_part(asked.file, asked.part, asked.cases)
+        run_part(asked.file, asked.part, asked.first, asked.cases)
     print("\n".join(tabulate(read_lines(asked.file))))

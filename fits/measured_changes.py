@@ -4,7 +4,8 @@
 
 FOLDER/known holds ``rosa_rotor`` (Yeung et al., IROS 2022) and ``mr_damper_utfpr`` (Labcontrol, UTFPR). Nothing in a machine has
 changed between pieces with the same resistance, or records at the same voltage; everything else is a change whose cause is known: more
-viscous damping of the rotor, more damping of the damper.
+viscous damping of the rotor, more damping of the damper. A change is counted by itself as well where it is of five standard deviations:
+of what the damping differs by between records of the machine as it was, each fitted alone.
 """
 
 from __future__ import annotations
@@ -95,19 +96,41 @@ def main(arguments: Sequence[str] | None = None) -> None:
     report("damper, all runs of a voltage", "c", damper(), [*several, *single])
 
 
+# Standard deviations from which a change must be named.
+LARGE = 5.0
+
+
+def measure_logarithms(model: gb.Model, name: str, stretches: Sequence[Stretch]) -> tuple[dict[str, float], float]:
+    """The logarithm of the damping of each stretch, fitted alone, and its standard deviation between stretches of one kind."""
+    values = {s.record.name: float(np.log(gb.fit(model, s.record).parameters[name].value)) for s in stretches}
+    kinds: dict[tuple[float, float], list[float]] = {}
+    for s in stretches:
+        kinds.setdefault((s.asked, s.setting), []).append(values[s.record.name])
+    # Pooled over the kinds: sum of squares about each mean over the degrees of freedom of all.
+    squares = sum(float(np.var(of)) * len(of) for of in kinds.values())
+    return values, float(np.sqrt(squares / sum(len(of) - 1 for of in kinds.values())))
+
+
 def report(
     title: str, name: str, model: gb.Model, pairs: Sequence[tuple[Sequence[Stretch], Sequence[Stretch]]]
 ) -> None:
     """Print how many known changes are named, and how often a machine that nobody touched is called changed."""
     counts: dict[tuple[str, str], int] = {}
+    every = {s.record.name: s for sides in pairs for side in sides for s in side}
+    logarithms, deviation = measure_logarithms(model, name, list(every.values()))
     for before, after in pairs:
         change = compare(model, before, after)
-        truth = "as it was" if before[0].setting == after[0].setting else "changed"
+        one, other = ([logarithms[s.record.name] for s in side] for side in (before, after))
+        size = abs(np.mean(other) - np.mean(one)) / (deviation * np.sqrt(1 / len(one) + 1 / len(other)))
+        kinds = ["as it was"] if before[0].setting == after[0].setting else ["changed"]
+        if kinds == ["changed"] and size >= LARGE:
+            kinds.append(f"changed by {LARGE:g} standard deviations")
         verdict = "named" if name in change.moved else str(change.verdict)
-        counts[truth, verdict] = counts.get((truth, verdict), 0) + 1
+        for truth in kinds:
+            counts[truth, verdict] = counts.get((truth, verdict), 0) + 1
         sys.stderr.write(
             f"{title}: {[s.record.name for s in before]} ({before[0].setting}) -> {after[0].record.name}"
-            f" ({after[0].setting}): {change.verdict} {change.moved}\n"
+            f" ({after[0].setting}): {change.verdict} {change.moved}, {size:.1f} standard deviations\n"
         )
     for (truth, verdict), count in sorted(counts.items()):
         total = sum(n for (which, _), n in counts.items() if which == truth)

@@ -191,8 +191,9 @@ def _degrees(fit: Fit, residual: FittedResidual) -> float:
 # A model that lacks something has constants that depend on what the record does, and no covariance that is computed says by how much. So
 # it is measured: over the records of each side; or, of one record each of the same motion, over the change from piece to piece of both, in
 # which what the model lacks acts alike and cancels; or over the pieces of each side by itself (batch means; Carlstein, Annals of
-# Statistics 14, 1986). Estimates of pieces are joined by their information; their spread about that mean, in the standard deviations that
-# their covariances promise, is the factor by which these are wrong.
+# Statistics 14, 1986). Estimates are joined by their information; their spread about that mean, in the standard deviations that
+# their covariances promise, is the factor by which these are wrong. Pieces say how far constants scatter, and no more: each spends rows on
+# a state of its own to begin in, so that their mean wanders further than the fit of the whole, and the constants are those of the fits.
 
 
 class Yardstick(StrEnum):
@@ -215,7 +216,8 @@ class MeasuredScatter:
     Parameters
     ----------
     before, after
-        Joined from the records or pieces; of pairs the change alone is known, and stands on the second.
+        Joined from whole records; those of the fits where pieces were measured. Of pairs the scatter of the change alone is known, and
+        stands with the second.
     factors : array (k,)
         By which the standard deviations of single records or pieces are wrong.
     degrees
@@ -276,19 +278,20 @@ WANDER_P = 0.1
 def measure_scatter(
     reference: Fit,
     today: Fit,
-    constants: FittedConstants,
+    before: FittedConstants,
+    after: FittedConstants,
     pairs: Sequence[tuple[Experiment, Experiment]] = (),
     *,
     adequate: bool = False,
 ) -> MeasuredScatter | None:
-    """How far the ``constants`` scatter where nothing has changed; None where too few records or pieces determine them.
+    """How far the constants of both sides scatter where nothing has changed; None where too few records or pieces determine them.
 
     Parameters
     ----------
     reference, today
         The two fits that are compared.
-    constants
-        Those of the first.
+    before, after
+        Their constants, of the same names.
     pairs
         Records of both of the same motion, as long as each other.
     adequate
@@ -298,74 +301,67 @@ def measure_scatter(
     fits = (reference, today)
     records = [[trace.experiment for trace in f.traces] for f in fits]
     if sum(len(of) - 1 for of in records) >= LEAST_RECORD_DEGREES:
-        sides = [_estimate_each(f, of, constants) for f, of in zip(fits, records, strict=True)]
+        sides = [_estimate_each(f, of, before) for f, of in zip(fits, records, strict=True)]
         # What a model lacks acts alike in records that repeat each other: their spread may be smaller than any interval. Of other
         # motion it says something else, and the intervals are the least that is allowed.
         spread = _measure(sides, LEAST_RECORD_DEGREES, 0.0 if pairs else 1.0)
         if spread is not None and not (adequate and spread.p > WANDER_P):
-            return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.RECORDS)
+            joined = [join_estimates(_known(side)) for side in sides]
+            one, other = (_scatter_by(before, e.covariance, spread, values=e.values) for e in joined)
+            return MeasuredScatter(one, other, spread.factors, spread.degrees, Yardstick.RECORDS)
     if adequate:
         return None
     if pairs:
-        one, other = (
-            _estimate_each(f, cut_records([pair[k] for pair in pairs]), constants) for k, f in enumerate(fits)
-        )
+        ones, others = (_estimate_each(f, cut_records([pair[k] for pair in pairs]), before) for k, f in enumerate(fits))
         changes = [
             ConstantsEstimate.of(b.values - a.values, a.covariance + b.covariance)
-            for a, b in zip(one, other, strict=True)
+            for a, b in zip(ones, others, strict=True)
             if a is not None and b is not None
         ]
         # The covariances hold what both have in common, which cancels: the spread may be smaller.
         spread = _measure([changes], LEAST_PIECE_DEGREES, 0.0)
         if spread is not None:
-            start = ConstantsEstimate(constants.scaled, np.zeros_like(constants.covariance))
-            return _to_scatter(constants, [start, join_estimates(changes)], spread, Yardstick.PAIRED_PIECES)
-    sides = [_estimate_each(f, cut_records(of), constants) for f, of in zip(fits, records, strict=True)]
+            # The change scatters by so much, the constants of the fit count as exact.
+            exact = replace(_scatter_by(before, np.zeros_like(before.covariance), spread), degrees=float(np.inf))
+            other = _scatter_by(after, join_estimates(changes).covariance, spread)
+            return MeasuredScatter(exact, other, spread.factors, spread.degrees, Yardstick.PAIRED_PIECES)
+    sides = [_estimate_each(f, cut_records(of), before) for f, of in zip(fits, records, strict=True)]
     spread = _measure(sides, LEAST_PIECE_DEGREES, 1.0)
     if spread is None:
         return None
-    return _to_scatter(constants, [join_estimates(_known(side)) for side in sides], spread, Yardstick.PIECES)
+    one, other = (
+        _scatter_by(fitted, join_estimates(_known(side)).covariance, spread)
+        for fitted, side in zip((before, after), sides, strict=True)
+    )
+    return MeasuredScatter(one, other, spread.factors, spread.degrees, Yardstick.PIECES)
 
 
 def _known(estimates: Sequence[ConstantsEstimate | None]) -> list[ConstantsEstimate]:
     return [e for e in estimates if e is not None]
 
 
-def _to_scatter(
-    constants: FittedConstants,
-    sides: Sequence[ConstantsEstimate],
-    measured: _Spread,
-    yardstick: Yardstick,
-) -> MeasuredScatter:
-    """Both sides as constants that can be compared, their covariances widened by the measured factors."""
-    factors, degrees, _ = measured
-    before, after = sides
-    paired = yardstick is Yardstick.PAIRED_PIECES
-    widened = []
-    for side, is_change in ((before, False), (after, paired)):
-        # Of pairs the change alone is known: it stands on the constants of the fit, which count as exact.
-        scaled = side.values + constants.scaled if is_change else side.values
-        covariance = side.covariance * np.outer(factors, factors)
-        if paired and not is_change:
-            covariance = np.zeros_like(covariance)
-        widened.append(
-            replace(
-                constants,
-                values=np.where(constants.positive, np.exp(np.where(constants.positive, scaled, 0.0)), scaled),
-                covariance=covariance,
-                at_bound=(),
-                degrees=float(np.inf) if paired and not is_change else float(degrees),
-            )
-        )
-    return MeasuredScatter(widened[0], widened[1], factors, degrees, yardstick)
+def _scatter_by(
+    fitted: FittedConstants, covariance: np.ndarray, spread: _Spread, *, values: np.ndarray | None = None
+) -> FittedConstants:
+    """The constants, as uncertain as the covariance widened by the measured factors; with other ``values``, on their scale, if given."""
+    widened = covariance * np.outer(spread.factors, spread.factors)
+    if values is None:
+        # A constant that the whole record leaves open, or that a bound has stopped, is known no better from its pieces.
+        unknown = np.flatnonzero(~np.isfinite(fitted.variances))
+        widened[unknown, unknown] = fitted.variances[unknown]
+        return replace(fitted, covariance=widened, degrees=float(spread.degrees))
+    back = np.where(fitted.positive, np.exp(np.where(fitted.positive, values, 0.0)), values)
+    return replace(fitted, values=back, covariance=widened, at_bound=(), degrees=float(spread.degrees))
 
 
 def _estimate_each(
     whole: Fit, pieces: Sequence[Experiment], constants: FittedConstants
 ) -> list[ConstantsEstimate | None]:
     """The constants of the model of ``whole`` from each piece alone; None where a piece does not give them."""
-    # A piece begins in motion; it is short, so that no shorter part comes first.
-    options = replace(FitOptions.from_data(whole.provenance.options), at_rest=False, progressive=False)
+    # A piece begins in motion; it is short, so that no shorter part comes first. The constants of the whole are where it starts: a piece
+    # of a steady run has little to explain, and no other start is asked for that.
+    told = FitOptions.from_data(whole.provenance.options)
+    options = replace(told, at_rest=False, progressive=False, other_starts=0)
     estimates: list[ConstantsEstimate | None] = []
     for piece in pieces:
         result = fit(whole.model, piece, noise=restore_noise(whole), options=options)

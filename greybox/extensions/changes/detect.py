@@ -249,6 +249,14 @@ def detect_changes(
     level = CHANGE_TEST_FALSE_ALARM_RATE
     # The rate of false alarms is shared between the residual, where it can be tested, and the constants.
     of_residual = check_residual(*residuals, CHANGE_TEST_RESIDUAL_SHARE * level)
+    judged = residuals
+    if not all(of_residual):
+        # A machine that wanders from record to record leaves that in the residual of constants that are common to all: what counts is
+        # what each record leaves by itself.
+        own = _fit_own_constants(reference, today, listed)
+        if own:
+            judged = read_residual(own[0], ADEQUATE_RATIO), read_residual(own[1], ADEQUATE_RATIO)
+            of_residual = check_residual(*judged, CHANGE_TEST_RESIDUAL_SHARE * level)
     level_of_constants = (1 - CHANGE_TEST_RESIDUAL_SHARE) * level if of_residual else level
     discovery = None
     if search_effects and not all(of_residual):
@@ -292,7 +300,7 @@ def detect_changes(
             before, after = (read_constants(f, read_residual(f, ADEQUATE_RATIO)) for f in compared)
         if after.names == before.names:
             shares = _share_beyond_missing_part(compared, before, after)
-            scatter = measure_scatter(*compared, before, repeats.pairs, adequate=adequate)
+            scatter = measure_scatter(*compared, before, after, repeats.pairs, adequate=adequate)
         if scatter is not None:
             # From here on the constants are as uncertain as they scatter.
             before, after = scatter.before, scatter.after
@@ -305,14 +313,14 @@ def detect_changes(
     if test:
         checks = (Check.at_least(ChangeRule.CONSTANTS_AS_BEFORE, test.p_value, level_of_constants), *checks)
     verdict = decide_change(constants, checks)
-    conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
+    conclusion = _conclude(verdict, constants, test, checks, discovery, judged)
     if verdict is ChangeVerdict.CHANGED and not comparable:
         # Pieces of a record say nothing of another motion: a change counts that is more than what the model lacks could ever do.
         wanted = [name for name, c in constants.items() if c.moved]
         moved = [name for name in wanted if shares.get(name, 0.0) > 1]
         constants = {name: replace(c, moved=name in moved) for name, c in constants.items()}
         if moved:
-            conclusion = _conclude(verdict, constants, test, checks, discovery, residuals)
+            conclusion = _conclude(verdict, constants, test, checks, discovery, judged)
             least = min(moved, key=lambda name: shares[name])
             reason = Finding(ChangeCode.BEYOND_MISSING_PART, Severity.NOTE, least, {"ratio": shares[least]})
             findings = (*findings, reason)
@@ -388,15 +396,31 @@ def check_reference(reference: Fit) -> None:
         raise DataError(f"{title} has no constant that was estimated; there is nothing to compare")
 
 
-def refit(reference: Fit, records: Sequence[Experiment]) -> Fit:
-    """The model of ``reference`` fitted to other records: same options, priors and noise, begun at its constants."""
+def _fit_own_constants(reference: Fit, today: Fit, records: Sequence[Experiment]) -> tuple[Fit, Fit] | None:
+    """Both fits with constants of its own for each record; None of one record each, and where such a fit fails."""
+    sides = ([trace.experiment for trace in reference.traces], records)
+    if max(map(len, sides)) == 1:
+        return None
+    names = [name for name in reference.uncertainty.free if name not in reference.model.noise_parameters]
+    one, other = (
+        refit(reference, of, per_experiment=names) if len(of) > 1 else common
+        for of, common in zip(sides, (reference, today), strict=True)
+    )
+    return (one, other) if one.success and other.success else None
+
+
+def refit(reference: Fit, records: Sequence[Experiment], per_experiment: Sequence[str] = ()) -> Fit:
+    """The model of ``reference`` fitted to other records: same options, priors and noise, begun at its constants.
+
+    ``per_experiment``: constants of which each record has its own.
+    """
     noise = restore_noise(reference)
     periods = [float(np.median(np.diff(trace.time))) for trace in reference.traces if len(trace.time) > 1]
     if not all(np.allclose(np.median(record.intervals), period) for record in records for period in periods):
         # The colour of noise is stated sample by sample: at another sampling time it would be another one.
         noise = replace(noise, colour=tuple(AutoRegression() for _ in noise.colour))
     options = FitOptions.from_data(reference.provenance.options)
-    return fit(reference.model, records, noise=noise, options=options)
+    return fit(reference.model, records, noise=noise, options=options, per_experiment=per_experiment)
 
 
 # Probability with which a change of the size that counts as seen is seen.

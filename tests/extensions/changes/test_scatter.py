@@ -8,10 +8,12 @@ from scipy.stats import multivariate_normal, wishart
 
 import greybox as gb
 from fits.change_study import QUICK, coast_down, coasting
+from greybox.extensions.changes import constants
 from greybox.extensions.changes.constants import (
     SCATTER_PIECES,
     ConstantsEstimate,
     FittedConstants,
+    Yardstick,
     compare_constants,
     cut_records,
     join_estimates,
@@ -104,6 +106,33 @@ def test_a_coast_down_that_ends_earlier_is_compared_and_a_change_is_named() -> N
     assert 0 < low < high
 
 
+@pytest.mark.parametrize("beginning", [0, 30])
+def test_pieces_say_how_far_constants_scatter_and_the_fits_what_they_are(beginning: int) -> None:
+    # From another speed on it is another motion: then the pieces of each by themselves are the yardstick, and not those of pairs.
+    one, other = coast(1), coast(2).window(beginning, coast(2).rows)
+    change = gb.detect_changes(gb.fit(coasting(), one, options=QUICK), other, search_effects=False)
+    (allowed,) = [f for f in change.findings if f.code == ChangeCode.SCATTER_ALLOWED]
+    assert allowed.values["over"] == (Yardstick.PIECES if beginning else Yardstick.PAIRED_PIECES)
+    sides = match_repeats([one], [other]).pairs[0] if not beginning else (one, other)
+    fits = [gb.fit(coasting(), record, options=QUICK).parameters["b"].value for record in sides]
+    # The mean of the pieces lay 8 % below the fits where other motion was compared.
+    assert (change.constants["b"].before, change.constants["b"].after) == pytest.approx(fits, rel=1e-6)
+
+
+def test_a_piece_is_fitted_from_the_constants_of_the_whole_alone(monkeypatch) -> None:
+    starts = []
+
+    def fit_noted(model, piece, *, noise, options):
+        starts.append((model.values["b"], options.other_starts))
+        return gb.fit(model, piece, noise=noise, options=options)
+
+    reference = gb.fit(coasting(), coast(1), options=QUICK)
+    monkeypatch.setattr(constants, "fit", fit_noted)
+    gb.detect_changes(reference, coast(2), search_effects=False)
+    assert len(starts) == 2 * SCATTER_PIECES and {count for _, count in starts} == {0}
+    assert len({b for b, _ in starts}) == 2
+
+
 def test_what_it_writes_is_read_back_and_refitted_to_the_same_constants(tmp_path) -> None:
     reference = gb.fit(coasting(), coast(1), options=QUICK)
     changes = gb.detect_changes(reference, coast(3, share=1.2), search_effects=False)
@@ -140,3 +169,19 @@ def test_a_machine_that_does_not_wander_is_compared_as_its_intervals_say() -> No
     found = gb.detect_changes(reference, day(9, 2.01), search_effects=False)
     assert found.verdict is ChangeVerdict.CHANGED and found.moved == ("gain",)
     assert ChangeCode.SCATTER_ALLOWED not in [f.code for f in found.findings]
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.02])
+def test_days_that_differ_are_no_noise_that_has_grown(noise: float) -> None:
+    # The gain wanders by a few per cent: three days happened to be near each other, three of today were not.
+    before = [day(k, g) for k, g in enumerate((2.0, 2.002, 1.999))]
+    today = []
+    for k, gain in enumerate((1.96, 2.05, 2.0), start=10):
+        record, generator = day(k, gain), np.random.default_rng(k)
+        y = record.outputs["y"] + np.sqrt(noise**2 - 0.01**2) * generator.normal(size=record.rows)
+        today.append(gb.Experiment(record.name, record.time, dict(record.inputs), {"y": y}))
+    change = gb.detect_changes(gb.fit(first_order(), before, noise={"y": 0.01}), today, search_effects=False)
+    grown = [f for f in change.conclusion if f.code == ChangeCode.NOISE_GREW]
+    assert (change.verdict is ChangeVerdict.CHANGED) == bool(grown) == (noise > 0.01)
+    # By what each day leaves alone, and not with what the days differ by: that is about as much again.
+    assert [f.values["ratio"] for f in grown] == pytest.approx([2.0] * len(grown), rel=0.1)
