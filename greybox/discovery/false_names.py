@@ -69,6 +69,8 @@ LEAST_VARIATION, LEAST_KNOTS = 0.1, 8
 SEED = 2
 # Confidence of the bound on the rate.
 CONFIDENCE = 0.95
+# Effects of an answer that are tried, those of which most is claimed: each costs as much as its rivals.
+MOST_EFFECTS = 2
 # Iterations of the refit of a signal, as of a rival.
 SIGNAL_ITERATIONS = 30
 # The name of a signal without meaning as an effect, of its size, and of the input that carries its course.
@@ -149,7 +151,7 @@ def measure_false_names(
     signals: Sequence[EffectSignal],
     claims: Sequence[Claim],
 ) -> tuple[FalseNameRate, ...]:
-    """The rate of each effect of the answer of which more than the place is at least probable.
+    """The rate of the effects of the answer of which most is claimed, where more than the place is at least probable.
 
     Parameters
     ----------
@@ -168,10 +170,13 @@ def measure_false_names(
         None for an effect whose signal or place is not known, and for one that the end of the time cut short.
     """
     rates, failures = [], contests.table.scores.problem.failures
-    for number, signal in enumerate(signals):
-        rest, depth = without.get(signal.effect), _deepest_claim(contests.answer.model, signal, claims)
-        if rest is not None and depth is not None and _varies(signal):
-            hold = partial(_hold_contests, contests, rest, signal, depth, number)
+    usable = [s for s in signals if s.effect in without and _varies(s)]
+    depths = {s.effect: _deepest_claim(contests.answer.model, s, claims) for s in usable}
+    deepest = sorted((s for s in usable if depths[s.effect]), key=lambda s: depths[s.effect] or 0, reverse=True)
+    for number, signal in enumerate(deepest[:MOST_EFFECTS]):
+        depth = depths[signal.effect]
+        if depth is not None:
+            hold = partial(_hold_contests, contests, without[signal.effect], signal, depth, number)
             rates.append(failures.attempt(SearchStage.FALSE_NAMES, (signal.effect,), hold, None))
     return tuple(rate for rate in rates if rate is not None)
 
