@@ -56,9 +56,11 @@ def find_reading_errors(traces: Sequence[Trace]) -> tuple[Finding, ...]:
     result = []
     for name in dict.fromkeys(name for trace in traces for name in trace.measured):
         records = [t for t in traces if name in t.measured]
-        residuals = [t.residual(name) for t in records]
-        left = np.concatenate(residuals)
-        mean_square = float(np.nanmean(left**2)) if np.isfinite(left).any() else 0.0
+        left = np.concatenate([t.residual(name) for t in records])
+        usable = left[np.isfinite(left)]
+        if not len(usable):  # a run that failed
+            continue
+        mean_square = float(np.mean(usable**2))
         step = max((find_reading_step(t.measured[name]) or 0.0 for t in records), default=0.0)
         # Rounding to steps q leaves an error that is uniform over q: q^2 / 12 (Widrow and Kollar, Quantization noise, 2008).
         steps_share = step**2 / 12 / mean_square if mean_square else 0.0
@@ -84,6 +86,9 @@ LEAST_JITTER_ROWS = 50
 JITTER_EVIDENCE = 10.0
 # Share of the residual's mean square that jitter must make to be worth saying.
 JITTER_SHARE = 0.2
+# Rows times the squared correlation of the squared residual with the squared rate, below which a residual does not grow with it: three
+# standard deviations of chance (R. Koenker 1981, A note on studentizing a test for heteroscedasticity, J. Econometrics 17).
+LEAST_TREND = 9.0
 # Sizes of the growing part over the constant one that are tried, at the rms of what it grows with; around the best of them again, finer.
 GROWTH_GRID = np.concatenate(([0.0], np.geomspace(0.03, 300.0, 41)))
 FINER_GROWTH = np.geomspace(0.8, 1.25, 11)
@@ -101,8 +106,13 @@ def estimate_jitter(residual: np.ndarray, rate: np.ndarray, level: np.ndarray) -
     residual, rate, level = residual[::every], rate[::every], level[::every]
     known = np.isfinite(residual) & np.isfinite(rate) & np.isfinite(level)
     e, rate, level = residual[known], rate[known], level[known]
+    if len(e) < LEAST_JITTER_ROWS or not e.any():
+        return None
     sizes = [float(np.sqrt(np.mean(v**2))) for v in (rate, level)]
-    if len(e) < LEAST_JITTER_ROWS or not sizes[0] or not e.any():
+    if not sizes[0]:
+        return None
+    # The test by one regression comes first: most residuals show nothing, and the likelihoods take a tenth of a short fit.
+    if len(e) * _correlate(e**2, rate**2) ** 2 < LEAST_TREND:
         return None
     (with_jitter, growth), (with_level, _) = (
         _fit_growing_variance(e, v / size) if size else (-np.inf, 0.0)
@@ -115,6 +125,13 @@ def estimate_jitter(residual: np.ndarray, rate: np.ndarray, level: np.ndarray) -
     deviation = _log_likelihood(e, rate / sizes[0], growth)[1]
     share = growth**2 / (1 + growth**2)
     return (growth * deviation / sizes[0], share) if share > JITTER_SHARE else None
+
+
+def _correlate(a: np.ndarray, b: np.ndarray) -> float:
+    """The correlation of two series (N,); 0 where one does not vary."""
+    a, b = a - a.mean(), b - b.mean()
+    size = float(np.sqrt((a @ a) * (b @ b)))
+    return float(a @ b) / size if size else 0.0
 
 
 def _fit_growing_variance(e: np.ndarray, v: np.ndarray) -> tuple[float, float]:

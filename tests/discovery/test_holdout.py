@@ -116,7 +116,7 @@ def test_square_errors_are_those_of_blocks_without_the_first_rows():
 
 def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
     failures = FailureLog()
-    problem = SimpleNamespace(failures=failures, noise_std={}, options=None)
+    problem = SimpleNamespace(failures=failures, noise_std={}, run_options=None)
 
     class Failing(ValidationSet):
         def run(self, *_):
@@ -131,7 +131,7 @@ def test_a_model_that_fails_on_the_validation_records_is_out_with_its_reason():
 
 def test_a_bug_of_the_library_ends_the_run():
     """It must not pass for a model that fails, which would turn a name into *unknown*."""
-    problem = SimpleNamespace(failures=FailureLog(), noise_std={}, options=None)
+    problem = SimpleNamespace(failures=FailureLog(), noise_std={}, run_options=None)
     with pytest.raises(TypeError):
         HoldoutScores(problem, ValidationSet(("no record",))).score(SELECTED)
 

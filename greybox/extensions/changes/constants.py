@@ -360,8 +360,8 @@ def _estimate_each(
     """The constants of the model of ``whole`` from each piece alone; None where a piece does not give them."""
     # A piece begins in motion; it is short, so that no shorter part comes first. The constants of the whole are where it starts: a piece
     # of a steady run has little to explain, and no other start is asked for that.
-    told = FitOptions.from_data(whole.provenance.options)
-    options = replace(told, at_rest=False, progressive=False, other_starts=0)
+    options_of_whole = FitOptions.from_data(whole.provenance.options)
+    options = replace(options_of_whole, at_rest=False, progressive=False, other_starts=0)
     estimates: list[ConstantsEstimate | None] = []
     for piece in pieces:
         result = fit(whole.model, piece, noise=restore_noise(whole), options=options)

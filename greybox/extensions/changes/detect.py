@@ -253,9 +253,9 @@ def detect_changes(
     if not all(of_residual):
         # A machine that wanders from record to record leaves that in the residual of constants that are common to all: what counts is
         # what each record leaves by itself.
-        own = _fit_own_constants(reference, today, listed)
-        if own:
-            judged = read_residual(own[0], ADEQUATE_RATIO), read_residual(own[1], ADEQUATE_RATIO)
+        by_record = _fit_own_constants(reference, today, listed)
+        if by_record:
+            judged = read_residual(by_record[0], ADEQUATE_RATIO), read_residual(by_record[1], ADEQUATE_RATIO)
             of_residual = check_residual(*judged, CHANGE_TEST_RESIDUAL_SHARE * level)
     level_of_constants = (1 - CHANGE_TEST_RESIDUAL_SHARE) * level if of_residual else level
     discovery = None
