@@ -1,4 +1,4 @@
-"""Every decision number of a discovery: what counts as missing, as an effect, as a name, and how hard to look for it.
+"""The decision numbers of a discovery that somebody turns; every other one is a constant above the function that it steers.
 
 `DiscoveryPolicy` groups the policies of the stages. It is an argument of `discover`, is stored in the result and written to
 ``discovery.json``. Costs are sums of squared whitened residuals, so that a difference in cost is a likelihood ratio.

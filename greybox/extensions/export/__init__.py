@@ -1,4 +1,4 @@
-"""Hand-over to controller design: linear models with their uncertainty, and the model as code."""
+"""A fitted model for other programs: linear models with their uncertainty, and the model as code, FMU or Modelica."""
 
 from typing import TYPE_CHECKING
 
