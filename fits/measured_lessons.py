@@ -99,7 +99,8 @@ def draw_torque(folder: Path) -> Figure:
     left.set(xlabel="fitted, over weighed", xlim=(0.9, None), ylim=(-0.4, 1.7))
     right.set_yticks([0.2, 1.2, 2.2], ["viscous alone", "and dry", "and dry, by load"])
     right.set_xlabel("rms error of the angle, mrad")
-    right.legend(fontsize="small")
+    right.set_xlim(0, 1.5 * right.get_xlim()[1])  # room for the legend beside the bars
+    right.legend(fontsize="small", loc="lower right")
     return figure
 
 

@@ -19,7 +19,6 @@ from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import solve as solve_linear
 
 from greybox.base.numerics import TINY
 from greybox.base.values import ReadOnly
@@ -316,8 +315,15 @@ def _promised_decrease(slopes: LinearisedSet, responses: Sequence[np.ndarray]) -
     if not (np.isfinite(mixed).all() and np.isfinite(square).all()):
         usable = np.isfinite(mixed).all(axis=0) & np.isfinite(square)
         mixed, square, pull = np.where(usable, mixed, 0.0), np.where(usable, square, 1.0), np.where(usable, pull, 0.0)
+    if not (
+        np.isfinite(hessian).all() and np.isfinite(gradient).all()
+    ):  # a run that nearly goes astray: nothing is promised
+        return np.zeros(count)
+    # In units in which each unknown alone has a curvature of one: beside the curvatures of a steep run the ridge is lost in rounding.
+    unit = 1 / np.sqrt(np.diag(hessian))
+    scaled = hessian * np.outer(unit, unit) + n * np.finfo(float).eps * np.eye(n)
     # The Schur complement of the constants: (g'r - g'J H^-1 J'r)^2 / (g'g - g'J H^-1 J'g).
-    absorbed = solve_linear(hessian, np.column_stack([gradient, mixed]), assume_a="pos")
+    absorbed = unit[:, None] * np.linalg.solve(scaled, unit[:, None] * np.column_stack([gradient, mixed]))
     pull = pull - mixed.T @ absorbed[:, 0]
     return np.asarray(pull**2 / np.maximum(square - (mixed * absorbed[:, 1:]).sum(axis=0), TINY))
 

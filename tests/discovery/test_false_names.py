@@ -147,3 +147,19 @@ def test_contests_that_fail_leave_the_answer_as_it_is(rig, monkeypatch):
     found = answer(rig)
     assert not found.false_names and found.verdict == "named"
     assert (SearchStage.FALSE_NAMES, "on purpose") in {(f.stage, f.reason) for f in found.failures}
+
+
+@pytest.mark.parametrize(("slope", "expected"), [(1e20, 2.0), (np.inf, 0.0)], ids=["steep", "astray"])
+def test_a_steep_run_promises_what_its_other_unknowns_leave(slope, expected):
+    """Two unknowns that do the same, however steep; by hand: (g'r)^2 / (g'g + 1) with g = (0, 1) and r = (0, 2)."""
+    slopes = SimpleNamespace(
+        candidate=SimpleNamespace(variables=SimpleNamespace(size=2)),
+        fitted=1,
+        columns=lambda record: np.arange(2),
+        present=[np.ones((2, 1), bool)],
+        jacobians=[np.array([[[slope, slope]], [[0.0, 0.0]]])],
+        residuals=[np.array([[0.0], [2.0]])],
+    )
+    with np.errstate(invalid="ignore", over="ignore"):
+        (found,) = false_names._promised_decrease(slopes, [np.array([[[0.0]], [[1.0]]])])
+    assert found == pytest.approx(expected)

@@ -154,7 +154,8 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
     rows, target = np.vstack([sampled, sum_to_one]), np.append(np.zeros(len(axes)), SUM_TO_ONE_WEIGHT)
     try:
         weights, _ = nnls(rows, target)
-    except RuntimeError:  # SciPy 1.12 to 1.14: its active set goes round in circles where gradients are nearly alike
+    # SciPy 1.12 to 1.14, where gradients are nearly alike: its active set goes round in circles, or its equations are singular.
+    except (RuntimeError, np.linalg.LinAlgError):
         weights = lsq_linear(rows, target, bounds=(0, np.inf), method="bvls").x
     shortest = sampled @ weights
     return -shortest / max(float(np.linalg.norm(shortest)), TINY)

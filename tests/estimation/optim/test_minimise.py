@@ -96,9 +96,12 @@ def test_a_search_converges_at_a_kink_with_few_evaluations():
     assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
 
-def test_a_kink_is_left_downhill_where_the_active_set_of_scipy_does_not_end(monkeypatch):
+@pytest.mark.parametrize(
+    "error", [RuntimeError("Maximum number of iterations reached."), np.linalg.LinAlgError("Matrix is singular.")]
+)
+def test_a_kink_is_left_downhill_where_the_active_set_of_scipy_does_not_end(monkeypatch, error):
     def fail(*_, **__):
-        raise RuntimeError("Maximum number of iterations reached.")
+        raise error
 
     monkeypatch.setattr("scipy.optimize.nnls", fail)
     result = minimise(kinked, np.array([2.0, -1.0]), *free(2))
