@@ -13,6 +13,7 @@ from greybox.discovery.execution import FailureLog, SearchStage, reason_of
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.problem import FittedCandidate, StartValues
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability
+from greybox.estimation.reading_errors import GAINS
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, all_effects, applicable_effects, measure_scales, tailor_to_record
 from greybox.model.effects.placement import AT
@@ -140,10 +141,8 @@ def _find_obstacle(model: Model, entry: Effect) -> Finding | None:
     return None
 
 
-# Effects that scale one signal: with the constants of the model free, these may do the same.
-GAINS = ("input_gain", "sensor_gain")
 # The effect that scales time. On a linear plant free constants and a gain do the same.
-CLOCK = "clock_skew"
+SKEW = "clock_skew"
 # Value at which what a scaling effect does is compared with what constants do: far from absent, where its slope by logarithm would vanish.
 SCALED_BY = 0.3
 
@@ -153,11 +152,11 @@ def _find_imitation(model: Model, entry: Effect, tried: Sequence[Effect]) -> Fin
 
     A constant that was weighed or measured by itself counts as known, as a fixed one does.
     """
-    if entry.name.partition(AT)[0] not in (*GAINS, CLOCK) or not model.has_equations:
+    if entry.name.partition(AT)[0] not in (*GAINS, SKEW) or not model.has_equations:
         return None
     known = model.fix(*(q.name for q in model.free_parameters if q.prior))
     # Time is told from free constants and the gains that are tried together, or it is one more name for these.
-    gains = [e for e in tried if e.name.partition(AT)[0] in GAINS] if entry.name == CLOCK else []
+    gains = [e for e in tried if e.name.partition(AT)[0] in GAINS] if entry.name == SKEW else []
     scaled, effect_of = known, {}
     for effect in (*gains, entry):
         scaled = scaled + effect
@@ -165,10 +164,8 @@ def _find_imitation(model: Model, entry: Effect, tried: Sequence[Effect]) -> Fin
         scaled, effect_of[scale] = scaled.start(**{scale: SCALED_BY}), effect.name
     try:
         structure = analyse_structural_identifiability(scaled)
-    except (
-        ModelError,
-        DataError,
-    ):  # a model that cannot be run at random constants: nothing is known against the effect
+    except (ModelError, DataError):
+        # A model that cannot be run at random constants: nothing is known against the effect.
         return None
     # The amplitude of ``entry`` was the last.
     taking = [d.names for d in structure.directions if scale in d.names and len(d.names) > 1]

@@ -10,26 +10,15 @@ import pytest
 from scipy.optimize import curve_fit, minimize
 
 import greybox as gb
-from greybox import Balance, Experiment, GrowingNoise, Model, Output, Parameter, State
+from greybox import Experiment, GrowingNoise
 from greybox.base.errors import DataError, ModelError
 from greybox.extensions.changes.result import ChangeVerdict
+from tests.support.decay import decay
 from tests.support.result_schema import strict_offences
 
 OPTIONS = gb.FitOptions(at_rest=True)
 TIME = np.linspace(0.0, 5.0, 100)
 TRUTH = {"A": 5.0, "k": 0.8}
-
-
-def decay() -> Model:
-    """y' = -k y, y(0) = A; y = A exp(-k t)."""
-    return Model(
-        "decay",
-        states=[State("y", "g", lambda p: p.A)],
-        inputs=[],
-        outputs=[Output("y", "g")],
-        parameters=[Parameter("A", "g", 3.0, (1e-3, 1e3)), Parameter("k", "1/s", 0.5, (1e-3, 10.0))],
-        balances=lambda x, u, p: [Balance("rate", "g/s", 1, "y", loss=-p.k * x.y)],
-    )
 
 
 def curve(t: np.ndarray, a: float, k: float) -> np.ndarray:

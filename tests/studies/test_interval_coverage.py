@@ -22,6 +22,7 @@ from greybox.uncertainty import profile
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
 from tests.oracles.independent import linear_matrices, linear_record, multisine
+from tests.support.decay import decay
 from tests.support.filters import discrete
 from tests.support.semibatch import TRUTH, semibatch, simulated_record
 
@@ -148,18 +149,6 @@ GROWTHS = {
     "one level": (gb.GrowingNoise(0.02, 0.1), None),
 }
 DECAY = {"A": 5.0, "k": 0.8}
-
-
-def decay():
-    """y' = -k y, y(0) = A."""
-    return gb.Model(
-        "decay",
-        states=[gb.State("y", "g", lambda p: p.A)],
-        inputs=[],
-        outputs=[gb.Output("y", "g")],
-        parameters=[gb.Parameter("A", "g", 3.0, (1e-3, 1e3)), gb.Parameter("k", "1/s", 0.5, (1e-3, 10.0))],
-        balances=lambda x, u, p: [gb.Balance("rate", "g/s", 1, "y", loss=-p.k * x.y)],
-    )
 
 
 def coverage_when_growing(way, records):
