@@ -84,6 +84,8 @@ class Claim(ReadOnly):
         Of a name: effects of other families that do the same in its place. No record of this kind separates them.
     joint
         Of a name: how probable it is that it or one of its equals is right.
+    size
+        What is claimed, rms in the output, as a share of the range of its readings.
     frequency, left
         What the probability was computed from, beside the sites: the share of the resamples in which the claim
         holds; and of the set that won most often, the share of the rms error that is no noise.
@@ -102,10 +104,11 @@ class Claim(ReadOnly):
     rival: str = ""
     equals: tuple[str, ...] = ()
     joint: float = 0.0
+    size: float = 0.0
     frequency: float = 0.0
     left: float = 0.0
 
-    KEYS: ClassVar[str] = "depth output site variables form family name probability grade share rival equals"
+    KEYS: ClassVar[str] = "depth output site variables form family name probability grade share size rival equals"
 
     @property
     def site(self) -> str:
@@ -276,7 +279,7 @@ def weigh_claims(
         for value, frequency in keys.most_common():
             if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
                 claims.append(_hold_below(made, claims))
-    return tuple(claims)
+    return _allow_for_sensors(claims)
 
 
 def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
@@ -291,6 +294,29 @@ def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
     ]
     probability = min([claim.probability, *implied])
     return replace(claim, probability=probability, grade=to_grade(probability))
+
+
+# Share of its range by which a sensor is commonly off: a scale that bends, a gain, a slow drift. Class 1 of industrial meters.
+SENSOR_CLASS = 0.01
+
+
+def _allow_for_sensors(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """The claims, where what is missing is no more than any sensor may be off by.
+
+    That something acts at a sensor, or at the plant or that sensor, is then true of every record, and not established. A name that is
+    established has beaten what a sensor does, and keeps its place.
+    """
+    certain = {c.sites for c in claims if c.depth is Depth.NAME and c.is_established}
+    return tuple(
+        lower_grade(c)
+        if c.size < SENSOR_CLASS and c.sites not in certain and any(map(_is_sensor, c.sites)) and not c.name
+        else c
+        for c in claims
+    )
+
+
+def _is_sensor(label: str) -> bool:
+    return label.startswith(site_label(SiteKind.SENSOR, ""))
 
 
 Key = Callable[[tuple[str, ...], EffectForm], Hashable]
@@ -346,7 +372,7 @@ class _Context:
         best = int(np.argmax(np.where(holds, totals, -1.0)))
         shown = next((f for f in self.forms[best] if depth and self._says(self.forms[best], f, depth, value)), None)
         removed = {f.name for f in self.forms[best] if not depth or KEYS[depth](self.group(f), f) == value}
-        share, output = self._share(best, removed)
+        share, size, output = self._share(best, removed)
         if depth and share < LEAST_SHARE:
             return None
         others = [k for k in range(len(holds)) if not holds[k] and totals[k] > 0]
@@ -360,6 +386,7 @@ class _Context:
             family=shown.family if shown is not None and depth >= Depth.FAMILY else (),
             name=shown.name if shown is not None and depth >= Depth.NAME else "",
             share=share,
+            size=size,
             rival="" if rival is None else _title(self.forms[rival]),
             frequency=frequency,
             left=self.left,
@@ -396,19 +423,24 @@ class _Context:
         form = max(shares, key=lambda made: shares[made])
         return form if shares[form] >= AGREED * sum(shares.values()) else ""
 
-    def _share(self, best: int, removed: Collection[str]) -> tuple[float, str]:
-        """Share of the error that effects of a set take, and in which output most: beside the largest set on the table without them."""
+    def _share(self, best: int, removed: Collection[str]) -> tuple[float, float, str]:
+        """Share of the error that effects of a set take, beside the largest set on the table without them, and in which output most;
+        what that is over the range of the output.
+        """
         sets = self.draws.sets
         kept = [k for k, s in enumerate(sets) if not {f.name for f in self.forms[k]} & set(removed)]
         rest = frozenset(f.name for f in self.forms[best]) - set(removed)
         nested = [k for k in kept if {f.name for f in self.forms[k]} <= rest]
         if not nested:
-            return 0.0, self.outputs[0]
+            return 0.0, 0.0, self.outputs[0]
         without = max(nested, key=lambda k: (len(self.forms[k]), -float(np.median(self.draws.errors[:, k]))))
         before, after = (_judged_rms(sets[k]) for k in (without, best))
         shares = 1 - after / np.maximum(before, TINY)
         output = int(np.nanargmax(np.where(before > 0, shares, -np.inf)))
-        return float(np.clip(shares[output], 0.0, 1.0)), self.outputs[output]
+        share, name = float(np.clip(shares[output], 0.0, 1.0)), self.outputs[output]
+        # What is claimed and what is left add up in squares: before^2 - after^2 = before^2 (1 - (1 - share)^2).
+        taken = before[output] * math.sqrt(1 - (1 - share) ** 2)
+        return share, float(taken / max(sets[best].sums.reach[output], TINY)), name
 
 
 def _judged_rms(fitted: FittedSet) -> np.ndarray:
@@ -457,8 +489,8 @@ class Features(NamedTuple):
 def to_features(claim: Claim) -> Features:
     """The features of a claim."""
     weight = min(max(claim.frequency, LEAST_WEIGHT), 1 - LEAST_WEIGHT)
-    left, sensor = min(max(claim.left, 0.0), 1.0), site_label(SiteKind.SENSOR, "")
-    is_of_sensors = bool(claim.sites) and all(label.startswith(sensor) for label in claim.sites)
+    left = min(max(claim.left, 0.0), 1.0)
+    is_of_sensors = bool(claim.sites) and all(map(_is_sensor, claim.sites))
     return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors)
 
 
@@ -490,6 +522,19 @@ def deepest_established(claims: Sequence[Claim]) -> Claim | None:
     """The claim that says most of those that are established; of several the one that takes most."""
     established = [c for c in claims if c.is_established and c.depth > Depth.MISSING]
     return max(established, key=lambda c: (c.depth, c.share), default=None)
+
+
+def place_within_sensor_class(claims: Sequence[Claim]) -> Claim | None:
+    """The likeliest place of what is missing, where it is not established only because a sensor there may be off by as much."""
+    doubted = [
+        c
+        for c in claims
+        if c.depth is Depth.PLACE
+        and c.grade is Grade.PROBABLE
+        and c.probability >= ESTABLISHED_FROM
+        and 0 < c.size < SENSOR_CLASS
+    ]
+    return max(doubted, key=lambda c: c.probability, default=None)
 
 
 def read_verdict(

@@ -51,6 +51,7 @@ class DiscoveryCode(StrEnum):
     WORSE_ON_TEST = "worse_on_test"
     NEAREST_LOOK_ALIKE = "nearest_look_alike"
     HARDLY_VISIBLE = "hardly_visible"
+    WITHIN_SENSOR_CLASS = "within_sensor_class"
     MISSING_SIGNAL = "missing_signal"
     SURROGATE_FITTED = "surrogate_fitted"
     LAW_ESTABLISHED = "law_established"

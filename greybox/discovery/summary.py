@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.base import Finding
 from greybox.base.json_shape import to_values
-from greybox.discovery.claims import Claim, deepest_established, name_claim
+from greybox.discovery.claims import SENSOR_CLASS, Claim, deepest_established, name_claim, place_within_sensor_class
 from greybox.discovery.decision import Conclusion, Grade, Verdict
 from greybox.discovery.effect_signal import RemainingError
 from greybox.discovery.findings import DiscoveryCode
@@ -91,6 +91,9 @@ def summarise(
         )
     elif location.likeliest:
         missing.append(_missing_signal(judged, location, surrogate))
+    if not headline and (doubted := place_within_sensor_class(claims)) is not None:
+        values = {"size": doubted.size, "limit": SENSOR_CLASS}
+        missing.append(Finding(DiscoveryCode.WITHIN_SENSOR_CLASS, subject=doubted.output, values=values))
     headline = headline or [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
     if surrogate is None:
         return (*headline, *look_alike, *missing)

@@ -22,6 +22,7 @@ from greybox.discovery.holdout import HoldoutScores
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
+from greybox.estimation.transcription.problem import EstimationProblem
 
 # Blocks into which the records that were fitted, and those that judge, are divided: so many at least, so that there is something to
 # draw from...
@@ -66,6 +67,8 @@ class BlockSums:
         How many of the unknowns are constants.
     is_judging
         Which blocks are of the records that judge (B,).
+    reach
+        Range of the readings of each output over the noise (ny,).
     """
 
     square: np.ndarray
@@ -76,6 +79,7 @@ class BlockSums:
     high: np.ndarray
     constants: int
     is_judging: np.ndarray
+    reach: np.ndarray
 
     def refit(self, drawn: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The steps (R, n) to the optimum of each resample: ``drawn`` (R, B) counts its blocks, ``weight`` (ny,) its outputs."""
@@ -372,7 +376,16 @@ class LinearisedSet:
         low, high = variables.bounds()
         if not all(np.isfinite(sums).all() for sums in (square, gradient, curvature)):
             return None
-        return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges)
+        reach = measure_reach(self.candidate.problem)
+        return BlockSums(square, count, gradient, curvature, low, high, len(variables.which), judges, reach)
+
+
+def measure_reach(problem: EstimationProblem) -> np.ndarray:
+    """Range of the readings of each output over the noise (ny,); infinite for an output that nobody measured."""
+    readings = np.concatenate([record.samples(record.y) for record in problem.records])
+    seen = np.isfinite(readings)
+    low, high = np.where(seen, readings, np.inf).min(axis=0), np.where(seen, readings, -np.inf).max(axis=0)
+    return np.where(seen.any(axis=0), (high - low) / problem.noise.std, np.inf)
 
 
 def linearise_set(scores: HoldoutScores, candidate: FittedCandidate, blocks: int) -> LinearisedSet | None:

@@ -59,8 +59,11 @@ def test_lags_and_delays_are_one_family():
     )
 
 
-def fitted(*names, left=1.0, free=5, curve=False):
-    """A set on a table: the actuator with these effects, whose run leaves ``left`` times the noise on the records that judge."""
+def fitted(*names, left=1.0, free=5, curve=False, reach=100.0):
+    """A set on a table: the actuator with these effects, whose run leaves ``left`` times the noise on the records that judge.
+
+    The range of the readings is ``reach`` times the noise.
+    """
     model = micro_actuator
     for name in names:
         model = model + gb.effect(name)
@@ -69,7 +72,8 @@ def fitted(*names, left=1.0, free=5, curve=False):
     candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects))
     square = np.full((2, 2), left**2)
     none = np.zeros((2, 2, 0))
-    sums = BlockSums(square, np.ones((2, 2)), none, np.zeros((2, 2, 0, 0)), none, none, 0, np.array([False, True]))
+    judging, ranges = np.array([False, True]), np.full(2, reach)
+    sums = BlockSums(square, np.ones((2, 2)), none, np.zeros((2, 2, 0, 0)), none, none, 0, judging, ranges)
     return FittedSet(candidate, sums)
 
 
@@ -132,6 +136,24 @@ def test_sites_that_the_sensors_cannot_tell_apart_are_one_place():
     alike = (("balance force", "input u"),)
     claims = claims_of((fitted("constant_load"), 5), (fitted("input_offset"), 5), alike=alike)
     assert frequencies(claims, Depth.PLACE) == {(("balance force", "input u"), (), (), ""): 1.0}
+
+
+def test_a_place_that_may_be_a_sensor_is_not_established_by_what_a_sensor_may_be_off_by():
+    alike = (("balance force", "sensor of x"),)
+
+    def places(reach, *names):
+        plain = fitted(left=20.0, reach=reach), 0
+        won = [(fitted(name, reach=reach), 5) for name in names]
+        return [c for c in weigh_claims(draws(*won, plain), alike, (), 0.0) if c.depth is Depth.PLACE]
+
+    # The error of the plain model is 20 times the noise: 20 % of the range of the readings, or 0.2 %.
+    (large,) = places(100.0, "coulomb_friction", "sensor_lag")
+    (small,) = places(10_000.0, "coulomb_friction", "sensor_lag")
+    assert large.is_established and small.grade is Grade.PROBABLE
+    assert large.probability == small.probability
+    assert large.size == pytest.approx(np.sqrt(20.0**2 - 1) / 100) == 100 * small.size
+    # A name that always wins has beaten what sensors do, and one place in the plant is no sensor.
+    assert places(10_000.0, "coulomb_friction")[0].is_established
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():

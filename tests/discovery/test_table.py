@@ -21,7 +21,7 @@ def sums_of(jacobian, residual, blocks):
     curvature = np.array([[jacobian[r].T @ jacobian[r]] for r in rows])
     count = np.array([[len(r)] for r in rows])
     wide = np.full(jacobian.shape[1], np.inf)
-    return BlockSums(square, count, gradient, curvature, -wide, wide, len(wide), np.zeros(blocks, bool))
+    return BlockSums(square, count, gradient, curvature, -wide, wide, len(wide), np.zeros(blocks, bool), np.ones(1))
 
 
 def test_a_resample_is_refitted_as_least_squares_are():

@@ -333,6 +333,14 @@ def _claim_established(finding: Finding) -> str:
     return f"{text[0].upper()}{text[1:]}{share} ({probability_text(v['probability'])} certain). The name is open."
 
 
+def _within_sensor_class(finding: Finding) -> str:
+    v = finding.values
+    return (
+        f"It may be a sensor that is off: what is missing is {100 * v['size']:.2g} % of the range of {finding.subject}, and a sensor is"
+        f" commonly off by up to {100 * v['limit']:g} %."
+    )
+
+
 def _remaining_text(output: str, values: Mapping[str, Any]) -> str:
     text = f"{quantity_text(values['rmse'], values['unit'], beside=values.get('before', 0.0))} is left in {output}"
     if values["noise_ratio"] is not None:
@@ -579,6 +587,7 @@ register(
         DiscoveryCode.WORSE_ON_TEST: "What follows the estimation and the validation records best, {subject}, does worse than the plain"
         " model on the test records: the plain model is the answer.",
         DiscoveryCode.NEAREST_LOOK_ALIKE: "The nearest look-alike is {subject}.",
+        DiscoveryCode.WITHIN_SENSOR_CLASS: _within_sensor_class,
         DiscoveryCode.HARDLY_VISIBLE: lambda f: (
             "The estimation records hardly show it: the misfit of the plain model there is"
             f" {ratio_text(f.values['misfit'], f.values['bounded'])}."

@@ -92,6 +92,11 @@ FINDINGS = [
         "The estimation records hardly show it: the misfit of the plain model there is 1.02 times the noise.",
     ),
     (
+        Code.WITHIN_SENSOR_CLASS,
+        *("h", {"size": 0.0039, "limit": 0.01}),
+        "It may be a sensor that is off: what is missing is 0.39 % of the range of h, and a sensor is commonly off by up to 1 %.",
+    ),
+    (
         Code.MISSING_SIGNAL,
         *(
             "balance force",
