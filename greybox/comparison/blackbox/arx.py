@@ -4,30 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Finding, Severity
-from greybox.base.linear_algebra import RowTriangle
 from greybox.comparison.blackbox.linear_regression import (
     Orders,
     RegressionHistory,
     SampledData,
-    each_equation_block,
+    collect_equations,
     name_regressors,
     refuse_few_rows,
     solve_least_squares,
     to_orders,
     to_sampled_data,
 )
-from greybox.comparison.blackbox.polynomial import BlackBoxFinding, PolynomialModel, reflect_roots
+from greybox.comparison.blackbox.polynomial import BlackBoxFinding, PolynomialModel, PolynomialStructure, reflect_roots
 from greybox.data.experiment import Experiment
-
-if TYPE_CHECKING:
-    from greybox.comparison.blackbox.linear_regression import SampledData
-    from greybox.comparison.blackbox.polynomial import PolynomialModel
 
 # Checks of a fitted black-box model: weak excitation, instability, an unfinished search.
 
@@ -170,10 +165,7 @@ def _estimate(
     data: SampledData, orders: Orders, history: RegressionHistory, offset: bool, prefilter: np.ndarray | None
 ) -> PolynomialModel:
     """The least-squares estimate, its equations filtered by ``1 / prefilter`` from the first one of each record or segment on."""
-    equations = RowTriangle()
-    for record in data.records:
-        for block in each_equation_block(record, orders, offset, history, prefilter):
-            equations.add(block)
+    equations = collect_equations(data, orders, offset, history, prefilter)
     names = name_regressors(data, orders, offset)
     na, nb, nk = orders.na, orders.nb, orders.nk
     label = f"arx({na}, {list(nb)}, {list(nk)})" if len(nb) > 1 else f"arx({na}, {nb[0]}, {nk[0]})"
@@ -181,18 +173,9 @@ def _estimate(
     theta, inverse, squares = solve_least_squares(equations, names, label)
     # s^2 = V / (N - p), cov theta = s^2 (Phi'Phi)^-1
     variance = squares / (equations.rows - len(theta))
-    a, remainder = theta[:na], theta[na:]
-    ends = np.cumsum(nb)
-    numerators = np.split(remainder[: ends[-1]], ends[:-1])
-    return PolynomialModel(
-        kind="arx",
-        output=data.output,
-        inputs=data.inputs,
-        sampling_time=data.sampling_time,
-        nk=nk,
-        a=np.append(1.0, a),
-        b=tuple(np.append(np.zeros(k), numerator) for k, numerator in zip(nk, numerators, strict=True)),
-        constant=float(remainder[-1]) if offset else None,
+    structure = PolynomialStructure("arx", orders, (0,) * len(nb), offset=offset)
+    return replace(
+        structure.model(theta, data),
         noise_std=float(np.sqrt(variance)),
         covariance=variance * inverse,
         samples=equations.rows,

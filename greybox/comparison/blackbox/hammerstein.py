@@ -13,34 +13,33 @@ from numpy.polynomial.chebyshev import chebvander
 from greybox.base.errors import DataError, ModelError, nearest
 from greybox.base.findings import Finding
 from greybox.base.values import Printable
-from greybox.comparison.blackbox.arx import find_instability, find_unfinished_search
 from greybox.comparison.blackbox.linear_regression import (
     FunctionSignal,
     Orders,
     RowSignal,
     SampledData,
-    SampledRecord,
     each_block,
     refuse_few_rows,
-    to_orders,
     to_sampled_data,
 )
-from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure, to_order
+from greybox.comparison.blackbox.polynomial import InitialChoice, PolynomialModel, PolynomialStructure
 from greybox.comparison.blackbox.prediction_error import (
     DEFAULT_SEARCH,
     HistoryTreatment,
     PredictionErrorMinimum,
     PredictionErrorPolicy,
+    PredictionErrorProblem,
     PredictionErrors,
     check_history,
-    compute_prediction_errors,
     estimate_armax_starts,
     estimate_output_error_starts,
+    finish_model,
     minimise_prediction_errors,
     refuse_collinear,
     split_records,
     stabilise,
 )
+from greybox.comparison.blackbox.prediction_error_models import make_structure
 from greybox.data.experiment import Experiment
 
 # Static nonlinearities of an input: polynomials and piecewise linear functions, as sums of basis functions.
@@ -256,19 +255,12 @@ def hammerstein(
     if int(basis_size) != basis_size or basis_size < 1:
         raise DataError(f"hammerstein: basis_size = {basis_size}; give a whole number from 1 (1: a straight line)")
     data = to_sampled_data(experiments, output, inputs)
-    orders = to_orders(data, nb, nk, na, "hammerstein")
-    poles = (nf,) * len(orders.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
-    if na and any(poles):
+    if na and np.any(nf):
         raise DataError(
             f"hammerstein: na = {na} and nf = {nf}; the linear part is an ARX model (na) or an output error (nf)"
         )
-    if len(poles) != len(orders.nb):
-        raise DataError(
-            f"hammerstein: nf has {len(poles)} numbers for {len(orders.nb)} inputs; give one number, or one for each"
-        )
-    structure = PolynomialStructure(
-        "arx" if na else "output error", orders, tuple(to_order("nf", n, "hammerstein") for n in poles), offset=offset
-    )
+    kind = "arx" if na else "output error"
+    structure = make_structure(kind, data, nb=nb, nk=nk, na=na, nf=nf, offset=offset, refused_as="hammerstein")
     return fit_hammerstein(structure, data, shape, basis_size, history, units, policy)
 
 
@@ -295,23 +287,22 @@ def fit_hammerstein(
     label = HammersteinModel(curves, structure.model(np.zeros(structure.size), data)).label
     count = int(sum(np.isfinite(part.y).sum() for part in problem.parts))
     refuse_few_rows(data, label, count, problem.size, history)
-    starts = sorted(problem.starts(policy), key=lambda start: start[0].evaluate(start[1], False).squares)
+    starts = sorted(problem.starts(), key=lambda start: start[0].evaluate(start[1], False).squares)
     # Short searches from the best starts, a long one from the best of these.
-    minima = [(p, p.minimise(theta, policy, policy.first_iterations)) for p, theta in starts[: policy.starts]]
+    minima = [
+        (p, minimise_prediction_errors(p, theta, policy=policy, iterations=policy.first_iterations))
+        for p, theta in starts[: policy.starts]
+    ]
     problem, best = min(minima, key=lambda pair: pair[1].errors.squares)
     if not best.converged:
-        best = problem.minimise(best.theta, policy, policy.iterations)
+        best = minimise_prediction_errors(problem, best.theta, policy=policy)
     return _finish(problem, best, count, label, history, units or {})
 
 
 @dataclass(frozen=True, eq=False)
-class _HammersteinProblem:
+class _HammersteinProblem(PredictionErrorProblem):
     """The unknowns: coefficients of the linear part, then the weights of each curve without its largest, which sets the scale."""
 
-    structure: PolynomialStructure
-    data: SampledData
-    parts: tuple[SampledRecord, ...]
-    rest: bool
     curves: tuple[StaticNonlinearity, ...]
 
     @property
@@ -343,13 +334,12 @@ class _HammersteinProblem:
     def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
         n, weights = self.structure.size, self.weights(theta)
         curves = [c.with_weights(w) for c, w in zip(self.curves, weights, strict=True)]
-        parts = [
+        parts = tuple(
             replace(p, signals=tuple(FunctionSignal(b.values, c) for b, c in zip(p.basis, curves, strict=True)))
             for p in self.parts
-        ]
-        errors = compute_prediction_errors(
-            self.structure, theta[:n], self.data, parts, rest=self.rest, with_gradient=with_gradient
         )
+        linear = PredictionErrorProblem(self.structure, self.data, parts, self.rest)
+        errors = linear.evaluate(theta[:n], with_gradient)
         if not with_gradient:
             return errors
         # The largest weight of each curve sets its scale and stays: curve and gain could trade a factor for ever.
@@ -359,11 +349,7 @@ class _HammersteinProblem:
         kept = np.delete(errors.triangle, fixed, axis=1)
         return replace(errors, triangle=np.asarray(np.linalg.qr(kept, mode="r")))
 
-    def minimise(self, theta: np.ndarray, policy: PredictionErrorPolicy, iterations: int) -> PredictionErrorMinimum:
-        """The search from ``theta`` (p,)."""
-        return minimise_prediction_errors(self.evaluate, self.stabilise, theta, policy=policy, iterations=iterations)
-
-    def starts(self, policy: PredictionErrorPolicy) -> Iterator[tuple[_HammersteinProblem, np.ndarray]]:
+    def starts(self) -> Iterator[tuple[_HammersteinProblem, np.ndarray]]:
         """Linear estimates with every basis function as an input of its own, their numerators then made multiples of one
         (the nearest matrix of rank one, Bai 1998)."""
         orders, counts = self.structure.orders, [len(c.weights) for c in self.curves]
@@ -428,15 +414,5 @@ def _finish(
         curves.append(curve.with_weights(weights * scale))
         b.append(model.b[i] / scale)
     freedom = count - problem.size - best.errors.states
-    linear = replace(
-        model,
-        b=tuple(b),
-        noise_std=float(np.sqrt(best.errors.squares / max(freedom, 1))),
-        samples=count,
-        loss=best.errors.squares / count,
-        history=history,
-        units=dict(units),
-        focus="prediction" if structure.orders.na else "simulation",
-        findings=(*find_unfinished_search(best.converged, best.iterations), *find_instability(model)),
-    )
+    linear = finish_model(replace(model, b=tuple(b)), best, count, max(freedom, 1), history, units)
     return HammersteinModel(tuple(curves), linear)

@@ -332,6 +332,21 @@ def each_equation_block(
             end = rows.start + run.stop
 
 
+def collect_equations(
+    data: SampledData,
+    orders: Orders,
+    offset: bool,
+    history: RegressionHistory,
+    prefilter: np.ndarray | None = None,
+) -> RowTriangle:
+    """All known equations of the records, each record filtered by ``1 / prefilter`` from its first equation or the one behind a gap on."""
+    equations = RowTriangle()
+    for record in data.records:
+        for block in each_equation_block(record, orders, offset, history, prefilter):
+            equations.add(block)
+    return equations
+
+
 def refuse_few_rows(data: SampledData, label: str, equations: int, unknowns: int, history: str) -> None:
     """DataError where there are not more equations than unknowns."""
     if equations > unknowns:

@@ -15,7 +15,7 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import NEGLIGIBLE_JUMP
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import arx
-from greybox.comparison.blackbox.linear_regression import to_sampled_data
+from greybox.comparison.blackbox.linear_regression import SampledData, to_sampled_data
 from greybox.comparison.blackbox.polynomial import BlackBoxFinding, InitialChoice, PolynomialModel
 from greybox.comparison.blackbox.rounding import ContinuousTransferFunction
 from greybox.data.experiment import Experiment
@@ -537,18 +537,14 @@ def compare_numerators(
     edge = int(np.flatnonzero(experiment.inputs[smoothing.input])[0])
     rows = np.arange(experiment.rows) - edge
     smooth = experiment.with_outputs({smoothing.output: smoothing.response(rows * smoothing.sampling_time)})
-    return tuple(_structure(experiment, smooth, smoothing, *s) for s in structures)
-
-
-def _structure(
-    measured: Experiment, smooth: Experiment, smoothing: MonteCarloSmoothing, order: int, first: int, last: int
-) -> NumeratorComparison:
-    direct, direct_model, problem = _fit_arx(measured, measured, smoothing, order, first, last)
-    smoothed, smoothed_model, other = _fit_arx(smooth, measured, smoothing, order, first, last)
-    remark = "; ".join(f"{name}: {text}" for name, text in (("D-E", problem), ("S-E", other)) if text)
-    return NumeratorComparison(
-        order, tuple(range(first, last + 1)), direct, smoothed, direct_model, smoothed_model, remark
-    )
+    compared = []
+    for order, first, last in structures:
+        fits = (_fit_arx(record, experiment, smoothing, order, first, last) for record in (experiment, smooth))
+        (direct, direct_model, problem), (smoothed, smoothed_model, other) = fits
+        remark = "; ".join(f"{name}: {text}" for name, text in (("D-E", problem), ("S-E", other)) if text)
+        lags = tuple(range(first, last + 1))
+        compared.append(NumeratorComparison(order, lags, direct, smoothed, direct_model, smoothed_model, remark))
+    return tuple(compared)
 
 
 def _fit_arx(
@@ -649,11 +645,11 @@ def monte_carlo_smoothing(
     if evaluations < 1 or adjustments < 0:
         raise DataError(f"{evaluations} evaluations, {adjustments} adjustments; give at least 1 and 0")
     generator, counts = np.random.default_rng(seed), draws or DrawCounts()
-    step = _extract_step(experiment, output, input)
-    time, y = step.time, step.y
+    data, height, y = _extract_step(experiment, output, input)
+    time = data.sampling_time * np.arange(len(y))
     chosen = intervals if isinstance(intervals, DrawIntervals) else None
     if chosen is None:
-        chosen = estimate_intervals(time, y, step.sampling_time, spectrum_points).with_some(intervals or {})  # type: ignore[arg-type]
+        chosen = estimate_intervals(time, y, data.sampling_time, spectrum_points).with_some(intervals or {})  # type: ignore[arg-type]
     rounds: list[SmoothingRound] = []
     while True:
         evaluated: list[StepResponseConstants] = []
@@ -670,10 +666,10 @@ def monte_carlo_smoothing(
         chosen = chosen.around({axis: getattr(best_yet, axis) for axis in AXES})
     best_of_all = min((r.best for r in rounds), key=lambda c: c.error)
     return MonteCarloSmoothing(
-        step.output,
-        step.input,
-        step.sampling_time,
-        step.height,
+        data.output,
+        data.inputs[0],
+        data.sampling_time,
+        height,
         best_of_all,
         len(y),
         tuple(rounds),
@@ -695,23 +691,14 @@ def _is_good_enough(rounds: Sequence[SmoothingRound], specification: float | Non
     return len(errors) > 1 and errors[-1] > (1 - SMOOTHING_IMPROVEMENT) * min(errors[:-1])
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """The response from the step on: ``time`` (N,) in seconds after it, ``y`` (N,), ``height`` of the step."""
-
-    output: str
-    input: str
-    sampling_time: float
-    height: float
-    time: np.ndarray
-    y: np.ndarray
-
-
 # Rows after the step that are needed for a spectrum and a final value.
 SMOOTHING_FEWEST_ROWS = 32
 
 
-def _extract_step(experiment: Experiment, output: str | None, input: str | None) -> _Step:
+def _extract_step(
+    experiment: Experiment, output: str | None, input: str | None
+) -> tuple[SampledData, float, np.ndarray]:
+    """The signals of a record that is one step from zero, the step's height, and the output (N,) from the step on."""
     data = to_sampled_data(experiment, output, input)
     (record,) = data.records
     if len(data.inputs) > 1:
@@ -741,4 +728,4 @@ def _extract_step(experiment: Experiment, output: str | None, input: str | None)
         raise DataError(
             f"experiment {experiment.name!r}: {len(y)} rows after the step; smoothing needs {SMOOTHING_FEWEST_ROWS} and a final value"
         )
-    return _Step(data.output, name, record.sampling_time, float(u[edge]), record.sampling_time * np.arange(len(y)), y)
+    return data, float(u[edge]), y

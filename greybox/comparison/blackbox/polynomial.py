@@ -464,15 +464,9 @@ def simulate_free_run(
 ) -> np.ndarray:
     """Output (N,) of ``A y = sum B / F u + constant`` from the ``initial`` state."""
     _check_initial(initial)
-    y = np.empty(record.rows)
     with np.errstate(over="ignore", invalid="ignore"):
         # A y = sum B / F u + constant, hence y = sum B / (A F) u + constant / A
-        constant = BlockFilter(ONE, model.a)
-        inputs = [BlockFilter(b, np.convolve(model.a, f)) for b, f in zip(model.b, model.f, strict=True)]
-        for part in each_block(record.rows):
-            y[part] = constant(np.full(part.stop - part.start, model.constant or 0.0))
-            for through, signal in zip(inputs, record.signals, strict=True):
-                y[part] += through(signal[part])
+        y = _drive(model, record, ONE, model.a)
         if initial == "zero":
             return y
         _add_past(model, y, lambda free: estimate_initial_state(free, record.y, y, initial, rows))
@@ -498,7 +492,7 @@ def predict_ahead(
     alpha, gaps = np.convolve(model.a, model.d), np.isnan(record.y)
     responses = in_gaps = np.empty((0, 0))
     with np.errstate(over="ignore", invalid="ignore"):
-        e, filled = _innovations(alpha, model.c, gaps, record.y, _drive(model, record)[:, None])
+        e, filled = _innovations(alpha, model.c, gaps, record.y, _drive(model, record, model.d, ONE)[:, None])
         if initial != "zero":
             # In a gap what was before the record lives on in the value that takes the measurement's place, as long as A and D have it.
             memory = count_rows_of_memory(model, record.rows, model.c, *[alpha] * bool(gaps.any()))
@@ -524,11 +518,11 @@ def predict_ahead(
     return ahead, innovation
 
 
-def _drive(model: PolynomialModel, record: SampledRecord) -> np.ndarray:
-    """``sum D B / F u + D constant`` (N,), from rest."""
+def _drive(model: PolynomialModel, record: SampledRecord, above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """``sum B / F u + constant`` behind the filter ``above / below`` (N,), from rest."""
     driven = np.empty(record.rows)
-    constant = BlockFilter(model.d, ONE)
-    inputs = [BlockFilter(np.convolve(b, model.d), f) for b, f in zip(model.b, model.f, strict=True)]
+    constant = BlockFilter(above, below)
+    inputs = [BlockFilter(np.convolve(b, above), np.convolve(below, f)) for b, f in zip(model.b, model.f, strict=True)]
     for part in each_block(record.rows):
         driven[part] = constant(np.full(part.stop - part.start, model.constant or 0.0))
         for through, signal in zip(inputs, record.signals, strict=True):

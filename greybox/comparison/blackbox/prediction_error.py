@@ -29,9 +29,9 @@ from greybox.comparison.blackbox.linear_regression import (
     SampledData,
     SampledRecord,
     build_regressors,
+    collect_equations,
     delayed_columns,
     each_block,
-    each_equation_block,
     refuse_few_rows,
 )
 from greybox.comparison.blackbox.polynomial import (
@@ -126,7 +126,7 @@ class PredictionErrorMinimum:
 
 @dataclass(frozen=True, eq=False)
 class PredictionErrorProblem:
-    """A structure and the parts of the records that it is fitted to; ``rest``: all was zero before them."""
+    """A structure and the parts of the records that it is fitted to; ``rest``: all was zero before them, nothing is projected out."""
 
     structure: PolynomialStructure
     data: SampledData
@@ -134,10 +134,23 @@ class PredictionErrorProblem:
     rest: bool
 
     def evaluate(self, theta: np.ndarray, with_gradient: bool) -> PredictionErrors:
-        """Errors at the coefficients ``theta`` (p,)."""
-        return compute_prediction_errors(
-            self.structure, theta, self.data, self.parts, rest=self.rest, with_gradient=with_gradient
-        )
+        """Errors at the coefficients ``theta`` (p,), and their gradient if wanted.
+
+        Behind the derivatives to ``theta`` stand those to the weights of each input's ``basis``, where the parts have them.
+        """
+        model = self.structure.model(theta, self.data)
+        rows, squares, states = RowTriangle(), 0.0, 0
+        count = 0
+        for part in self.parts:
+            for errors, gradient, projected in _each_block_of_errors(
+                self.structure, model, part, self.rest, with_gradient
+            ):
+                with np.errstate(over="ignore", invalid="ignore"):
+                    squares += float(errors @ errors)
+                count, states = count + len(errors), states + projected
+                if with_gradient:
+                    rows.add(np.column_stack([gradient, errors]))
+        return PredictionErrors(squares if np.isfinite(squares) else np.inf, count, states, rows.values)
 
     def stabilise(self, theta: np.ndarray) -> np.ndarray:
         """The coefficients with stable filters."""
@@ -165,7 +178,11 @@ def fit_prediction_error(
     states = max((e.states for e in errors), default=0)
     refuse_few_rows(data, label, count - states, structure.size, history)
     best = minimise_from_starts(problem, starts, [e.squares for e in errors], policy)
-    return _finish(structure, data, best, count, label, history, units or {})
+    model = structure.model(best.theta, data)
+    refuse_collinear(best.errors, list(model.coefficients), label)
+    freedom = count - structure.size - best.errors.states
+    covariance = estimate_coefficient_covariance(best.errors, freedom)
+    return replace(finish_model(model, best, count, freedom, history, units or {}), covariance=covariance)
 
 
 def check_history(history: str) -> None:
@@ -183,32 +200,6 @@ def split_records(data: SampledData, structure: PolynomialStructure) -> tuple[Sa
         return data.records
     least = 2 * max(structure.orders.reach, structure.nc, *structure.nf) + structure.nd + 2
     return tuple(part for record in data.records for part in record.segments(least))
-
-
-def compute_prediction_errors(
-    structure: PolynomialStructure,
-    theta: np.ndarray,
-    data: SampledData,
-    parts: Sequence[SampledRecord],
-    *,
-    rest: bool,
-    with_gradient: bool,
-) -> PredictionErrors:
-    """Errors at ``theta``, and their gradient if wanted; ``rest``: everything was zero before each record, nothing is projected out.
-
-    Behind the derivatives to ``theta`` stand those to the weights of each input's ``basis``, where the parts have them.
-    """
-    model = structure.model(theta, data)
-    rows, squares, states = RowTriangle(), 0.0, 0
-    count = 0
-    for part in parts:
-        for errors, gradient, projected in _each_block_of_errors(structure, model, part, rest, with_gradient):
-            with np.errstate(over="ignore", invalid="ignore"):
-                squares += float(errors @ errors)
-            count, states = count + len(errors), states + projected
-            if with_gradient:
-                rows.add(np.column_stack([gradient, errors]))
-    return PredictionErrors(squares if np.isfinite(squares) else np.inf, count, states, rows.values)
 
 
 def _each_block_of_errors(
@@ -393,34 +384,26 @@ def minimise_from_starts(
             distinct.append(k)
     followed = distinct[: policy.starts]
     first = policy.first_iterations if len(followed) > 1 else policy.iterations
-    minima = [
-        minimise_prediction_errors(problem.evaluate, problem.stabilise, starts[k], policy=policy, iterations=first)
-        for k in followed
-    ]
+    minima = [minimise_prediction_errors(problem, starts[k], policy=policy, iterations=first) for k in followed]
     best = min(minima, key=lambda m: m.errors.squares)
     if best.converged or first == policy.iterations:
         return best
-    return minimise_prediction_errors(problem.evaluate, problem.stabilise, best.theta, policy=policy)
+    return minimise_prediction_errors(problem, best.theta, policy=policy)
 
 
 def minimise_prediction_errors(
-    evaluate: Callable[[np.ndarray, bool], PredictionErrors],
-    stabilise: Callable[[np.ndarray], np.ndarray],
+    problem: PredictionErrorProblem,
     start: np.ndarray,
     *,
     policy: PredictionErrorPolicy = DEFAULT_SEARCH,
     iterations: int | None = None,
 ) -> PredictionErrorMinimum:
-    """Damped Gauss-Newton steps from ``start`` (p,).
-
-    ``evaluate`` gives the errors, with their gradient if its second argument says so; ``stabilise`` maps coefficients to allowed
-    ones. ``iterations``: None takes those of the ``policy``.
-    """
-    begin = stabilise(start)
+    """Damped Gauss-Newton steps from ``start`` (p,); ``iterations``: None takes those of the ``policy``."""
+    begin = problem.stabilise(start)
     unbounded = np.full(len(begin), np.inf)
-    first = _ErrorModel.at(evaluate(begin, True))
+    first = _ErrorModel.at(problem.evaluate(begin, True))
     result = minimise(
-        lambda theta: _ErrorModel.at(evaluate(theta, True)),
+        lambda theta: _ErrorModel.at(problem.evaluate(theta, True)),
         begin,
         -unbounded,
         unbounded,
@@ -428,8 +411,8 @@ def minimise_prediction_errors(
         value_at_start=first,
         iterations=policy.iterations if iterations is None else iterations,
         termination_test=Termination(policy.termination, count=first.errors.count).test,
-        project=stabilise,
-        cost=lambda theta: evaluate(theta, False).squares,
+        project=problem.stabilise,
+        cost=lambda theta: problem.evaluate(theta, False).squares,
         policy=MinimisationPolicy(damped=policy.damped),
     )
     # Where no step is short enough to help, the errors are as small as rounding allows.
@@ -498,26 +481,21 @@ def refuse_collinear(errors: PredictionErrors, names: Sequence[str], label: str)
         )
 
 
-def _finish(
-    structure: PolynomialStructure,
-    data: SampledData,
+def finish_model(
+    model: PolynomialModel,
     best: PredictionErrorMinimum,
     count: int,
-    label: str,
+    freedom: int,
     history: str,
     units: Mapping[str, str],
 ) -> PolynomialModel:
-    model = structure.model(best.theta, data)
-    errors = best.errors
-    refuse_collinear(errors, list(model.coefficients), label)
-    freedom = count - structure.size - errors.states
-    has_noise_model = bool(structure.orders.na or structure.nc or structure.nd)
+    """The model with its noise, of ``count`` errors with so much ``freedom``, and with what is to be known of its search."""
+    has_noise_model = len(model.a) + len(model.c) + len(model.d) > 3
     return replace(
         model,
-        noise_std=float(np.sqrt(errors.squares / freedom)),
-        covariance=estimate_coefficient_covariance(errors, freedom),
+        noise_std=float(np.sqrt(best.errors.squares / freedom)),
         samples=count,
-        loss=errors.squares / count,
+        loss=best.errors.squares / count,
         history=history,
         units=dict(units),
         focus="prediction" if has_noise_model else "simulation",
@@ -532,10 +510,7 @@ def solve_equations(
     data: SampledData, orders: Orders, offset: bool, rest: bool, prefilter: np.ndarray | None = None
 ) -> np.ndarray:
     """Least squares of smallest norm (p,) of the usable ARX equations, those of each record filtered by ``1 / prefilter``."""
-    equations = RowTriangle()
-    for record in data.records:
-        for block in each_equation_block(record, orders, offset, "zero" if rest else "measured", prefilter):
-            equations.add(block)
+    equations = collect_equations(data, orders, offset, "zero" if rest else "measured", prefilter)
     return _solve(equations, orders.na + sum(orders.nb) + offset)
 
 
@@ -603,9 +578,8 @@ def estimate_box_jenkins_starts(structure: PolynomialStructure, data: SampledDat
     """Candidates for ``B / F`` as of an output error, the best of them with ``C / D`` from its residual."""
     plain = replace(structure, kind="output error", nc=0, nd=0)
     starts = estimate_output_error_starts(plain, data, rest)
-    squares = [
-        compute_prediction_errors(plain, s, data, data.records, rest=rest, with_gradient=False).squares for s in starts
-    ]
+    problem = PredictionErrorProblem(plain, data, data.records, rest)
+    squares = [problem.evaluate(start, False).squares for start in starts]
     noise = PolynomialStructure("arma", Orders(structure.nd, (), ()), (), nc=structure.nc)
     candidates = []
     for start in (starts[k] for k in np.argsort(squares)[:2]):
@@ -674,7 +648,7 @@ def _with_best_numerators(
     start = np.concatenate(parts)
     linear = [*range(1, 1 + n), len(parts) - 1]
     free = np.concatenate([np.full(size, k in linear) for k, size in enumerate(structure.sizes)])
-    errors = compute_prediction_errors(structure, start, data, data.records, rest=rest, with_gradient=True)
+    errors = PredictionErrorProblem(structure, data, data.records, rest).evaluate(start, True)
     assert errors.triangle is not None
     start[free] = QuadraticModel.from_residuals(errors.gradient[:, free], errors.triangle[:, -1]).bounded_step()
     return start

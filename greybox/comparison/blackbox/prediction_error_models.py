@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from greybox.comparison.blackbox.prediction_error import (
     DEFAULT_SEARCH,
     HistoryTreatment,
     PredictionErrorPolicy,
+    Starts,
     check_history,
     estimate_armax_starts,
     estimate_box_jenkins_starts,
@@ -82,12 +84,7 @@ def armax(
     --------
     >>> model = gb.blackbox.armax(record, na=2, nb=2, nc=1)  # doctest: +SKIP
     """
-    check_history(history)
-    data = to_sampled_data(experiments, output, inputs)
-    structure = make_armax_structure(data, na, nb, nc, nk, offset=offset)
-    model = fit_prediction_error(structure, data, estimate_armax_starts, history, units, policy)
-    weak = find_weak_excitation(data, structure.orders.na + sum(structure.orders.nb), structure.orders.nb)
-    return replace(model, findings=(*weak, *model.findings))
+    return _fit("armax", experiments, output, inputs, history, units, policy, na=na, nb=nb, nc=nc, nk=nk, offset=offset)
 
 
 def output_error(
@@ -145,11 +142,7 @@ def output_error(
     --------
     >>> model = gb.blackbox.output_error(record, nb=2, nf=2)  # doctest: +SKIP
     """
-    check_history(history)
-    data = to_sampled_data(experiments, output, inputs)
-    structure = make_output_structure("output error", data, nb, nf, nk, offset=offset)
-    model = fit_prediction_error(structure, data, estimate_output_error_starts, history, units, policy)
-    return _with_excitation(structure, data, model)
+    return _fit("output error", experiments, output, inputs, history, units, policy, nb=nb, nf=nf, nk=nk, offset=offset)
 
 
 def box_jenkins(
@@ -212,50 +205,71 @@ def box_jenkins(
     --------
     >>> model = gb.blackbox.box_jenkins(record, nb=2, nf=2, nc=1, nd=1)  # doctest: +SKIP
     """
+    return _fit(
+        "box-jenkins",
+        experiments,
+        output,
+        inputs,
+        history,
+        units,
+        policy,
+        nb=nb,
+        nf=nf,
+        nc=nc,
+        nd=nd,
+        nk=nk,
+        offset=offset,
+    )
+
+
+# Where the search of each kind starts.
+STARTS: Mapping[str, Starts] = {
+    "armax": estimate_armax_starts,
+    "output error": estimate_output_error_starts,
+    "box-jenkins": estimate_box_jenkins_starts,
+}
+
+
+def _fit(
+    kind: str,
+    experiments: Experiment | Sequence[Experiment],
+    output: str | None,
+    inputs: Sequence[str] | str | None,
+    history: HistoryTreatment,
+    units: Mapping[str, str] | None,
+    policy: PredictionErrorPolicy,
+    **orders: Any,
+) -> PolynomialModel:
     check_history(history)
     data = to_sampled_data(experiments, output, inputs)
-    kind = "box-jenkins"
-    noise = {"nc": to_order("nc", nc, kind), "nd": to_order("nd", nd, kind)}
-    structure = make_output_structure(kind, data, nb, nf, nk, offset=offset, **noise)
-    model = fit_prediction_error(structure, data, estimate_box_jenkins_starts, history, units, policy)
-    return _with_excitation(structure, data, model)
+    structure = make_structure(kind, data, **orders)
+    model = fit_prediction_error(structure, data, STARTS[kind], history, units, policy)
+    # An input has to be exciting for its own coefficients, numerator and poles.
+    needed = [nb + nf for nb, nf in zip(structure.orders.nb, structure.nf, strict=True)]
+    weak = find_weak_excitation(data, structure.orders.na + sum(needed), needed)
+    return replace(model, findings=(*weak, *model.findings))
 
 
-def make_armax_structure(
-    data: SampledData,
-    na: int,
-    nb: int | Sequence[int],
-    nc: int,
-    nk: int | Sequence[int],
-    *,
-    offset: bool = False,
-) -> PolynomialStructure:
-    """Structure of an ARMAX model, its orders spread over the inputs. Raises DataError for impossible orders."""
-    orders = to_orders(data, nb, nk, na, "armax")
-    return PolynomialStructure("armax", orders, (0,) * len(orders.nb), nc=to_order("nc", nc, "armax"), offset=offset)
-
-
-def make_output_structure(
+def make_structure(
     kind: str,
     data: SampledData,
-    nb: int | Sequence[int],
-    nf: int | Sequence[int],
-    nk: int | Sequence[int],
     *,
+    nb: int | Sequence[int],
+    nk: int | Sequence[int],
+    na: int = 0,
+    nf: int | Sequence[int] = 0,
     nc: int = 0,
     nd: int = 0,
     offset: bool = False,
+    refused_as: str = "",
 ) -> PolynomialStructure:
-    """Structure with ``A = 1``, its orders spread over the inputs. Raises DataError for impossible orders."""
-    orders = to_orders(data, nb, nk, 0, kind)
+    """Structure with its orders spread over the inputs; DataError, under the name ``refused_as``, for impossible orders."""
+    name = refused_as or kind
+    nc, nd = to_order("nc", nc, name), to_order("nd", nd, name)
+    orders = to_orders(data, nb, nk, na, name)
     poles = (nf,) * len(orders.nb) if isinstance(nf, (int, np.integer)) else tuple(nf)
     if len(poles) != len(orders.nb):
         raise DataError(
-            f"{kind}: nf has {len(poles)} numbers for {len(orders.nb)} inputs; give one number, or one for each"
+            f"{name}: nf has {len(poles)} numbers for {len(orders.nb)} inputs; give one number, or one for each"
         )
-    return PolynomialStructure(kind, orders, tuple(to_order("nf", n, kind) for n in poles), nc=nc, nd=nd, offset=offset)
-
-
-def _with_excitation(structure: PolynomialStructure, data: SampledData, model: PolynomialModel) -> PolynomialModel:
-    needed = [nb + nf for nb, nf in zip(structure.orders.nb, structure.nf, strict=True)]
-    return replace(model, findings=(*find_weak_excitation(data, sum(needed), needed), *model.findings))
+    return PolynomialStructure(kind, orders, tuple(to_order("nf", n, name) for n in poles), nc, nd, offset)

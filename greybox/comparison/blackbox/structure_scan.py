@@ -16,17 +16,14 @@ from greybox.base.values import Printable
 from greybox.comparison.blackbox.arx import fit_arx
 from greybox.comparison.blackbox.hammerstein import HammersteinModel, fit_hammerstein
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
-from greybox.comparison.blackbox.polynomial import PolynomialModel, to_order
+from greybox.comparison.blackbox.polynomial import PolynomialModel
 from greybox.comparison.blackbox.prediction_error import (
     DEFAULT_SEARCH,
     HistoryTreatment,
     PredictionErrorPolicy,
-    estimate_armax_starts,
-    estimate_box_jenkins_starts,
-    estimate_output_error_starts,
     fit_prediction_error,
 )
-from greybox.comparison.blackbox.prediction_error_models import make_armax_structure, make_output_structure
+from greybox.comparison.blackbox.prediction_error_models import STARTS, make_structure
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.errors import OutputScore
 from greybox.estimation.optim.minimisation import TerminationPolicy
@@ -326,18 +323,12 @@ def fit_structure(
         passes = 1 if orders.get("focus") == "simulation" else 0
         arx_history: Literal["zero", "measured"] = "zero" if at_rest else "measured"
         return fit_arx(data, arx_orders, history=arx_history, offset=offset, passes=passes)
-    if kind == BlackBoxKind.ARMAX:
-        structure = make_armax_structure(data, orders["na"], orders["nb"], orders["nc"], orders["nk"], offset=offset)
-        return fit_prediction_error(structure, data, estimate_armax_starts, history, policy=policy)
-    nc, nd = (to_order(letter, orders.get(letter, 0), kind) for letter in ("nc", "nd"))
-    linear_kind = BlackBoxKind.OUTPUT_ERROR if kind == BlackBoxKind.HAMMERSTEIN else kind
-    structure = make_output_structure(
-        str(linear_kind), data, orders["nb"], orders["nf"], orders["nk"], nc=nc, nd=nd, offset=offset
-    )
+    letters = {letter: orders[letter] for letter in ("nb", "nk", "na", "nf", "nc", "nd") if letter in orders}
+    linear_kind = str(BlackBoxKind.OUTPUT_ERROR if kind == BlackBoxKind.HAMMERSTEIN else kind)
+    structure = make_structure(linear_kind, data, **letters, offset=offset)
     if kind == BlackBoxKind.HAMMERSTEIN:
         return fit_hammerstein(structure, data, orders["shape"], orders["basis_size"], history, policy=policy)
-    estimate_starts = estimate_output_error_starts if kind == BlackBoxKind.OUTPUT_ERROR else estimate_box_jenkins_starts
-    return fit_prediction_error(structure, data, estimate_starts, history, policy=policy)
+    return fit_prediction_error(structure, data, STARTS[kind], history, policy=policy)
 
 
 def get_linear_part(model: BlackBox) -> PolynomialModel:
