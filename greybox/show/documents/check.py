@@ -13,9 +13,9 @@ from greybox.estimation.identifiability.practical import ExpectedPrecision
 from greybox.model import equations_text
 from greybox.show.documents.fit import OPEN_RECORDS
 from greybox.show.documents.tables import format_sampling_time, provenance_section, signal_units, typeset_equations
+from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
-from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
 from greybox.show.sentences.model import write_places
 from greybox.show.sentences.wording import capitalise, format_number, join_names, record_text
@@ -237,7 +237,7 @@ def _data(check: ModelCheck) -> Iterator[doc.Block]:
         yield doc.BulletList(list(lines))
     units = signal_units(check.model)
     drawn = check.experiments[:RECORDS_OF_CHECK]
-    stretches = PAGE.stretches(sum(len(e.inputs) + len(e.outputs) for e in drawn))
+    stretches = stretches_on_page(sum(len(e.inputs) + len(e.outputs) for e in drawn))
     for k, e in enumerate(drawn):
         figures = plot_outputs(e, units, f"outputs-{k}"), plot_inputs(e, units, f"inputs-{k}")
         blocks = [doc.FigureBlock(f, stretches, group=f"{k}") for f in figures if f is not None]

@@ -15,7 +15,7 @@ from greybox.estimation.result import Fit
 from greybox.show.documents.fit import OPEN_RECORDS, not_drawn
 from greybox.show.documents.tables import parameters_table, provenance_section, typeset_equations
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.show.figures.sheet import PAGE
+from greybox.show.figures.figure import stretches_on_page
 from greybox.show.sentences.registry import sentence, sentences
 from greybox.show.sentences.wording import capitalise, count_noun, format_number, join_names, record_text, shorten
 
@@ -68,7 +68,8 @@ def _sections(
 ) -> Iterator[doc.Section]:
     yield doc.Section("errors", "Errors", list(error_blocks(comparison)))
     yield doc.Section("runs", "Runs", list(_runs(comparison)))
-    yield doc.Section("models", "Models", list(_models(comparison)))
+    notes = [doc.BulletList(known_of_models)] if (known_of_models := _notes(comparison)) else []
+    yield doc.Section("models", "Models", [models_table(comparison), *structures(comparison), *notes])
     if fits:
         yield doc.Section("physics", "The physical models", list(_physics(fits)))
     yield _data(comparison, data, known)
@@ -186,7 +187,7 @@ def _runs(comparison: Comparison) -> Iterator[doc.Block]:
     records = judging_records(comparison)
     drawn = records[:RECORDS_OF_COMPARISON]
     curves = 2 * sum(len(comparison.deciding_scores(e)) for e in comparison.entries) + len(comparison.outputs)
-    stretches = PAGE.stretches(len(drawn) * curves)
+    stretches = stretches_on_page(len(drawn) * curves)
     yield doc.Paragraphs(["Click a name in the legend to hide that model; double-click to show it alone."])
     for k, record in enumerate(drawn):
         figures: list[doc.Block] = [
@@ -233,13 +234,6 @@ def _notes(comparison: Comparison) -> list[str]:
     """What is to be known of the comparison and of its models."""
     of_models = [f"{e.name}: {sentence(finding)}" for e in comparison.entries for finding in e.findings]
     return [*sentences(comparison.findings), *of_models]
-
-
-def _models(comparison: Comparison) -> Iterator[doc.Block]:
-    yield models_table(comparison)
-    yield from structures(comparison)
-    if notes := _notes(comparison):
-        yield doc.BulletList(notes)
 
 
 def _physics(fits: Mapping[str, Fit]) -> Iterator[doc.Block]:

@@ -46,7 +46,9 @@ def _sections(demo: Demo, command: str) -> Iterator[Section]:
     yield from discovery.discovery_sections(demo.discovery, beside_verdict=True)
     yield Section("truth", "Parameters and true values", [_parameters(demo)])
     yield Section("extended", "The extended model", [tables.typeset_equations(best.model)])
-    yield Section("errors", "Errors", list(_comparison(demo)))
+    of_models = demo.comparison
+    verdict, models = comparison.comparison_verdict(of_models), comparison.models_table(of_models)
+    yield Section("errors", "Errors", [verdict, *comparison.error_blocks(of_models), models])
     yield from linearisation.linear_sections(demo.plant, None)
     yield tables.records_section(best)
     yield tables.fit_provenance_section(best, command)
@@ -64,12 +66,6 @@ def _verdict(demo: Demo) -> Paragraphs:
         *demo.comparison.verdict[:1],
     ]
     return Paragraphs(items, answer.tone)
-
-
-def _comparison(demo: Demo) -> Iterator[Block]:
-    yield comparison.comparison_verdict(demo.comparison)
-    yield from comparison.error_blocks(demo.comparison)
-    yield comparison.models_table(demo.comparison)
 
 
 def _parameters(demo: Demo) -> TableBlock:

@@ -23,9 +23,8 @@ from greybox.show.figures.discovery import (
     plot_surrogate,
     plot_unexplained_signal,
 )
-from greybox.show.figures.figure import typeset_unit
+from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
-from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.discovery import (
     GRADES,
     claim_text,
@@ -213,7 +212,7 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.TableBlock("Misfit on the estimation records, one effect after the other", ["model", "misfit"], steps)
     pairs = list(zip(discovery.base.validation.traces, extended.validation.traces, strict=False))
     pairs = pairs[:RECORDS_OF_DISCOVERY]
-    stretches = PAGE.stretches(sum(4 * len(before.measured) for before, _ in pairs))
+    stretches = stretches_on_page(sum(4 * len(before.measured) for before, _ in pairs))
     for k, (before, after) in enumerate(pairs):
         shared = before, after, tables.signal_units(discovery.base.model), extended.noise.levels
         residuals = plot_residuals_before_after(*shared, f"left-{k}", name)

@@ -12,6 +12,7 @@ from greybox.estimation import Fit, errors, fit_issues, optimum, result_parts
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.show.documents import tables
+from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.fit import (
     plot_correlation,
     plot_intervals,
@@ -21,7 +22,6 @@ from greybox.show.figures.fit import (
     strongly_correlated_pairs,
 )
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
-from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
@@ -211,7 +211,7 @@ def _evidence(fit: Fit) -> Iterator[doc.FigureBlock]:
     """What convinces of a fit: its run over a record that it has not seen, else over one that it has."""
     traces = [*fit.validation.traces, *fit.traces]
     if fit.success and traces:
-        stretches = PAGE.stretches(2 * len(traces[0].measured))
+        stretches = stretches_on_page(2 * len(traces[0].measured))
         yield doc.FigureBlock(plot_run(traces[0], tables.signal_units(fit.model), "evidence"), stretches)
 
 
@@ -293,7 +293,7 @@ def _misfit(fit: Fit, skip: int) -> Iterator[doc.Block]:
     if len(runs) > 2:
         yield _by_record(fit, runs)
     drawn = runs[:RECORDS_OF_FIT]
-    stretches = PAGE.stretches(sum(3 * len(r.trace.measured) + len(r.trace.inputs) for r in drawn))
+    stretches = stretches_on_page(sum(3 * len(r.trace.measured) + len(r.trace.inputs) for r in drawn))
     signals = sum(len(r.trace.measured) * min(len(r.trace.time), SIGNAL_ON_PAGE) for r in drawn)
     for k, run in enumerate(drawn):
         blocks = _record_figures(fit, run.trace, k, stretches, follow=signals <= ALL_SIGNALS_ON_PAGE)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -119,13 +119,9 @@ def _matrices(linear: Linearisation) -> Iterator[doc.Block]:
     }
     for name, (matrix, rows, columns) in named.items():
         if matrix.size:
-            yield _matrix(name, matrix, rows, columns)
+            cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
+            yield doc.TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
     yield doc.Details("Matrices with all digits", [doc.CodeBlock("\n".join(_matrix_lines(linear)))])
-
-
-def _matrix(name: str, matrix: np.ndarray, rows: Sequence[str], columns: Sequence[str]) -> doc.TableBlock:
-    cells = [[row, *(f"{v:.6g}" for v in values)] for row, values in zip(rows, matrix, strict=True)]
-    return doc.TableBlock(f"Matrix {name}: effect of the columns on the rows", [name, *columns], cells)
 
 
 def _basis(linear: Linearisation) -> Iterator[doc.Block]:

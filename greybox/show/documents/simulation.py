@@ -11,9 +11,8 @@ from greybox.base.document import Document, FigureBlock, Paragraphs, Section, Ta
 from greybox.base.figure import Role
 from greybox.model import Model
 from greybox.show.documents import tables
-from greybox.show.figures.figure import scale_to_prefix
+from greybox.show.figures.figure import scale_to_prefix, stretches_on_page
 from greybox.show.figures.records import plot_signals
-from greybox.show.figures.sheet import PAGE
 from greybox.show.sentences.wording import count_noun, format_number, join_names
 from greybox.simulation.simulate import Simulation
 
@@ -64,7 +63,7 @@ def run_figures(
         "inputs": (run.inputs, "Inputs.", Role.INPUT),
         "states": (tables.hidden_states(run), "States.", Role.STATE),
     }
-    stretches = PAGE.stretches(sum(len(signals) for signals, _, _ in groups.values()))
+    stretches = stretches_on_page(sum(len(signals) for signals, _, _ in groups.values()))
     for name in order:
         signals, caption, role = groups[name]
         if signals:

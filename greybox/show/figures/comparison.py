@@ -129,12 +129,6 @@ def plot_model_residuals(comparison: Comparison, record: str, name: str) -> Figu
     )
 
 
-def runs_over(comparison: Comparison, entry: ComparisonEntry, record: str) -> tuple[OutputRun, ...]:
-    """A model's runs over one judging record."""
-    runs = entry.validation_runs if comparison.validation else entry.training_runs
-    return tuple(run for run in runs if run.record == record)
-
-
 def judging_records(comparison: Comparison) -> list[str]:
     """Names of the validation records, of the fitted ones where there are no others."""
     return list(dict.fromkeys(comparison.validation or comparison.training))
@@ -148,13 +142,12 @@ def _score(comparison: Comparison, entry: ComparisonEntry, output: str, record: 
 
 
 def _runs_by_output(comparison: Comparison, record: str) -> dict[str, dict[str, OutputRun]]:
-    """Output -> model -> its run over the record, where there is one."""
-    runs = {
-        output: {
-            e.name: run for e in comparison.entries for run in runs_over(comparison, e, record) if run.output == output
-        }
-        for output in comparison.outputs
-    }
+    """Output -> model -> its run over the judging record, where there is one."""
+    runs: dict[str, dict[str, OutputRun]] = {output: {} for output in comparison.outputs}
+    for entry in comparison.entries:
+        for run in entry.validation_runs if comparison.validation else entry.training_runs:
+            if run.record == record:
+                runs[run.output][entry.name] = run
     return {output: by_model for output, by_model in runs.items() if by_model}
 
 

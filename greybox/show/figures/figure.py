@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.base import ROWS_AT_A_TIME, format_unit
+from greybox.base.document import MOST_STRETCHES
 from greybox.base.figure import Axis, Bars, Curve, Points, Role, Scale, Series, Symbol, Thinning
 from greybox.show.sentences.wording import choose_prefix
 
@@ -138,6 +139,17 @@ def value_range(values: np.ndarray) -> tuple[float, float]:
 
 
 # Long records and spectra in few points, so that no peak is lost.
+
+
+# Stretches of each curve at least, even where a page has many.
+LEAST_STRETCHES = 150
+# Of all curves of a page together, so that a page of many records can still be mailed.
+STRETCHES_OF_A_PAGE = 45_000
+
+
+def stretches_on_page(curves: int) -> int:
+    """Stretches for each of so many long curves of a page."""
+    return min(max(STRETCHES_OF_A_PAGE // max(curves, 1), LEAST_STRETCHES), MOST_STRETCHES)
 
 
 def thin_curve(x: np.ndarray, y: np.ndarray, thinning: Thinning, stretches: int) -> tuple[np.ndarray, np.ndarray]:

@@ -21,29 +21,47 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from greybox.base import figure as fig
 from greybox.base import to_line, write_file
 from greybox.show.figures.figure import thin_curve, typeset_exponents, write_cell
-from greybox.show.figures.sheet import PALETTE, PICTURE, Cell, PictureStyle, Sheet
+from greybox.show.figures.sheet import PALETTE, Cell, Sheet
 
 MARKERS = {fig.Symbol.CIRCLE: "o", fig.Symbol.DIAMOND: "D", fig.Symbol.SQUARE: "s", fig.Symbol.CROSS: "x"}
 LINES = {fig.Dash.SOLID: "-", fig.Dash.DASHED: "--", fig.Dash.DOTTED: ":"}
+# Of a PNG.
+DOTS_PER_INCH = 110
+# Of a PNG: higher levels save a tenth of its size and cost a fifth of the time to draw it.
+COMPRESSION = 1
+# Of a long record, each drawn by its smallest and its largest value: about the pixels of a wide panel.
+STRETCHES = 1500
+# Points of a line for each unit of its width on a page, and of a mark for each unit of its size.
+LINE_WIDTH, MARK_SIZE = 0.7, 0.6
+# Points of the numbers on axes, of legends and of names beside bars.
+NUMBER_SIZE = 8.0
+# Points of the names of axes and of what stands above a panel, and of what stands above the picture.
+NAME_SIZE, HEADING_SIZE = 9.0, 11.0
+# Characters of a title above one panel, from which it is broken.
+TITLE_WIDTH = 85
+# The grid: its opacity, and points of its lines.
+GRID_OPACITY, GRID_WIDTH = 0.25, 0.5
+# Share of the width that stays free beside a curve over time.
+MARGIN = 0.01
 
 
-def save_sheet(sheet: Sheet, png: Path, style: PictureStyle = PICTURE) -> None:
+def save_sheet(sheet: Sheet, png: Path) -> None:
     """Write a sheet as ``png`` and, with the same name, as SVG; equal sheets give equal files."""
-    picture = draw_sheet(sheet, style)
+    picture = draw_sheet(sheet)
     engine = picture.get_layout_engine()
     if engine is not None:  # once for both files
         engine.execute(picture)
         picture.set_layout_engine(None)
-    compression = {"compress_level": style.compression}
-    write_file(png, lambda file: picture.savefig(file, format="png", dpi=style.dots_per_inch, pil_kwargs=compression))
+    compression = {"compress_level": COMPRESSION}
+    write_file(png, lambda file: picture.savefig(file, format="png", dpi=DOTS_PER_INCH, pil_kwargs=compression))
     with rc_context({"svg.hashsalt": "greybox"}):
         write_file(png.with_suffix(".svg"), lambda file: picture.savefig(file, format="svg", metadata={"Date": None}))
 
 
-def draw_sheet(sheet: Sheet, style: PictureStyle = PICTURE) -> Picture:
+def draw_sheet(sheet: Sheet) -> Picture:
     """A sheet as a figure of matplotlib. Texts are shown as they are: a dollar sign in a name begins no formula."""
     with rc_context({"text.parse_math": False}):
-        picture = _draw_cells(sheet, style)
+        picture = _draw_cells(sheet)
     for text in picture.findobj(Text):
         text.set_text(_as_lines(text.get_text()))
     return picture
@@ -54,17 +72,17 @@ def _as_lines(text: str) -> str:
     return "\n".join(map(to_line, text.split("\n")))
 
 
-def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
-    picture = Picture(figsize=sheet.size, dpi=style.dots_per_inch, layout="constrained")
+def _draw_cells(sheet: Sheet) -> Picture:
+    picture = Picture(figsize=sheet.size, dpi=DOTS_PER_INCH, layout="constrained")
     FigureCanvasAgg(picture)
-    picture.suptitle(sheet.heading, fontsize=style.heading)
+    picture.suptitle(sheet.heading, fontsize=HEADING_SIZE)
     grid = picture.add_gridspec(
         len(sheet.heights), len(sheet.widths), height_ratios=sheet.heights, width_ratios=sheet.widths
     )
     entries: dict[str, Artist] = {}
     for cell in sheet.cells:
         axes = picture.add_subplot(grid[cell.row : cell.row + cell.rows, cell.column])
-        _draw_panel(axes, cell, style)
+        _draw_panel(axes, cell)
         handles, labels = axes.get_legend_handles_labels()
         drawn = dict(zip(labels, handles, strict=True))
         entries |= {label: drawn[label] for label in cell.panel.labels if label in drawn and label not in entries}
@@ -74,47 +92,41 @@ def _draw_cells(sheet: Sheet, style: PictureStyle) -> Picture:
             entries.keys(),
             loc="outside lower center",
             ncols=len(entries),
-            fontsize=style.numbers,
+            fontsize=NUMBER_SIZE,
             frameon=False,
         )
     picture.align_ylabels()
     return picture
 
 
-def _draw_panel(axes: Axes, cell: Cell, style: PictureStyle) -> None:
+def _draw_panel(axes: Axes, cell: Cell) -> None:
     panel = cell.panel if cell.window is None else cell.panel.between(*cell.window)
     axes.set_xscale("log" if panel.x.scale is fig.Scale.LOG else "linear")
     axes.set_yscale("log" if panel.y.scale is fig.Scale.LOG else "linear")
     for series in panel.series:
-        _draw(axes, series, panel, style)
+        _draw(axes, series, panel)
     if all(isinstance(s, (fig.Curve, fig.Area, fig.Band, fig.Reference)) for s in panel.series):
-        axes.margins(x=style.margin)
+        axes.margins(x=MARGIN)
     if panel.equal_scales:
         axes.set_aspect("equal", adjustable="datalim")
-    _set_up(axes.xaxis, axes.set_xlim, panel.x, panel.columns, style)
-    _set_up(axes.yaxis, axes.set_ylim, panel.y, panel.categories, style)
-    axes.grid(axis="x" if panel.categories else "both", alpha=style.grid_opacity, lw=style.grid_width)
+    _set_up(axes.xaxis, axes.set_xlim, panel.x, panel.columns)
+    _set_up(axes.yaxis, axes.set_ylim, panel.y, panel.categories)
+    axes.grid(axis="x" if panel.categories else "both", alpha=GRID_OPACITY, lw=GRID_WIDTH)
     axes.set_axisbelow(True)
     if cell.above_another:
         axes.set_xlabel("")
         axes.tick_params(labelbottom=False)
     titles = cell.titles or panel.titles
     if titles:
-        text = "\n".join(fill(title, style.title_width) for title in titles)
+        text = "\n".join(fill(title, TITLE_WIDTH) for title in titles)
         colour = _colour(fig.Role.SIMULATED if panel.alarm else fig.Role.REFERENCE)
-        axes.set_title(text, loc="left", fontsize=style.names, color=colour)
+        axes.set_title(text, loc="left", fontsize=NAME_SIZE, color=colour)
 
 
-def _set_up(
-    axis: NumberedAxis,
-    set_limits: Callable[..., object],
-    spec: fig.Axis,
-    categories: Sequence[str],
-    style: PictureStyle,
-) -> None:
+def _set_up(axis: NumberedAxis, set_limits: Callable[..., object], spec: fig.Axis, categories: Sequence[str]) -> None:
     """Name, numbers and limits of one axis."""
-    axis.set_label_text(spec.label, fontsize=style.names)
-    axis.set_tick_params(labelsize=style.numbers)
+    axis.set_label_text(spec.label, fontsize=NAME_SIZE)
+    axis.set_tick_params(labelsize=NUMBER_SIZE)
     limits = spec.limits or spec.still_limits
     if limits is not None:
         set_limits(*limits)
@@ -139,14 +151,14 @@ def _number_decades(axis: NumberedAxis) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def _draw(axes: Axes, series: fig.Series, panel: fig.Panel, style: PictureStyle) -> None:
+def _draw(axes: Axes, series: fig.Series, panel: fig.Panel) -> None:
     match series:
         case fig.Curve():
-            _draw_curve(axes, series, style)
+            _draw_curve(axes, series)
         case fig.Points():
-            _draw_points(axes, series, panel, style)
+            _draw_points(axes, series, panel)
         case fig.Bars():
-            _draw_bars(axes, series, panel, style)
+            _draw_bars(axes, series, panel)
         case fig.Band():
             axes.axhspan(series.low, series.high, color=_colour(series.role), lw=0, label=series.label or None)
         case fig.Area():
@@ -154,71 +166,66 @@ def _draw(axes: Axes, series: fig.Series, panel: fig.Panel, style: PictureStyle)
                 series.x, series.low, series.high, color=_colour(series.role), lw=0, label=series.label or None
             )
         case fig.Reference():
-            _draw_reference(axes, series, style)
+            draw = axes.axvline if series.upright else axes.axhline
+            colour, width = _colour(series.role), LINE_WIDTH * series.width
+            draw(series.value, color=colour, lw=width, ls=LINES[series.dash], label=series.label or None)
         case fig.Heatmap():
-            _draw_heatmap(axes, series, style)
+            _draw_heatmap(axes, series)
 
 
-def _draw_curve(axes: Axes, curve: fig.Curve, style: PictureStyle) -> None:
-    x, y = thin_curve(curve.x, curve.y, curve.thinning, style.stretches)
+def _draw_curve(axes: Axes, curve: fig.Curve) -> None:
+    x, y = thin_curve(curve.x, curve.y, curve.thinning, STRETCHES)
     axes.plot(
         x,
         y,
         color=_colour(curve.role),
-        lw=style.line * curve.width,
+        lw=LINE_WIDTH * curve.width,
         ls=LINES[curve.dash],
         label=curve.label or None,
         drawstyle="steps-post" if curve.held else "default",
     )
 
 
-def _draw_points(axes: Axes, points: fig.Points, panel: fig.Panel, style: PictureStyle) -> None:
+def _draw_points(axes: Axes, points: fig.Points, panel: fig.Panel) -> None:
     colour = _colour(points.role)
     x, y = _places(points.x, panel.columns), _places(points.y, panel.categories)
     if points.half_bars is not None:
-        axes.errorbar(x, y, points.half_bars, fmt="none", ecolor=colour, elinewidth=style.line)
+        axes.errorbar(x, y, points.half_bars, fmt="none", ecolor=colour, elinewidth=LINE_WIDTH)
     axes.plot(
         x,
         y,
         color=colour,
         ls="-" if points.joined else "none",
-        lw=style.line,
+        lw=LINE_WIDTH,
         marker=MARKERS[points.symbol],
-        ms=style.mark * points.size,
+        ms=MARK_SIZE * points.size,
         mfc="white" if points.hollow else colour,
         mec=colour,
-        mew=style.line * points.hollow,
+        mew=LINE_WIDTH * points.hollow,
         alpha=points.opacity,
         label=points.label or None,
     )
     for place, text in zip(zip(x, y, strict=True), points.texts, strict=bool(points.texts)):
-        axes.annotate(f"  {text}", place, va="center", fontsize=style.numbers)
+        axes.annotate(f"  {text}", place, va="center", fontsize=NUMBER_SIZE)
 
 
-def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel, style: PictureStyle) -> None:
+def _draw_bars(axes: Axes, bars: fig.Bars, panel: fig.Panel) -> None:
     places, colours = _places(bars.places, panel.categories), [_colour(role) for role in bars.roles]
     if bars.horizontal:
         axes.barh(places, bars.lengths, height=bars.width, color=colours)
     else:
         axes.bar(places, bars.lengths, width=bars.width, color=colours)
     for place, length, text in zip(places, bars.lengths, bars.texts, strict=False):
-        axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=style.numbers)
+        axes.annotate(f"  {text}", (np.nan_to_num(length), place), va="center", fontsize=NUMBER_SIZE)
 
 
-def _draw_reference(axes: Axes, line: fig.Reference, style: PictureStyle) -> None:
-    draw = axes.axvline if line.upright else axes.axhline
-    draw(
-        line.value, color=_colour(line.role), lw=style.line * line.width, ls=LINES[line.dash], label=line.label or None
-    )
-
-
-def _draw_heatmap(axes: Axes, heatmap: fig.Heatmap, style: PictureStyle) -> None:
+def _draw_heatmap(axes: Axes, heatmap: fig.Heatmap) -> None:
     ends = [_colour(fig.Role.RESIDUAL), "white", _colour(fig.Role.SIMULATED)]
     axes.imshow(heatmap.values, cmap=LinearSegmentedColormap.from_list("correlation", ends), vmin=-1, vmax=1)
     axes.set_xticks(range(len(heatmap.names)), heatmap.names)
     for (row, column), value in np.ndenumerate(heatmap.values):
         if np.isfinite(value):
-            axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=style.numbers)
+            axes.text(column, row, write_cell(value), ha="center", va="center", fontsize=NUMBER_SIZE)
 
 
 def _places(values: np.ndarray | Sequence[str], names: Sequence[str]) -> np.ndarray:

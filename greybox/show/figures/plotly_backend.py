@@ -11,7 +11,6 @@ import numpy as np
 
 from greybox.base import figure as fig
 from greybox.show.figures.figure import choose_evenly, thin_curve, write_cell
-from greybox.show.figures.sheet import PAGE, PageStyle
 
 PAPER = "--paper"
 SYMBOLS = {
@@ -20,6 +19,14 @@ SYMBOLS = {
     fig.Symbol.SQUARE: "square",
     fig.Symbol.CROSS: "x",
 }
+# Pixels of a figure.
+HEIGHTS = {fig.Height.LOW: 250, fig.Height.MEDIUM: 290, fig.Height.TALL: 360}
+# Pixels above and below the names of a vertical axis, and for each of these names.
+FRAME, PER_CATEGORY = 110, 32
+# Points of a cloud at most, chosen evenly: more would hide one another.
+POINTS_OF_A_CLOUD = 1500
+# Letters of a name beside a bar.
+LONGEST_NAME = 34
 
 
 @dataclass(frozen=True)
@@ -42,7 +49,7 @@ class PlotlyFigure:
     signals: list[dict[str, Any]]
 
 
-def to_plotly(figure: fig.Figure, stretches: int, style: PageStyle = PAGE) -> PlotlyFigure:
+def to_plotly(figure: fig.Figure, stretches: int) -> PlotlyFigure:
     """What Plotly draws of a figure, long curves by so many stretches."""
     drawn = PlotlyFigure([], [], [])
     for panel in figure.panels:
@@ -59,18 +66,18 @@ def to_plotly(figure: fig.Figure, stretches: int, style: PageStyle = PAGE) -> Pl
                         "values": s.values,
                     }
                 )
-            drawn.traces.extend(_traces(series, panel, stretches, style))
+            drawn.traces.extend(_traces(series, panel, stretches))
         traces = list(range(first, len(drawn.traces)))
-        drawn.views.append({"name": panel.name, "traces": traces, "layout": _layout(panel, style)})
+        drawn.views.append({"name": panel.name, "traces": traces, "layout": _layout(panel)})
     return drawn
 
 
-def height_on_page(figure: fig.Figure, style: PageStyle = PAGE) -> int:
+def height_on_page(figure: fig.Figure) -> int:
     """Pixels of a figure."""
     return max(
-        style.frame + style.per_category * len(panel.categories)
+        FRAME + PER_CATEGORY * len(panel.categories)
         if panel.height is fig.Height.PER_CATEGORY
-        else style.heights[panel.height]
+        else HEIGHTS[panel.height]
         for panel in figure.panels
     )
 
@@ -80,12 +87,12 @@ def css_variable(role: fig.Role) -> str:
     return f"--{role}"
 
 
-def _traces(series: fig.Series, panel: fig.Panel, stretches: int, style: PageStyle) -> list[dict[str, Any]]:
+def _traces(series: fig.Series, panel: fig.Panel, stretches: int) -> list[dict[str, Any]]:
     match series:
         case fig.Curve():
             return [_curve(series, panel, stretches)]
         case fig.Points():
-            return [_points(series, panel, style)]
+            return [_points(series, panel)]
         case fig.Bars():
             return [_bars(series, panel)]
         case fig.Area():
@@ -109,13 +116,13 @@ def _curve(curve: fig.Curve, panel: fig.Panel, stretches: int) -> dict[str, Any]
     return trace
 
 
-def _points(points: fig.Points, panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
+def _points(points: fig.Points, panel: fig.Panel) -> dict[str, Any]:
     colour = css_variable(points.role)
     marker = {"symbol": SYMBOLS[points.symbol], "size": points.size, "color": colour, "opacity": points.opacity}
     if points.hollow:
         marker |= {"color": PAPER, "line": {"color": colour, "width": 1.5}}
     mode = "markers" + "+lines" * points.joined + "+text" * bool(points.texts)
-    kept = np.arange(len(points.x)) if mode != "markers" else choose_evenly(len(points.x), style.points_of_a_cloud)
+    kept = np.arange(len(points.x)) if mode != "markers" else choose_evenly(len(points.x), POINTS_OF_A_CLOUD)
     x, y = _chosen(points.x, kept), _chosen(points.y, kept)
     trace = {"type": "scatter", "mode": mode, "x": x, "y": y, "marker": marker, **_named(points.label)}
     if points.joined:
@@ -197,11 +204,11 @@ def _pointed_at(template: str, label: str) -> str:
     return f"{template}<extra>{escape(label)}</extra>"
 
 
-def _layout(panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
+def _layout(panel: fig.Panel) -> dict[str, Any]:
     over_time = all(isinstance(s, (fig.Curve, fig.Area, fig.Band, fig.Reference)) for s in panel.series)
     layout: dict[str, Any] = {
-        "xaxis": _axis(panel.x, panel, style),
-        "yaxis": _axis(panel.y, panel, style),
+        "xaxis": _axis(panel.x, panel),
+        "yaxis": _axis(panel.y, panel),
         "shapes": [shape for s in panel.series if (shape := _shape(s)) is not None],
         "showlegend": len(panel.labels) > 1,
         "hovermode": "x unified" if over_time else "closest",
@@ -211,7 +218,7 @@ def _layout(panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
     return layout
 
 
-def _axis(axis: fig.Axis, panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
+def _axis(axis: fig.Axis, panel: fig.Panel) -> dict[str, Any]:
     drawn: dict[str, Any] = {"title": {"text": axis.label}, "type": axis.scale.value}
     if axis.limits is not None:
         drawn["range"] = np.log10(axis.limits).tolist() if axis.scale is fig.Scale.LOG else list(axis.limits)
@@ -221,7 +228,7 @@ def _axis(axis: fig.Axis, panel: fig.Panel, style: PageStyle) -> dict[str, Any]:
         drawn["autorange"] = "reversed"
     if axis.scale is fig.Scale.CATEGORY and axis is panel.y:
         names = panel.categories
-        drawn |= {"tickvals": names, "ticktext": [shorten(name, style.longest_name) for name in names]}
+        drawn |= {"tickvals": names, "ticktext": [shorten(name, LONGEST_NAME) for name in names]}
     return drawn
 
 

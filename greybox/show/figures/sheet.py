@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import MappingProxyType
 
-from greybox.base.figure import Height, Panel, Role
+from greybox.base.figure import Panel, Role
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Sheet:
     heights: tuple[float, ...] = (1.0,)
 
 
-# How figures look: the colour of each role by day and by night, sizes, and how many points a curve has.
+# How figures look: the colour of each role by day and by night.
 
 
 @dataclass(frozen=True)
@@ -94,81 +94,3 @@ PALETTE: Mapping[Role, Shade] = MappingProxyType(
         Role.MODEL_8: SLATE,
     }
 )
-
-
-@dataclass(frozen=True)
-class PictureStyle:
-    """How matplotlib draws a picture."""
-
-    dots_per_inch: int = 110
-    """Of a PNG."""
-
-    compression: int = 1
-    """Of a PNG: higher levels save a tenth of its size and cost a fifth of the time to draw it."""
-
-    stretches: int = 1500
-    """Of a long record, each drawn by its smallest and its largest value: about the pixels of a wide panel."""
-
-    line: float = 0.7
-    """Points of a line, for each unit of its width on a page."""
-
-    mark: float = 0.6
-    """Points of a mark, for each unit of its size on a page."""
-
-    numbers: float = 8.0
-    """Points of the numbers on axes, of legends and of names beside bars."""
-
-    names: float = 9.0
-    """Points of the names of axes and of what stands above a panel."""
-
-    heading: float = 11.0
-    """Points of what stands above the picture."""
-
-    title_width: int = 85
-    """Characters of a title above one panel, from which it is broken."""
-
-    grid_opacity: float = 0.25
-    grid_width: float = 0.5
-    """Points."""
-
-    margin: float = 0.01
-    """Share of the width that stays free beside a curve over time."""
-
-
-@dataclass(frozen=True)
-class PageStyle:
-    """How a page shows figures."""
-
-    heights: Mapping[Height, int] = field(
-        default_factory=lambda: MappingProxyType({Height.LOW: 250, Height.MEDIUM: 290, Height.TALL: 360})
-    )
-    """Pixels of a figure."""
-
-    frame: int = 110
-    """Pixels above and below the names of a vertical axis."""
-
-    per_category: int = 32
-    """Pixels for each name on a vertical axis."""
-
-    most_stretches: int = 2000
-    """Of a long record, each drawn by its smallest and its largest value: as fine as a wide screen shows."""
-
-    least_stretches: int = 150
-    """Of each curve, even where a page has many."""
-
-    stretches_of_a_page: int = 45_000
-    """Of all its curves together, so that a page of many records can still be mailed."""
-
-    points_of_a_cloud: int = 1500
-    """At most, chosen evenly: more would hide one another."""
-
-    longest_name: int = 34
-    """Letters of a name beside a bar."""
-
-    def stretches(self, curves: int) -> int:
-        """Stretches for each of so many long curves of a page."""
-        share = self.stretches_of_a_page // max(curves, 1)
-        return min(max(share, self.least_stretches), self.most_stretches)
-
-
-PICTURE, PAGE = PictureStyle(), PageStyle()

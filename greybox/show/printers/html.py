@@ -51,7 +51,8 @@ LARGEST_PAGE = 6000000
 
 def render_page(page: Document) -> str:
     """The page as HTML. Raises DataError where it would be larger than 6 MB."""
-    script, drawn = _inside("page.js"), _drawn(page)
+    script = _inside("page.js")
+    drawn = page.evidence or any(_has_figure(block) for section in page.sections for block in section.blocks)
     scripts: list[str | bytes] = [script, *([read_plotly()] if drawn else [])]
     html = (
         _environment()
@@ -75,10 +76,6 @@ def render_page(page: Document) -> str:
 def write_page(page: Document, path: str | Path) -> Path:
     """Write the page to ``path`` (folders are made) and return it."""
     return write_file(path, render_page(page))
-
-
-def _drawn(page: Document) -> bool:
-    return bool(page.evidence) or any(_has_figure(block) for section in page.sections for block in section.blocks)
 
 
 def _has_figure(block: Block) -> bool:

@@ -24,9 +24,17 @@ from greybox.base.figure import (
     Scale,
     Thinning,
 )
-from greybox.show.figures.figure import draw_sizes, size_axis
-from greybox.show.figures.plotly_backend import css_variable, height_on_page, to_plotly
-from greybox.show.figures.sheet import PAGE, PALETTE
+from greybox.show.figures.figure import draw_sizes, size_axis, stretches_on_page
+from greybox.show.figures.plotly_backend import (
+    FRAME,
+    LONGEST_NAME,
+    PER_CATEGORY,
+    POINTS_OF_A_CLOUD,
+    css_variable,
+    height_on_page,
+    to_plotly,
+)
+from greybox.show.figures.sheet import PALETTE
 
 X = np.array([0.0, 1.0, 2.0])
 TIME, POSITION = Axis("time", "s"), Axis("x", "µm")
@@ -72,9 +80,9 @@ def test_names_stand_on_an_axis_once_the_best_on_top_and_long_ones_are_cut() -> 
     drawn = to_plotly(one, 100)
     axis = drawn.views[0]["layout"]["yaxis"]
     assert axis["tickvals"] == names and axis["autorange"] == "reversed"
-    assert len(axis["ticktext"][1]) == PAGE.longest_name and axis["ticktext"][1].endswith("…")
+    assert len(axis["ticktext"][1]) == LONGEST_NAME and axis["ticktext"][1].endswith("…")
     assert drawn.traces[0]["hovertemplate"] == "%{y}: %{x:.4g} nm<extra>free run</extra>"
-    assert height_on_page(one) == PAGE.frame + 2 * PAGE.per_category
+    assert height_on_page(one) == FRAME + 2 * PER_CATEGORY
 
 
 def test_a_label_is_no_markup() -> None:
@@ -88,7 +96,7 @@ def test_long_curves_are_thinned_and_clouds_are_chosen_from() -> None:
     series = Curve(many, many, Role.RESIDUAL, thinning=Thinning.ENVELOPE), Points(many, many, Role.RESIDUAL)
     curve, cloud = to_plotly(figure(panel(*series)), 150).traces
     assert len(curve["x"]) == 300
-    assert len(cloud["x"]) == PAGE.points_of_a_cloud
+    assert len(cloud["x"]) == POINTS_OF_A_CLOUD
 
 
 def test_a_spectrum_that_follows_says_which_trace_it_is() -> None:
@@ -123,7 +131,7 @@ def test_sizes_are_bars_from_zero_or_points_where_they_lie_far_apart(
 
 
 def test_a_page_of_many_curves_draws_each_with_fewer_points() -> None:
-    assert [PAGE.stretches(n) for n in (1, 45, 10_000)] == [2000, 1000, 150]
+    assert [stretches_on_page(n) for n in (1, 45, 10_000)] == [2000, 1000, 150]
 
 
 def test_every_role_has_a_colour_by_day_and_by_night() -> None:
