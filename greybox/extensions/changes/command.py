@@ -126,10 +126,6 @@ def read_like(known: Fit, files: Sequence[Path], sampling_time: float) -> tuple[
     return read_experiments(files, known.model, **layout)
 
 
-def _seeks_no_effect(study: ChangeStudy) -> bool:
-    return study.population or study.chart or study.no_effects
-
-
 CHANGED = Command(
     changed,
     "Tell what has changed in a machine since its fit.",
@@ -163,7 +159,11 @@ CHANGED = Command(
     (
         Excludes(ChangeStudy.population, ChangeStudy.chart, "several machines, or one over time"),
         *VALIDATING,
-        Idle((Study.validation, *SHARING), "here, where no effect is looked for", _seeks_no_effect),
+        Idle(
+            (Study.validation, *SHARING),
+            "here, where no effect is looked for",
+            lambda study: study.population or study.chart or study.no_effects,
+        ),
     ),
     study=ChangeStudy,
 )

@@ -20,11 +20,11 @@ from greybox.base.document import (
 from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, MachineConstant
-from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, share_of, spread_text, with_unit
+from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, share_of
 from greybox.show.documents.tables import provenance_section, records_section, signal_units
 from greybox.show.figures.records import plot_residual, plot_run
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import count_noun, format_with_std, make_formatter
+from greybox.show.sentences.wording import count_noun, format_with_std, make_formatter, spread_text, value_with_unit
 
 TONES = {
     ChangeVerdict.UNCHANGED: Tone.GOOD,
@@ -104,7 +104,13 @@ def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
     if change.change_points:
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
         rows = [
-            [c.constant, str(c.number), c.record, *(with_unit(v, c.unit) for v in (c.before, c.after)), p_text(c.p)]
+            [
+                c.constant,
+                str(c.number),
+                c.record,
+                *(value_with_unit(v, c.unit, 4) for v in (c.before, c.after)),
+                p_text(c.p),
+            ]
             for c in change.change_points
         ]
         yield TableBlock("Where constants jump; p is corrected for all constants", head, rows)
@@ -115,9 +121,9 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     difference = change.after - change.before
     unit = change.unit
     if change.interval is None:
-        return [name, with_unit(change.before, unit), "not determined", "", "", "", ""]
+        return [name, value_with_unit(change.before, unit, 4), "not determined", "", "", "", ""]
     if not is_determined(change):
-        values = (with_unit(value, unit) for value in (change.before, change.after))
+        values = (value_with_unit(value, unit, 4) for value in (change.before, change.after))
         return [name, *values, "not determined", "", p_text(change.p), "changed" if change.moved else ""]
     width = change.interval[1] - change.interval[0]
     write = make_formatter(change.before, width / 4)

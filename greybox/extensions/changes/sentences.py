@@ -17,6 +17,8 @@ from greybox.show.sentences.wording import (
     join_names,
     make_formatter,
     record_text,
+    spread_text,
+    value_with_unit,
 )
 
 if TYPE_CHECKING:
@@ -24,15 +26,10 @@ if TYPE_CHECKING:
     from greybox.extensions.changes.result import ConstantChange
 
 
-def with_unit(value: float, unit: str, digits: int = 4) -> str:
-    """``5.1 N/m``."""
-    return f"{value:.{digits}g} {unit}".rstrip()
-
-
 def share_of(change: float, before: float, unit: str, beside: float = math.inf) -> str:
     """``12 %`` of the value before; in its unit where that is zero. Shares that differ by ``beside`` can be told apart."""
     if not before:
-        return with_unit(abs(change), unit, 2)
+        return value_with_unit(abs(change), unit, 2)
     percent, apart = 100 * abs(change / before), 100 * abs(beside / before)
     fine = make_formatter(percent, apart)(percent) if 0 < apart < percent else f"{percent:.2g}"
     return f"{fine} %"
@@ -56,42 +53,19 @@ def _constant_moved(finding: Finding) -> str:
     by = share_of(v["after"] - v["before"], v["before"], v["unit"], width)
     ends = " to ".join(share_of(e, v["before"], v["unit"], width) for e in between)
     return (
-        f"{finding.subject} has {way} by {by}, from {with_unit(v['before'], '')} to {with_unit(v['after'], v['unit'])}"
+        f"{finding.subject} has {way} by {by}, from {value_with_unit(v['before'], '', 4)} to {value_with_unit(v['after'], v['unit'], 4)}"
         f" (95 % interval of the change: {ends})"
-    )
-
-
-def _combination_moved(finding: Finding) -> str:
-    names = list(finding.values["combination"])
-    return (
-        f"the constants have changed, and the records do not tell which: {join_names(names)} together, none of them clearly by itself"
-        f" ({p_statement(finding.values['p'])}); a record that moves the machine more, or differently, will tell"
     )
 
 
 def _effect_appeared(finding: Finding) -> str:
     parameters = ", ".join(
-        f"{name} = {with_unit(p['value'], p['unit'], 3)}" for name, p in finding.values["parameters"].items()
+        f"{name} = {value_with_unit(p['value'], p['unit'])}" for name, p in finding.values["parameters"].items()
     )
     described = f" ({parameters})" if parameters else ""
     return (
         f"an effect has appeared: {finding.subject} in {finding.values['site']}{described}, {finding.values['grade']}; what is said of"
         " the constants holds with it"
-    )
-
-
-def _unexplained(finding: Finding) -> str:
-    return (
-        f"the model no longer describes output {finding.subject}: its residual is {finding.values['ratio']:.2f} times what the fit left,"
-        " or no longer random, and no change of constants explains it. No effect of the catalogue is established; greybox discover with"
-        " more records of today goes on from here"
-    )
-
-
-def _noise_grew(finding: Finding) -> str:
-    return (
-        f"the noise of output {finding.subject} has grown to {finding.values['ratio']:.2f} times what it was, and is as random as"
-        " before: look at the sensor and its wiring"
     )
 
 
@@ -142,11 +116,6 @@ def is_determined(change: ConstantChange) -> bool:
     return math.isfinite(reach) and (not change.before or reach <= CHANGE_REACH * abs(change.before))
 
 
-def _cannot_tell(finding: Finding) -> str:
-    names = finding.values["constants"]
-    return f"the records cannot tell: {join_names(names) or 'the constants'} could have changed by half unnoticed. Nothing else has changed"
-
-
 SCATTERED_OVER = {
     Yardstick.RECORDS: "from record to record, where nothing has changed,",
     Yardstick.PAIRED_PIECES: "in their change from piece to piece of the records",
@@ -154,20 +123,13 @@ SCATTERED_OVER = {
 }
 
 
-def _different_input(finding: Finding) -> str:
-    names = join_names(finding.values["constants"]) or "the constants"
-    return (
-        f"the records cannot tell: {names} would differ ({p_statement(finding.values['p'])}), but the model lacks something already in the"
-        " fit, and these records do not show by how much its constants vary where nothing has changed. Repeat the input of the fit, give"
-        " three records or more, or find what the model lacks with greybox discover"
-    )
-
-
 def _machine_falls_out(finding: Finding) -> str:
     v = finding.values
+    value, mean = (value_with_unit(v[key], v["unit"], 4) for key in ("value", "mean"))
+    spread = spread_text(v["spread"], v["unit"], v["relative"])
     return (
-        f"{finding.subject} falls out: {v['constant']} is {with_unit(v['value'], v['unit'])}, and {with_unit(v['mean'], v['unit'])}"
-        f" in the others, which differ by {spread_text(v['spread'], v['unit'], v['relative'])} (standard deviation; {p_statement(v['p'])})"
+        f"{finding.subject} falls out: {v['constant']} is {value}, and {mean} in the others, which differ by {spread}"
+        f" (standard deviation; {p_statement(v['p'])})"
     )
 
 
@@ -186,8 +148,8 @@ def _change_point(finding: Finding) -> str:
     record = v["record"] if numbered else f"record {v['number']} ({v['record']})"
     return (
         f"{finding.subject} {way} with {record} by"
-        f" {share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {with_unit(v['before'], '')} to"
-        f" {with_unit(v['after'], v['unit'])} ({p_statement(v['p'])})"
+        f" {share_of(v['after'] - v['before'], v['before'], v['unit'])}, from {value_with_unit(v['before'], '', 4)} to"
+        f" {value_with_unit(v['after'], v['unit'], 4)} ({p_statement(v['p'])})"
     )
 
 
@@ -205,12 +167,29 @@ register(
     {
         ChangeCode.NOTHING_CHANGED: _nothing_changed,
         ChangeCode.CONSTANT_MOVED: _constant_moved,
-        ChangeCode.COMBINATION_MOVED: _combination_moved,
+        ChangeCode.COMBINATION_MOVED: lambda f: (
+            f"the constants have changed, and the records do not tell which: {join_names(list(f.values['combination']))} together, none of"
+            f" them clearly by itself ({p_statement(f.values['p'])}); a record that moves the machine more, or differently, will tell"
+        ),
         ChangeCode.EFFECT_APPEARED: _effect_appeared,
-        ChangeCode.NOISE_GREW: _noise_grew,
-        ChangeCode.UNEXPLAINED: _unexplained,
-        ChangeCode.DIFFERENT_INPUT: _different_input,
-        ChangeCode.CANNOT_TELL: _cannot_tell,
+        ChangeCode.NOISE_GREW: (
+            "the noise of output {subject} has grown to {ratio:.2f} times what it was, and is as random as before: look at the sensor and"
+            " its wiring"
+        ),
+        ChangeCode.UNEXPLAINED: (
+            "the model no longer describes output {subject}: its residual is {ratio:.2f} times what the fit left, or no longer random, and"
+            " no change of constants explains it. No effect of the catalogue is established; greybox discover with more records of today"
+            " goes on from here"
+        ),
+        ChangeCode.DIFFERENT_INPUT: lambda f: (
+            f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} would differ ({p_statement(f.values['p'])}),"
+            " but the model lacks something already in the fit, and these records do not show by how much its constants vary where nothing"
+            " has changed. Repeat the input of the fit, give three records or more, or find what the model lacks with greybox discover"
+        ),
+        ChangeCode.CANNOT_TELL: lambda f: (
+            f"the records cannot tell: {join_names(f.values['constants']) or 'the constants'} could have changed by half unnoticed. Nothing"
+            " else has changed"
+        ),
         ChangeCode.FIT_FAILED: (
             "the records cannot tell: the model could not be fitted to them ({status}). Look at the record first, with greybox check"
         ),
@@ -261,10 +240,3 @@ def p_statement(p: float | None) -> str:
     """``p = 0.031``, ``p < 0.0001``."""
     text = p_text(p)
     return f"p {text}" if text.startswith("<") else f"p = {text}"
-
-
-def spread_text(spread: float, unit: str, relative: bool) -> str:
-    """``2.1 %``, or in the unit; a spread of zero is one that the records do not show."""
-    if not spread:
-        return "not visible"
-    return f"{100 * spread:.2g} %" if relative else with_unit(spread, unit, 2)

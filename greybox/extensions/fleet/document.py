@@ -13,7 +13,7 @@ from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, Fle
 from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import count_noun, format_number, format_with_std, make_formatter
+from greybox.show.sentences.wording import count_noun, format_number, format_with_std, make_formatter, spread_text
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200
@@ -101,19 +101,12 @@ def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
         return [name, "", "", "", "", records]
     unit = "" if constant.unit == "1" else constant.unit
     write = make_formatter(constant.median, (constant.high - constant.low) / 10)
-    spread = (
-        "not visible"
-        if not constant.spread
-        else f"{100 * constant.spread:.2g} %"
-        if constant.relative
-        else f"{constant.spread:.2g} {unit}".rstrip()
-    )
     left_open = f"{100 * constant.std / constant.median:.2g} %" if constant.relative else f"{constant.std:.2g}"
     return [
         name,
         f"{write(constant.median)} {unit}".rstrip(),
         f"{write(constant.low)} to {write(constant.high)}",
-        spread,
+        spread_text(constant.spread, unit, constant.relative),
         left_open,
         records,
     ]

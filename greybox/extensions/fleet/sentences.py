@@ -15,16 +15,13 @@ def _fitted(finding: Finding) -> str:
     return f"{v['fitted']} of {count_noun(v['records'], 'record')} were fitted"
 
 
-def _finding_count(finding: Finding) -> str:
-    v = finding.values
-    return f"{v['records']} of {count_noun(v['of'], 'record')}, {finding.subject} the first: {v['sentence']}"
-
-
 register(
     {
         FleetCode.RECORDS_FITTED: _fitted,
         FleetCode.RECORDS_LEFT: "{left} of {records} records were not begun: the same call with the journal goes on from here",
         FleetCode.RECORD_WITHOUT_RESULT: "record {subject} has no result: {reason}",
-        FleetCode.FINDING_COUNT: _finding_count,
+        FleetCode.FINDING_COUNT: lambda f: (
+            f"{f.values['records']} of {count_noun(f.values['of'], 'record')}, {f.subject} the first: {f.values['sentence']}"
+        ),
     }
 )

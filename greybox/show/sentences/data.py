@@ -44,11 +44,6 @@ def _about_records(template: str | Callable[[Finding], str]) -> Callable[[Findin
     return write
 
 
-def _gaps(finding: Finding) -> str:
-    gaps = finding.values["gaps"]
-    return f"output {finding.subject!r} has {gaps} gap{'s' * (gaps != 1)} in {finding.values['rows']} rows"
-
-
 def _spikes(finding: Finding) -> str:
     count, times = finding.values["count"], finding.values["times"]
     places = _enumerate([f"{t:.6g} s" for t in times], count)
@@ -72,16 +67,6 @@ def _pieces_left_out(finding: Finding) -> str:
     pieces = finding.values["pieces"]
     named = [f"{start:.6g} to {stop:.6g} s ({rows} rows)" for start, stop, rows in pieces[:5]]
     return f"excluded, too few rows between two gaps in time: {_enumerate(named, len(pieces))}"
-
-
-def _units_assumed(finding: Finding) -> str:
-    units = finding.values["units"]
-    return f"the header gives no unit for {', '.join(units)}: {', '.join(units.values())} assumed"
-
-
-def _columns_ignored(finding: Finding) -> str:
-    columns = finding.values["columns"]
-    return f"columns ignored: {_enumerate([repr(c) for c in columns[:8]], len(columns))}"
 
 
 def _write_rate(step: float) -> str:
@@ -126,7 +111,9 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     ),
     RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"
     " it out",
-    RecordCode.OUTPUT_GAPS: _gaps,
+    RecordCode.OUTPUT_GAPS: lambda f: (
+        f"output {f.subject!r} has {count_noun(f.values['gaps'], 'gap')} in {f.values['rows']} rows"
+    ),
     RecordCode.OUTPUT_UNWRAPPED: "{kind} '{subject}' starts anew every {period:.6g} {unit}: {jumps} jumps taken out",
     RecordCode.SENSOR_FROZEN: "{kind} '{subject}' stays at exactly {value:g} for {rows} rows, from {start:.6g} to {stop:.6g} s,"
     " while the input moves, with a jump before or after: if the sensor or the logger failed, " + _LEAVE_EMPTY,
@@ -151,8 +138,12 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " not: they were taken regularly and stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
-    RecordCode.UNITS_ASSUMED: _units_assumed,
-    RecordCode.COLUMNS_IGNORED: _columns_ignored,
+    RecordCode.UNITS_ASSUMED: lambda f: (
+        f"the header gives no unit for {', '.join(f.values['units'])}: {', '.join(f.values['units'].values())} assumed"
+    ),
+    RecordCode.COLUMNS_IGNORED: lambda f: (
+        f"columns ignored: {_enumerate([repr(c) for c in f.values['columns'][:8]], len(f.values['columns']))}"
+    ),
     RecordCode.CONDITION_READ: lambda f: (
         f"condition {f.subject}: {f.values['value']:.6g} {f.values['unit']}, {_SOURCES[f.values['source']]}"
     ),
@@ -290,12 +281,19 @@ def write_autoregression(process: AutoRegression) -> str:
 def write_noise_model(noise: NoiseModel) -> str:
     """``given``, or ``x: estimated from a quiet record (AR(2), ...); i: ...``."""
     colours = dict(zip(noise.outputs, noise.colour, strict=True))
-    groups: dict[str, list[str]] = {}
+    texts = {}
     for name, source in noise.sources.items():
         bound = noise.bound(name)
-        text = describe_source(source, colours[name], source.direction if bound is None else bound.direction)
+        texts[name] = describe_source(source, colours[name], source.direction if bound is None else bound.direction)
+    return join_alike(texts)
+
+
+def join_alike(texts: Mapping[str, str], *, always_named: bool = False) -> str:
+    """``x, v: given; i: ...``: what is said of each output, those together of which the same is said; only that where it is of all."""
+    groups: dict[str, list[str]] = {}
+    for name, text in texts.items():
         groups.setdefault(text, []).append(name)
-    if len(groups) == 1:
+    if len(groups) == 1 and not always_named:
         return next(iter(groups))
     return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
 

@@ -290,15 +290,11 @@ def probability_text(probability: float) -> str:
     return f"{min(max(100 * probability, 100 - most), most):.0f} %"
 
 
-def _sites_of(values: Mapping[str, Any]) -> list[str]:
-    return values["site"].split(" or ") if values["site"] else []
-
-
 def claim_text(values: Mapping[str, Any]) -> str:
     """What a claim says, in half a sentence, from its values."""
     if values["depth"] == Depth.MISSING:
         return f"something is missing in {values['output']}"
-    place = sites_text(_sites_of(values))
+    place = sites_text(values["site"].split(" or ") if values["site"] else [])
     if values["depth"] == Depth.PLACE:
         return f"something acts at {place}"
     kind = {"static": "a static function", "with memory": "a function with memory", "timing": "a lag or a delay"}.get(
@@ -424,14 +420,6 @@ def _law_established(finding: Finding) -> str:
     )
 
 
-def _laws_tied(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"The plain model lacks one of these laws: {'; '.join((_laws_text(v['laws']), *v['rivals']))}. The records cannot"
-        " distinguish them."
-    )
-
-
 LIKENESSES = {
     LikenessKind.BIAS: "a constant bias of {size}",
     LikenessKind.LINEAR: "a term proportional to {variable} with {size}",
@@ -492,15 +480,6 @@ def _check_noise(finding: Finding) -> str:
     )
 
 
-def _cover_validation_range(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"use estimation records that cover the whole range: the validation records reach from {v['least']:.3g} to"
-        f" {value_with_unit(v['most'], v['unit'])} in {finding.subject}, the estimation records only from {v['low']:.3g} to"
-        f" {value_with_unit(v['high'], v['unit'])}"
-    )
-
-
 _INPUTS = {
     InputKind.FULL_SWEEP: "a sweep at full amplitude",
     InputKind.SMALL_SWEEP: "a sweep at a fifth of the amplitude",
@@ -513,32 +492,9 @@ _INPUTS = {
 }
 
 
-def _discriminating_experiment(finding: Finding) -> str:
-    values = finding.values
-    return (
-        f"{_INPUTS[values['experiment']]}, with {' and '.join(values['measured'])} measured, would separate {finding.subject} (expected"
-        f" chi-square {values['cost']:.3g})"
-    )
-
-
 def _noise_from_residual(finding: Finding) -> str:
     shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
     return f"noise estimated from the residual of {finding.subject}: {shown}"
-
-
-def _first_effect(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"{finding.subject}: misfit {v['before']:.3g} -> {v['after']:.3g} times the noise{' at least' * v['bounded']}"
-    )
-
-
-def _look_at_stretch(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"look at what happens from {v['start']:.4g} to {v['end']:.4g} s of {finding.subject}: {_percent(v['share'], 2)} of the misfit lies"
-        f" in {_percent(v['time_share'], 2)} of the time, so something acts then that the model does not have"
-    )
 
 
 def _test_error(finding: Finding) -> str:
@@ -599,7 +555,10 @@ register(
             f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established, as it leaves"
             " too much."
         ),
-        DiscoveryCode.LAWS_TIED: _laws_tied,
+        DiscoveryCode.LAWS_TIED: lambda f: (
+            f"The plain model lacks one of these laws: {'; '.join((_laws_text(f.values['laws']), *f.values['rivals']))}. The records cannot"
+            " distinguish them."
+        ),
         DiscoveryCode.LAW_STAND_IN: lambda f: (
             f"The law {' + '.join(f.values['equations'])} follows the records, but a free curve in its place does better: it only stands in"
             " for something else."
@@ -629,7 +588,10 @@ register(
         DiscoveryCode.SHAPE_CORRECTED: lambda f: (
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
-        DiscoveryCode.DISCRIMINATING_EXPERIMENT: _discriminating_experiment,
+        DiscoveryCode.DISCRIMINATING_EXPERIMENT: lambda f: (
+            f"{_INPUTS[f.values['experiment']]}, with {' and '.join(f.values['measured'])} measured, would separate {f.subject} (expected"
+            f" chi-square {f.values['cost']:.3g})"
+        ),
         DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} with these"
         " sensors (chi-square {cost:.2g} at best)",
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
@@ -663,7 +625,11 @@ register(
         DiscoveryCode.CHECK_NOISE: _check_noise,
         DiscoveryCode.EXTEND_ESTIMATION_RECORDS: "use longer estimation records, or records with the range of the validation records:"
         " these hardly show the missing effect",
-        DiscoveryCode.COVER_VALIDATION_RANGE: _cover_validation_range,
+        DiscoveryCode.COVER_VALIDATION_RANGE: lambda f: (
+            f"use estimation records that cover the whole range: the validation records reach from {f.values['least']:.3g} to"
+            f" {value_with_unit(f.values['most'], f.values['unit'])} in {f.subject}, the estimation records only from"
+            f" {f.values['low']:.3g} to {value_with_unit(f.values['high'], f.values['unit'])}"
+        ),
         DiscoveryCode.SUSPECT_MAINS: "check grounding, shields and the supply of drive and sensor: the tone is at the mains frequency of"
         " {mains:.0f} Hz or a multiple of it",
         DiscoveryCode.SUSPECT_MACHINE: "look for a rotating or switching machine at {frequency:.4g} Hz near the rig; a record with zero"
@@ -672,7 +638,10 @@ register(
         " and its tone generator",
         DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
         " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
-        DiscoveryCode.LOOK_AT_STRETCH: _look_at_stretch,
+        DiscoveryCode.LOOK_AT_STRETCH: lambda f: (
+            f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}: {_percent(f.values['share'], 2)}"
+            f" of the misfit lies in {_percent(f.values['time_share'], 2)} of the time, so something acts then that the model does not have"
+        ),
         DiscoveryCode.TRACE_LOOP: lambda f: (
             f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"
             " the way down; a loop that stays when slow is play or hysteresis, one that shrinks is a lag or a loss that grows with speed"
@@ -703,7 +672,9 @@ register(
         ),
         DiscoveryCode.NOISE_WHITE: "noise: white, as the best effect leaves it",
         DiscoveryCode.NOISE_FROM_RESIDUAL: _noise_from_residual,
-        DiscoveryCode.FIRST_EFFECT: _first_effect,
+        DiscoveryCode.FIRST_EFFECT: lambda f: (
+            f"{f.subject}: misfit {f.values['before']:.3g} -> {f.values['after']:.3g} times the noise{' at least' * f.values['bounded']}"
+        ),
         DiscoveryCode.FURTHER_EFFECT: lambda f: (
             f"{f.subject}: misfit {ratio_text(f.values['after'], f.values['bounded'])}"
         ),

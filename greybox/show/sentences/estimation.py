@@ -18,7 +18,7 @@ from greybox.estimation.residuals import ResidualTestKind
 from greybox.estimation.result import ResultCode
 from greybox.estimation.transcription.problem import SolutionCode, TranscriptionReason
 from greybox.show.sentences import wording
-from greybox.show.sentences.data import describe_source
+from greybox.show.sentences.data import describe_source, join_alike
 from greybox.show.sentences.registry import register, renders, sentence, sentences
 
 if TYPE_CHECKING:
@@ -153,14 +153,6 @@ def _write_shifts(finding: Finding) -> str:
     several = len(finding.values["shifts"]) > 1
     words = "they compensate" if several else "it compensates"
     return f"not constant: {shifts}; {words} for an effect that the model lacks, or the plant changes"
-
-
-def _write_residual_correlated(finding: Finding) -> str:
-    v = finding.values
-    return (
-        f"the residual of {', '.join(v['outputs'])} is correlated from sample to sample: the intervals allow for it and are up to"
-        f" {v['inflation']:.2g} times as wide as for white noise"
-    )
 
 
 def _write_narrowed(finding: Finding) -> str:
@@ -384,7 +376,10 @@ register(
             " coloured (a quiet record shows which)"
         ),
         EstimationCode.PARAMETER_NOT_CONSTANT: _write_shifts,
-        EstimationCode.RESIDUAL_CORRELATED: _write_residual_correlated,
+        EstimationCode.RESIDUAL_CORRELATED: lambda f: (
+            f"the residual of {', '.join(f.values['outputs'])} is correlated from sample to sample: the intervals allow for it and are"
+            f" up to {f.values['inflation']:.2g} times as wide as for white noise"
+        ),
         EstimationCode.INNOVATIONS_CORRELATED: (
             "the innovations are correlated from sample to sample: the model or its noise model is incomplete; the intervals allow"
             " for it and are up to {inflation:.2g} times as wide as for white innovations"
@@ -494,20 +489,17 @@ register(
 @renders("FitNoise")
 def write_noise(noise: FitNoise) -> str:
     """Where the noise of each output is known from; levels that a likelihood estimated with their 95 % interval."""
-    groups: dict[str, list[str]] = {}
+    texts = {}
     for name, source in noise.sources.items():
         if name in noise.log_std:
-            text = _write_estimated_level(noise, name)
+            texts[name] = _write_estimated_level(noise, name)
         elif name in noise.growth:
-            text = _write_growth(noise, name)
+            texts[name] = _write_growth(noise, name)
         else:
             bound = noise.bound(name)
             direction = source.direction if bound is None else bound.direction
-            text = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))), direction)
-        groups.setdefault(text, []).append(name)
-    if len(groups) == 1 and not noise.log_std:
-        return next(iter(groups))
-    return "; ".join(f"{', '.join(names)}: {text}" for text, names in groups.items())
+            texts[name] = describe_source(source, AutoRegression(tuple(noise.colour.get(name, ()))), direction)
+    return join_alike(texts, always_named=bool(noise.log_std))
 
 
 def _write_growth(noise: FitNoise, output: str) -> str:

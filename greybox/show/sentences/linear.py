@@ -12,18 +12,17 @@ from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.plant import ExportFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders
+from greybox.show.sentences.wording import value_with_unit
 
 if TYPE_CHECKING:
     from greybox.estimation.linear.model_family import ModelFamily
     from greybox.estimation.linear.transfer_channel import LinearBehaviour, TransferChannel
 
 
-def _amount(value: float, unit: str, digits: int = 4) -> str:
-    return f"{value:.{digits}g} {unit}".rstrip()
-
-
 def _no_equilibrium(finding: Finding) -> str:
-    imbalance = ", ".join(f"{r['balance']} by {_amount(r['value'], r['unit'])}" for r in finding.values["imbalance"])
+    imbalance = ", ".join(
+        f"{r['balance']} by {value_with_unit(r['value'], r['unit'], 4)}" for r in finding.values["imbalance"]
+    )
     return (
         f"{finding.values['point']} is not an equilibrium (out of balance: {imbalance}): the linear model holds for deviations from the"
         " motion through this point"
@@ -36,13 +35,13 @@ def _steady_motion(finding: Finding) -> str:
         if finding.values["others_rest"]
         else "the other states are constant only for a moment"
     )
-    speed = _amount(finding.values["speed"], finding.values["unit"])
+    speed = value_with_unit(finding.values["speed"], finding.values["unit"], 4)
     return f"the operating point is a steady motion, not an equilibrium: {finding.subject} moves at {speed}, {others}"
 
 
 def _outside_records(finding: Finding) -> str:
     signals = ", ".join(
-        f"{_amount_of(s['name'], s['value'], s['unit'])} (records: {s['low']:.4g} to {_amount(s['high'], s['unit'])})"
+        f"{_amount_of(s['name'], s['value'], s['unit'])} (records: {s['low']:.4g} to {value_with_unit(s['high'], s['unit'], 4)})"
         for s in finding.values["signals"]
     )
     return (
@@ -51,13 +50,13 @@ def _outside_records(finding: Finding) -> str:
 
 
 def _amount_of(name: str, value: float, unit: str) -> str:
-    return f"{name} = {value:.6g} {unit}".rstrip()
+    return f"{name} = {value_with_unit(value, unit, 6)}"
 
 
 def _friction_left_out(finding: Finding) -> str:
     values = finding.values
-    level = _amount(values["level"], values["unit"])
-    used = f", of which {_amount(values['held'], values['unit'])} are used" if values["held"] else ""
+    level = value_with_unit(values["level"], values["unit"], 4)
+    used = f", of which {value_with_unit(values['held'], values['unit'], 4)} are used" if values["held"] else ""
     return (
         f"{finding.subject} cannot be linearised at {values['state']} = 0, where it holds up to {level}{used}; the matrices describe the"
         f" sliding body without friction; treat friction as a disturbance of up to {level}, or compensate it"

@@ -5,9 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
-
-from greybox.base import Finding
 
 # Units that take a prefix as they are; others (m/s**2, rad, bar) are left alone.
 PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T", "N*m", "J"}
@@ -17,6 +14,13 @@ PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 def value_with_unit(value: float, unit: str, digits: int = 3) -> str:
     """``0.31 mV`` as it is, without another prefix."""
     return f"{value:.{digits}g} {unit}".rstrip()
+
+
+def spread_text(spread: float, unit: str, relative: bool) -> str:
+    """A standard deviation as ``2.1 %``, or in the unit; one of zero is one that the records do not show."""
+    if not spread:
+        return "not visible"
+    return f"{100 * spread:.2g} %" if relative else value_with_unit(spread, unit, 2)
 
 
 def range_with_unit(low: float, high: float, unit: str) -> str:
@@ -56,11 +60,6 @@ def limit_text(low: float, high: float, unit: str = "", digits: int = 3) -> str:
 
 # Beginnings of a sentence that may take a capital; a name of a signal or a parameter stays as it is.
 _WORD = re.compile(r"[a-z]{3,}[ :,-]|(?:no|at|on|in|it|of|is|an?|as|by|if|to)[ :]")
-
-
-def phrase(code: str, subject: str = "", **values: Any) -> Finding:
-    """A sentence as data: the code of its template and the values that go into it."""
-    return Finding(code, subject=subject, values=values)
 
 
 def count_noun(count: int, noun: str) -> str:

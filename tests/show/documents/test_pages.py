@@ -32,7 +32,6 @@ from greybox.show.describe import describe_page
 from greybox.show.documents.tables import misfit_table
 from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
-from greybox.show.sentences.wording import phrase
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
 
@@ -117,7 +116,9 @@ def test_a_fit_that_failed_says_so_and_tests_nothing() -> None:
     assert numbers == "The numbers below are those of the last point of the search. Use them only for diagnosis."
     (residual,) = (s for s in page.sections if s.name == "residual")
     assert residual.blocks[-1].items == ["The fit did not succeed, so its residual was not tested."]
-    findings = tuple(phrase(ComparisonFinding.NO_BLACK_BOX, reason=f"remark number {k} of five") for k in range(5))
+    findings = tuple(
+        Finding(ComparisonFinding.NO_BLACK_BOX, values={"reason": f"remark number {k} of five"}) for k in range(5)
+    )
     html = render_page(describe_page(replace(failed, findings=findings)))
     assert [html.count(f"emark number {k} of five") for k in range(5)] == [1] * 5
 
@@ -261,7 +262,7 @@ def test_text_from_files_stays_text(good: gb.Fit, tmp_path: Path) -> None:
     named = replace(
         good,
         traces=[replace(good.traces[0], name=HOSTILE)],
-        findings=(phrase(ComparisonFinding.NO_BLACK_BOX, reason=HOSTILE),),
+        findings=(Finding(ComparisonFinding.NO_BLACK_BOX, values={"reason": HOSTILE}),),
         solver=replace(good.solver, status=HOSTILE),
     )
     html = write_page(describe_page(named, command=f"greybox fit '{HOSTILE}'"), tmp_path / "page.html").read_text(

@@ -9,8 +9,9 @@ import pytest
 from greybox.base.findings import Check, Finding, Severity
 from greybox.extensions.changes.document import change_tables, constant_row
 from greybox.extensions.changes.result import ChangeCode, ChangeRule, ConstantChange, PopulationConstant
-from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text, spread_text
+from greybox.extensions.changes.sentences import is_determined, merge_not_seen, p_text
 from greybox.show.sentences.registry import sentence
+from greybox.show.sentences.wording import spread_text
 
 C = ChangeCode
 MOVED = {"before": 5.0, "after": 4.5, "unit": "N/m", "low": -0.6, "high": -0.4}
