@@ -144,7 +144,7 @@ def build_system(statement: Statement) -> System:
     rows = [order.index(b.state) for b in ordered]
     storages[rows] = ca.vertcat(*[ca.SX(b.storage) for b in ordered])
     sums[rows] = _sums(ordered, dry, direction)
-    rhs = _hold_inside_bounds(sums / storages, symbols_x, states)
+    rhs = hold_inside_bounds(sums / storages, symbols_x, states)
     return System(
         x=symbols_x,
         u=symbols_u,
@@ -434,8 +434,8 @@ def _sums(ordered: Sequence[Balance], dry: Sequence[DryFrictionTerm], direction:
     return ca.vertcat(*rows)
 
 
-def _hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
-    """The right-hand side with every bounded state held inside its bounds."""
+def hold_inside_bounds(rhs: ca.SX, x: ca.SX, states: Sequence[State]) -> ca.SX:
+    """The right-hand side, or a part of it, with every bounded state held inside its bounds."""
     for k, state in enumerate(states):
         low, high = state.bounds
         if low > -ca.inf:

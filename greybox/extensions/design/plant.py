@@ -184,13 +184,17 @@ def make_plant(question: DesignProblem, model: Model, number: int = 0, step: flo
     if problem.step.past is not None and len(variables.names) == 0:
         raise ModelError(f"{model.title}: no free constant")
     # Priors count once: they are in ``earlier``.
-    unknown = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
-    problem = replace(problem, variables=replace(variables, prior=unknown))
+    problem = replace(problem, variables=_without_priors(variables))
     names = [o.name for o in model.outputs]
     measured = np.array([name in question.noise for name in names])
     weight = np.where(measured, 1 / np.where(measured, noise.std, 1.0), 0.0)
     earlier = information_of_records(question, model, problem.variables)
     return PlantScenario(model, weight, measured, earlier, problem, template, number)
+
+
+def _without_priors(variables: DecisionVector) -> DecisionVector:
+    """The unknowns with priors that are infinitely wide."""
+    return replace(variables, prior=np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)]))
 
 
 def information_of_records(question: DesignProblem, model: Model, like: DecisionVector) -> np.ndarray:
@@ -212,10 +216,8 @@ def information_of_records(question: DesignProblem, model: Model, like: Decision
         if name in known_outputs and name not in question.noise
     }
     problem = prepare_problem(model, question.earlier, question.noise_model(others), question.options.integration)
-    variables = problem.variables
     # The same here: priors were added above.
-    without = np.column_stack([variables.prior[:, 0], np.full(len(variables.prior), np.inf)])
-    problem = replace(problem, variables=replace(variables, prior=without))
+    problem = replace(problem, variables=_without_priors(problem.variables))
     evaluation = problem.shooting(problem.variables).evaluate(problem.variables.here)
     if not np.isfinite(evaluation.cost):
         return prior

@@ -19,7 +19,7 @@ NO_ROWS = np.empty(0, int)
 
 
 class SteppedSignals(NamedTuple):
-    """What code has to know of the thing that it steps: what people and code call it, its signals and its constants."""
+    """What code has to know of a thing that it steps and that is no model: what people and code call it, its signals and its constants."""
 
     title: str
     name: str
@@ -43,7 +43,7 @@ class DiscreteStep:
     dt: float
     p: np.ndarray
     x0: np.ndarray
-    signals: SteppedSignals
+    signals: Model | SteppedSignals
     start: ca.Function
     measurements: tuple[str, ...] = ()
 
@@ -122,17 +122,8 @@ def make_discrete_step(
         inputs = np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
         chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": inputs}
     step = discretise(system, p, x0[None, :], np.array([float(period)]), method=method, **chosen)
-    signals = SteppedSignals(
-        known.title,
-        known.name,
-        known.description,
-        tuple(known.inputs),
-        tuple(known.outputs),
-        tuple(known.all_states),
-        tuple(known.all_parameters),
-    )
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
-    return DiscreteStep(known, step, float(period), p, x0, signals, start)
+    return DiscreteStep(known, step, float(period), p, x0, known, start)
 
 
 def refuse_discontinuous(model: Model) -> None:

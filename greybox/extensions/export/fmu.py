@@ -183,7 +183,7 @@ def write_description(plant: ExportedModel, step: DiscreteStep, name: str, guid:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def list_fmu_names(model: SteppedSignals) -> list[str]:
+def list_fmu_names(model: Model | SteppedSignals) -> list[str]:
     """The FMU's names of inputs, outputs, states (``state.x``) and constants, each once."""
     # One name each: an output may be called as a state is, and a constant as an input.
     plain = to_identifiers([*(i.name for i in model.inputs), *(o.name for o in model.outputs)])

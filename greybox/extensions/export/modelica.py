@@ -10,12 +10,12 @@ from pathlib import Path
 import casadi as ca
 
 from greybox.base import ModelError, format_unit, write_file
-from greybox.base.numerics import STATE_BOUND_MARGIN
 from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_line
 from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
 from greybox.model import Balance, Model
+from greybox.model.build_system import hold_inside_bounds
 from greybox.model.expressions.operations import Binding
 from greybox.model.expressions.printer import MODELICA, Printed, Printer
 
@@ -154,17 +154,9 @@ def _balance(b: Balance, model: Model, names: ModelicaNames, printer: Printer) -
 
 def _guarded(b: Balance, model: Model) -> Balance:
     """The balance with every bounded state held inside its bounds, as the library's equations hold it."""
-    x = model.system.x
 
     def held(value: ca.SX | float) -> ca.SX:
-        value = ca.SX(value)
-        for k, state in enumerate(model.all_states):
-            low, high = state.bounds
-            if low > -ca.inf:
-                value = ca.substitute(value, x[k], ca.fmax(x[k], low + STATE_BOUND_MARGIN))
-            if high < ca.inf:
-                value = ca.substitute(value, x[k], ca.fmin(x[k], high - STATE_BOUND_MARGIN))
-        return value
+        return hold_inside_bounds(ca.SX(value), model.system.x, model.all_states)
 
     return Balance(b.name, b.unit, held(b.storage), b.state, **{name: held(term) for name, term in b.terms.items()})
 
