@@ -24,7 +24,7 @@ class ExtensionKind(StrEnum):
     """What can be added; the group of its entry points is ``greybox.`` and the kind."""
 
     READERS = "readers"
-    """Kinds of files that records are read from: a `greybox.data.formats.FileFormat`."""
+    """Kinds of files that records are read from: a `greybox.data.file_kinds.FileFormat`."""
     EXPORTS = "exports"
     """Targets of an export: a `greybox.extensions.export.ExportTarget`."""
     PLANTS = "plants"

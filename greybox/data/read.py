@@ -26,8 +26,8 @@ from greybox.data.columns import (
     request_conditions,
 )
 from greybox.data.experiment import HOLDS, Experiment, Hold
+from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
-from greybox.data.formats import RecordFile, open_record_file
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
 from greybox.model import Model

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, convert, unit_converter
-from greybox.data import array_table, channels, formats, policy, sampling, sensor_faults
+from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
 from greybox.data.columns import TIME, Column, parse_header
 from greybox.data.findings import RecordCode
 from greybox.data.problems import is_constant
@@ -135,7 +135,7 @@ def survey_file(
     DataError
         For a file that cannot be read.
     """
-    file = formats.open_record_file(path, policy=reading)
+    file = file_kinds.open_record_file(path, policy=reading)
     if names is not None:
         file = file.rename(names)
     if isinstance(file.table, channels.ChannelTable):
@@ -143,7 +143,7 @@ def survey_file(
     return _survey_table(file, sampling_time)
 
 
-def _survey_table(file: formats.RecordFile, sampling_time: float | None) -> FileSurvey:
+def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None) -> FileSurvey:
     table = file.table
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     clock = next((c for c in columns if c.name == "t" or c.name.lower() == TIME), None)
@@ -185,7 +185,7 @@ def _survey_table(file: formats.RecordFile, sampling_time: float | None) -> File
     return FileSurvey(file.path.name, file.kind.name, _with_input(signals), tuple(findings))
 
 
-def _is_column(file: formats.RecordFile, position: int) -> bool:
+def _is_column(file: file_kinds.RecordFile, position: int) -> bool:
     table = file.table
     if not isinstance(table, array_table.ArrayTable):
         return True
@@ -193,7 +193,7 @@ def _is_column(file: formats.RecordFile, position: int) -> bool:
     return not info.holds and math.prod(info.shape) > 1
 
 
-def _survey_channels(file: formats.RecordFile, table: channels.ChannelTable) -> FileSurvey:
+def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable) -> FileSurvey:
     signals: list[SignalSurvey] = []
     findings: list[Finding] = list(table.findings)
     used = {TIME}

@@ -19,7 +19,7 @@ from greybox.base.linear_algebra import range_basis
 from greybox.base.numerics import SAME_DIRECTION
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.problem import FittedCandidate
-from greybox.estimation.transcription.simulation_error import SingleShooting
+from greybox.estimation.transcription.shooting_cost import SingleShooting
 from greybox.model import Model, System
 from greybox.simulation.linearise import linearise_along
 

@@ -23,7 +23,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.select import select_transcription
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model.model import Model
 
 StartValues = Mapping[str, float]

@@ -22,7 +22,7 @@ from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.residual_noise import INDEPENDENT_SOURCES
 from greybox.discovery.selection import TIE_COST
 from greybox.discovery.surrogate import Surrogate
-from greybox.estimation.fit_issues import FAR_NOISE_RATIO
+from greybox.estimation.findings import FAR_NOISE_RATIO
 from greybox.estimation.result import Fit
 from greybox.model.signals import Input
 from greybox.model.sites import DRIVE, VALVE

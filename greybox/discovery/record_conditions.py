@@ -8,8 +8,8 @@ from dataclasses import replace
 from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
 from greybox.estimation import Fit, FitOptions
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
-from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.record_trends import shared_conditions
 
 

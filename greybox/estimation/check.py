@@ -9,7 +9,7 @@ from typing import ClassVar, TypedDict
 from greybox.base import DataError, FileKind, Finding, ModelError, Printable, StoredResult, nearest
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel, NoiseSource
-from greybox.estimation.fit_issues import find_excluded_outputs
+from greybox.estimation.findings import find_excluded_outputs
 from greybox.estimation.identifiability.combinations import OpenDirection
 from greybox.estimation.identifiability.practical import (
     ExpectedPrecision,

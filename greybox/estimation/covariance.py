@@ -15,7 +15,7 @@ from greybox.estimation.result_parts import Estimate, IntervalKind, PriorCheck
 from greybox.estimation.sandwich import ResidualColour, estimate_kernel_score_covariance, sum_scores
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model import Model, Parameter
 
 # Standard deviation with the constants at their bounds free, over the one with them held, from which it is told: an interval half as wide

@@ -12,7 +12,7 @@ import numpy as np
 from greybox.base import Finding, FitError, ModelError, Severity, nearest, read_versions
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import GrowingNoise, NoiseModel, NoiseSource
-from greybox.estimation import fit_issues, result_parts
+from greybox.estimation import result_parts
 from greybox.estimation.covariance import (
     check_priors,
     count_open_directions,
@@ -21,6 +21,19 @@ from greybox.estimation.covariance import (
     to_experiment_estimates,
     to_model_covariance,
     to_tied_estimates,
+)
+from greybox.estimation.findings import (
+    LAST_DIGIT,
+    EstimationCode,
+    add_record_findings,
+    find_fit_issues,
+    find_foreign_conditions,
+    find_option_issues,
+    find_prior_conflicts,
+    find_record_trends,
+    find_status_details,
+    find_validation_issues,
+    is_at_noise,
 )
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -200,7 +213,7 @@ def fit(
             initial_rows=beginning,
             options=options,
         )
-        issues = fit_issues.find_validation_issues(result.misfit, judged.misfit)
+        issues = find_validation_issues(result.misfit, judged.misfit)
         result = replace(result, validation=judged, findings=(*result.findings, *issues))
     if raise_on_failure and not result.success:
         raise FitError(f"fit of {model.title}: {result.solver.status_message}")
@@ -216,7 +229,7 @@ def _say_what_held_would_be(result: Fit, freed: Fit, held: Sequence[str]) -> Fit
         if name in held
     }
     constraints = replace(result.constraints, priors={**result.constraints.priors, **checks})
-    issues = fit_issues.find_prior_conflicts(result.model, checks)
+    issues = find_prior_conflicts(result.model, checks)
     return replace(result, constraints=constraints, findings=(*result.findings, *issues))
 
 
@@ -284,9 +297,7 @@ def _begin_with_effects(
             continue
         other = prepare_problem(model.start(**begin), experiments, problem.noise, near, initial=initial)
         ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, near, colour, report)))
-        if ends[-1].status is TerminationStatus.INTERRUPTED or (
-            problem.noise.is_level_known and fit_issues.is_at_noise(ends[-1])
-        ):
+        if ends[-1].status is TerminationStatus.INTERRUPTED or (problem.noise.is_level_known and is_at_noise(ends[-1])):
             break
     return min(ends, key=lambda end: _compute_ratio(end, std))
 
@@ -322,17 +333,14 @@ def explains_nothing(optimum: SimulationOptimum) -> bool:
     """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
     if not np.isfinite(optimum.evaluation.cost):
         return True
-    return not fit_issues.is_at_noise(optimum) and not any(
-        m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values()
-    )
+    return not is_at_noise(optimum) and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
 
 
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
     """Whether a search got stuck without having moved any free constant in its digits."""
     end, begin = optimum.fitted_model.values, optimum.model.values
     return optimum.status is TerminationStatus.STUCK and all(
-        abs(end[q.name] - begin[q.name]) <= fit_issues.LAST_DIGIT * abs(begin[q.name])
-        for q in optimum.model.free_parameters
+        abs(end[q.name] - begin[q.name]) <= LAST_DIGIT * abs(begin[q.name]) for q in optimum.model.free_parameters
     )
 
 
@@ -347,7 +355,7 @@ def has_lost_constants(optimum: SimulationOptimum, problem: EstimationProblem) -
     model whose constants the records never tell apart has as many such directions everywhere, and loses none.
     """
     lost = count_open_directions(optimum.variables, optimum.evaluation.hessian)
-    if not lost or fit_issues.is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
+    if not lost or is_at_noise(optimum) or not np.isfinite(optimum.evaluation.cost):
         return False
     near = draw_starts(optimum.model, LOOKS_ELSEWHERE, seed=0, factor=STARTS_FACTOR)
     for variables in (problem.variables, *map(problem.variables.with_values, near)):
@@ -414,7 +422,7 @@ def _try_other_starts(
         return (
             best,
             starts,
-            (Finding(fit_issues.EstimationCode.NO_START_HELPS, Severity.WARNING, "", values),) * is_news,
+            (Finding(EstimationCode.NO_START_HELPS, Severity.WARNING, "", values),) * is_news,
         )
     if best is first:
         return best, starts, ()
@@ -424,7 +432,7 @@ def _try_other_starts(
         "before": before if np.isfinite(first.evaluation.cost) else {},
         "after": after,
     }
-    return best, starts, (Finding(fit_issues.EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
+    return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
 
 
 def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:
@@ -486,12 +494,12 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
     matrix, places = np.full((len(free), len(free)), np.nan), [free.index(name) for name in fitted]
     matrix[np.ix_(places, places)] = to_model_covariance(variables, covariance.covariance)
     findings = (
-        *fit_issues.find_fit_issues(optimum, parameters),
-        *fit_issues.find_option_issues(problem, tied, per_experiment, priors, robust),
+        *find_fit_issues(optimum, parameters),
+        *find_option_issues(problem, tied, per_experiment, priors, robust),
         *find_mistaken_units(model, parameters),
         *(() if prediction else find_reading_errors(optimum.traces)),
-        *fit_issues.find_foreign_conditions(model, problem.experiments),
-        *fit_issues.find_record_trends(variables, covariance, problem.experiments),
+        *find_foreign_conditions(model, problem.experiments),
+        *find_record_trends(variables, covariance, problem.experiments),
     )
     estimated_noise = [model.outputs[j] for j in variables.estimated_noise]
     return Fit(
@@ -518,7 +526,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
                 **_count_runs(problem),
             },
             make_strategy("prediction", exact=prediction.is_exact) if prediction else solution.strategy,
-            fit_issues.find_status_details(optimum),
+            find_status_details(optimum),
         ),
         noise=result_parts.FitNoise(
             {o.name: float(problem.noise.std[j]) for j, o in measured},
@@ -549,5 +557,5 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
         ),
         robust=robust,
         prediction=prediction.report() if prediction else result_parts.PredictionReport(),
-        findings=fit_issues.add_record_findings(findings, problem.experiments),
+        findings=add_record_findings(findings, problem.experiments),
     )

@@ -20,8 +20,8 @@ from greybox.base.files import add_entry, read_journal
 from greybox.base.parallel.jobs import JobProgressCallback, JobResult, run_jobs
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise import GrowingNoise, NoiseModel
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import draw_starts, fit
-from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options

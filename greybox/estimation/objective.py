@@ -18,7 +18,7 @@ from greybox.estimation.optim.minimisation import Termination, TerminationPolicy
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.decision_vector import DecisionVector, NoiseLevels
 from greybox.estimation.transcription.problem import EstimationProblem, FitProgress, FitProgressCallback, Runs
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.simulation.filtering.kalman_filter import LOG_TWO_PI, InnovationSensitivities, KalmanFilter
 from greybox.simulation.filtering.smoother import BatchFilter, predict_outputs
 from greybox.simulation.kernel.record import Record

@@ -15,7 +15,7 @@ from scipy.special import chdtri, fdtri
 from greybox.base import DataError, ModelError, Printable, StoredResult, nearest, pseudo_inverse, read_json
 from greybox.base.json_shape import FileKind, Finite, FiniteArray, Interval, UnboundedArray, from_json_data
 from greybox.estimation.covariance import compute_quantile, estimate_covariance
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.objective import (
     LIKELIHOOD_TERMINATION,
     Objective,
@@ -31,7 +31,7 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import Estimate
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.decision_vector import SHARED, DecisionVector
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 
 # Profiles, of one constant or two, and bootstraps as JSON files that are written and read without loss.
 

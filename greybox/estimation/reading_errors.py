@@ -9,7 +9,7 @@ import numpy as np
 from greybox.base import Finding, Severity
 from greybox.data.findings import RecordCode
 from greybox.data.sensor_faults import find_reading_step
-from greybox.estimation.fit_issues import (
+from greybox.estimation.findings import (
     REPORTING_CORRELATION,
     EstimationCode,
     compute_lag_one_correlation,

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from greybox.base.values import Printable
     from greybox.data.array_table import ArrayInfo, ArrayTable
     from greybox.data.channels import Channel, ChannelTable
-    from greybox.data.formats import FileFormat
+    from greybox.data.file_kinds import FileFormat
     from greybox.data.time_base import Samples
     from greybox.extensions.export.target import ExportTarget
     from greybox.shell.plants import PlantKind

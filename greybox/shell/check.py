@@ -52,7 +52,7 @@ def check(study: Study) -> Answer:
 
 def is_record(study: Study) -> bool:
     """Whether a file that records are read from stands in the place of the model."""
-    from greybox.data.formats import record_suffixes
+    from greybox.data.file_kinds import record_suffixes
 
     return Path(study.model).suffix.lower() in record_suffixes()
 

@@ -16,7 +16,7 @@ from types import ModuleType
 from typing import TypeVar
 
 from greybox.base import ExtensionKind, GreyboxError, ModelError, Printable, load_extensions, nearest
-from greybox.data.formats import record_suffixes
+from greybox.data.file_kinds import record_suffixes
 from greybox.model import Model
 from greybox.shell.plants import find_plant_kind
 from greybox.simulation.plant import as_model, is_plant

@@ -259,7 +259,7 @@ def _nearest_option(option: str, ctx: Any) -> str:
 
 def describe_missing_argument(command: str, order: Sequence[str], missing: str, typed: Sequence[str]) -> str:
     """Which argument is missing, and in which order they come; a record in the place of the model is named as such."""
-    from greybox.data.formats import record_suffixes
+    from greybox.data.file_kinds import record_suffixes
 
     usage = f"write {command} {' '.join(order)}; see {command} --help"
     first = next((word for word in typed if not word.startswith("-")), "")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from greybox.data.columns import propose_columns
-from greybox.data.formats import open_record_file
+from greybox.data.file_kinds import open_record_file
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State

@@ -16,8 +16,8 @@ from scipy.io import savemat
 
 from greybox.base.errors import DataError, nearest
 from greybox.data.columns import parse_header
+from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.findings import RecordCode
-from greybox.data.formats import FileFormat, RecordFile
 from greybox.data.policy import ReadingPolicy
 from greybox.data.read import read_csv, read_experiments
 from greybox.data.text_table import read_text

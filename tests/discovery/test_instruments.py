@@ -4,7 +4,7 @@ import pytest
 
 import greybox as gb
 from greybox.discovery.findings import DiscoveryCode as Code
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from tests.support.findings import find
 from tests.support.weighed_pendulum import NOISE, WITH_FRICTION, swung
 

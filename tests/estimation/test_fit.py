@@ -12,8 +12,8 @@ from greybox.base.errors import DataError, FitError, ModelError
 from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
-from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
 from greybox.estimation.validate import validate

@@ -8,7 +8,7 @@ import pytest
 
 from greybox import FitOptions, fit
 from greybox.estimation.check import check
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.score import score
 from greybox.estimation.uncertainty import bootstrap, profile

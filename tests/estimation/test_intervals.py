@@ -12,8 +12,8 @@ from scipy.stats import t as student
 import greybox as gb
 from greybox.base.errors import FitError, ModelError
 from greybox.data.experiment import Experiment
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
-from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import load_fit
 from greybox.estimation.sandwich import compute_toeplitz_form

@@ -11,8 +11,8 @@ from greybox import Balance, GreyboxError, Input, Model, Output, Parameter, Stat
 from greybox.base.errors import ModelError
 from greybox.base.findings import Severity
 from greybox.data.experiment import Experiment
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import SearchTrouble, fit, stands_where_it_began
-from greybox.estimation.fit_issues import EstimationCode
 from greybox.estimation.multistart import draw_starts, group_by_optimum, multistart, summarise_starts
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions

@@ -9,7 +9,7 @@ import pytest
 
 from greybox import FitOptions, fit
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.fit_issues import compute_lag_one_correlation
+from greybox.estimation.findings import compute_lag_one_correlation
 from greybox.estimation.objective import (
     PredictionErrorObjective,
     SimulationErrorObjective,
@@ -120,7 +120,7 @@ def test_the_errors_of_a_long_record_are_given_back_while_they_are_whitened(monk
 
 @pytest.mark.parametrize("rows", [1, 7, 100_000])
 def test_the_correlation_of_neighbours_is_the_same_however_many_rows_are_looked_at_together(monkeypatch, rows):
-    monkeypatch.setattr("greybox.estimation.fit_issues.ROWS_AT_A_TIME", rows)
+    monkeypatch.setattr("greybox.estimation.findings.ROWS_AT_A_TIME", rows)
     data = record(3, rows=100)
     x = data.outputs["x"].copy()
     x[[0, 20, 21, 99]] = np.nan
@@ -138,7 +138,7 @@ def test_a_long_record_is_whitened_in_its_place_to_the_same_numbers(monkeypatch)
     problem = prepare_problem(MASS, data.with_outputs({**data.outputs, "x": x}), LEVEL, FitOptions())
     problem = replace(problem, noise=replace(problem.noise, colour=tuple(colour.values())))
     usual = problem.shooting().residuals(problem.variables.here)
-    monkeypatch.setattr("greybox.estimation.transcription.simulation_error.NUMBERS_AT_A_TIME", 10)
+    monkeypatch.setattr("greybox.estimation.transcription.shooting_cost.NUMBERS_AT_A_TIME", 10)
     for computed, expected in zip(problem.shooting().residuals(problem.variables.here)[0], usual[0], strict=True):
         assert np.array_equal(computed, expected, equal_nan=True)
         assert np.isnan(expected).any() and not np.isnan(expected).all()

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 import greybox as gb
 from greybox import FitOptions, fit
 from greybox.base.errors import ModelError
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.optimum import restore_objective
 from greybox.estimation.result import load_fit
 from greybox.simulation.filtering.kalman_filter import KalmanFilter

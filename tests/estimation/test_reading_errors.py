@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 import greybox as gb
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.reading_errors import estimate_jitter
 from tests.support.findings import find
 

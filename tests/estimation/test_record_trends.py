@@ -6,7 +6,7 @@ from scipy.integrate import solve_ivp
 
 from greybox import Balance, Experiment, Input, Model, Output, Parameter, State, fit, load_fit
 from greybox.base.errors import ModelError
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.record_trends import TrendKind, find_trend
 
 NOISE = 2e-3

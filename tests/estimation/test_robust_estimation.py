@@ -12,11 +12,11 @@ from greybox.base.errors import ModelError
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_sources import estimate_noise
 from greybox.data.noise.spectrum import estimate_noise_from_differences
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.options import parse_loss
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.transcription.problem import prepare_problem
-from greybox.estimation.transcription.simulation_error import WhitenedShooting
+from greybox.estimation.transcription.shooting_cost import WhitenedShooting
 from greybox.estimation.uncertainty import bootstrap, profile
 from models.micro_actuator import micro_actuator
 from tests.oracles.independent import linear_record, multisine

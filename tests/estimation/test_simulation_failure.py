@@ -3,7 +3,7 @@
 import casadi as ca
 import numpy as np
 
-from greybox.estimation.fit_issues import EstimationCode, locate_simulation_failure
+from greybox.estimation.findings import EstimationCode, locate_simulation_failure
 from greybox.estimation.options import FitOptions
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model.balance import Balance

@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from fits.measured_rigs import swing
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from tests.support.findings import find
 from tests.support.weighed_pendulum import NOISE, WEIGHED, WITH_FRICTION, swung
 

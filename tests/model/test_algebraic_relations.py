@@ -7,7 +7,7 @@ import greybox as gb
 from greybox import Balance, Effect, Input, Model, Output, Parameter, State
 from greybox.base.errors import ModelError, UnitError
 from greybox.base.numerics import RELATION_MET
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.extensions.export.python_model import to_python
 from greybox.model.effects.catalogue import effect
 from greybox.model.effects.placement import find_placements

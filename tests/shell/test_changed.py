@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 import greybox as gb
-from greybox.data.formats import list_record_files
+from greybox.data.file_kinds import list_record_files
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv
 from models.silverbox import silverbox

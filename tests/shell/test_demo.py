@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from greybox import read_csv, report
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.shell.demonstration import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import greybox as gb
 from greybox.base.findings import Finding
-from greybox.estimation.linear.plant import ExportFinding
+from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.shell.commands import app
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder

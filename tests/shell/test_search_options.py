@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import Result
 
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.transcription.problem import TranscriptionReason
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator

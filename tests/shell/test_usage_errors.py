@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 from greybox import FitOptions, compare, fit, linearise
 from greybox.base.errors import DataError
 from greybox.data.signals import multisine
-from greybox.estimation.linear.plant import ExportFinding
+from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.estimation.score import score
 from greybox.shell.commands import app
 from greybox.simulation.simulate import write_csv

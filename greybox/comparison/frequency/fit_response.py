@@ -20,9 +20,9 @@ from greybox.base.errors import DataError, GreyboxError, nearest
 from greybox.comparison.frequency.response import FrequencyResponse
 from greybox.data.experiment import Experiment, as_records
 from greybox.estimation.fit import fit
+from greybox.estimation.linear.exported_model import to_plant
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions, PointMemory
-from greybox.estimation.linear.plant import to_plant
 from greybox.estimation.options import FitOptions
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.problem import EstimationProblem, prepare_problem

@@ -13,7 +13,7 @@ from greybox.base.errors import DataError, nearest
 from greybox.base.units import convert
 from greybox.base.values import Printable
 from greybox.data.columns import Column, parse_header
-from greybox.data.formats import open_record_file
+from greybox.data.file_kinds import open_record_file
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import raise_problems
 

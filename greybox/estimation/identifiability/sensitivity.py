@@ -14,7 +14,7 @@ from greybox.base.linear_algebra import COLUMN_RANK, ColumnDecomposition, decomp
 from greybox.base.numerics import COLUMN_CUTOFF, INTEGRATING_POLE, TINY
 from greybox.data.experiment import Experiment
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
-from greybox.estimation.transcription.simulation_error import SingleShooting
+from greybox.estimation.transcription.shooting_cost import SingleShooting
 from greybox.model import Model
 from greybox.model.validation import check_constants
 from greybox.simulation.integrators.discretisation import discretise

@@ -12,7 +12,7 @@ from scipy.linalg import qr
 from greybox.base import Finding, ModelError, Printable, numerics
 from greybox.base.json_shape import ComplexArray, Matrix
 from greybox.base.linear_algebra import REACHABILITY, range_basis
-from greybox.estimation.linear.plant import ExportFinding
+from greybox.estimation.linear.exported_model import ExportFinding
 
 # Coordinates in which a state-space model is of one size (pascals and micrometres side by side lose digits), and poles in them.
 

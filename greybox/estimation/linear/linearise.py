@@ -11,9 +11,9 @@ import numpy as np
 from greybox.base import Finding, ModelError, Severity, format_unit
 from greybox.base.numerics import CANCELLED_DERIVATIVE, SAME_DERIVATIVE, TINY
 from greybox.data.experiment import Experiment
+from greybox.estimation.linear.exported_model import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.operating_point import ModelFunctions, OperatingPoint, solve_operating_point
-from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.sampling import sample
 from greybox.estimation.result import Fit
 from greybox.model import Model

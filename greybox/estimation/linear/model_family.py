@@ -9,10 +9,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from greybox.base import TINY, Finding, ModelError, Printable, Severity, decompose_symmetric
+from greybox.estimation.linear.exported_model import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise_at
 from greybox.estimation.linear.operating_point import ModelFunctions
-from greybox.estimation.linear.plant import ExportedModel, ExportFinding, to_plant
 from greybox.estimation.result import Fit
 
 # Samples of the fitted parameters from their covariance, within their bounds.

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, decompose_columns, format_unit, nearest, numerics
-from greybox.estimation.linear.plant import ExportFinding, format_signals
+from greybox.estimation.linear.exported_model import ExportFinding, format_signals
 from greybox.model import Input, Model, State
 from greybox.model.effect import InputDelay
 from greybox.model.expressions.graph import Switches

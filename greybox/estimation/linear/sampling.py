@@ -9,8 +9,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from greybox.base import TIME_ROUNDING, Finding, ModelError, Severity, nearest
+from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.estimation.linear.linearisation import Linearisation, balance_matrix
-from greybox.estimation.linear.plant import ExportFinding
 
 METHODS = ("zoh", "tustin")
 

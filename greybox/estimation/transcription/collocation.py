@@ -31,7 +31,7 @@ from greybox.estimation.transcription.problem import (
 )
 from greybox.estimation.transcription.segments import cut_by_growth, initialise_without_continuity, measure_state_ranges
 from greybox.estimation.transcription.select import TranscriptionChoice
-from greybox.estimation.transcription.simulation_error import Evaluation, add_prior_penalty
+from greybox.estimation.transcription.shooting_cost import Evaluation, add_prior_penalty
 from greybox.estimation.transcription.single_shooting import (
     Refinement,
     compute_change_over_noise,

@@ -19,7 +19,7 @@ from greybox.estimation.optim.minimisation import DEFAULT_POLICY as MINIMISATION
 from greybox.estimation.optim.minimisation import Minimisation, Termination, TerminationPolicy
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.transcription.decision_vector import DecisionVector, find_measured_states
-from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, add_prior_penalty
+from greybox.estimation.transcription.shooting_cost import Evaluation, SingleShooting, add_prior_penalty
 from greybox.simulation.kernel.interface import GaussNewtonSums
 
 # Gauss-Newton steps at most; from the state of the last point one or two are enough.

@@ -49,7 +49,7 @@ from greybox.estimation.transcription.segments import (
     fit_without_continuity,
 )
 from greybox.estimation.transcription.select import TranscriptionChoice
-from greybox.estimation.transcription.simulation_error import Evaluation, SingleShooting, compute_gauss_newton_step
+from greybox.estimation.transcription.shooting_cost import Evaluation, SingleShooting, compute_gauss_newton_step
 from greybox.estimation.transcription.single_shooting import (
     CONVERGENCE,
     Refinement,

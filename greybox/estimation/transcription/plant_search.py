@@ -23,7 +23,7 @@ from greybox.estimation.transcription.problem import (
     Solution,
     make_strategy,
 )
-from greybox.estimation.transcription.simulation_error import Evaluation, PlantShooting
+from greybox.estimation.transcription.shooting_cost import Evaluation, PlantShooting
 from greybox.estimation.transcription.single_shooting import solve_single_shooting
 from greybox.simulation.plant import CanApproach, PlantModel
 from greybox.simulation.plant_kernel import PlantKernel

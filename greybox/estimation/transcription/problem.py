@@ -19,8 +19,8 @@ from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimat
 from greybox.data.problems import is_constant
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import DEFAULT_POLICY, EstimationPolicy, FitOptions, RobustLoss
-from greybox.estimation.transcription import simulation_error
 from greybox.estimation.transcription.decision_vector import DecisionVector, InitialStates
+from greybox.estimation.transcription.shooting_cost import Evaluation, PlantShooting, SingleShooting, WhitenedShooting
 from greybox.model import Model
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step
@@ -60,17 +60,17 @@ class EstimationProblem:
         # c + g'z + z'H z / 2 at its least within the bounds.
         return float(e.cost - e.predicted_decrease(*variables.bounds()))
 
-    def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> simulation_error.SingleShooting:
+    def shooting(self, variables: DecisionVector | None = None, share: float = 1.0) -> SingleShooting:
         """The cost of free runs over the first ``share`` of every record, for its own variables or others.
 
         Whitened where the noise is known to be coloured, with the ``loss``.
         """
         base = variables or self.variables, self.step, self.kernel, self.records, 1 / self.noise.std, share
         if isinstance(self.kernel, PlantKernel):
-            return simulation_error.PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
+            return PlantShooting(*base, colour=self.noise.colour, loss=self.loss)
         if self.loss is None and not self.is_whitened:
-            return simulation_error.SingleShooting(*base)
-        return simulation_error.WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
+            return SingleShooting(*base)
+        return WhitenedShooting(*base, colour=self.noise.colour, loss=self.loss)
 
     @property
     def is_whitened(self) -> bool:
@@ -523,7 +523,7 @@ class Solution:
 
     problem: EstimationProblem
     variables: DecisionVector
-    evaluation: simulation_error.Evaluation
+    evaluation: Evaluation
     status: TerminationStatus
     solver_status: str
     iterations: int

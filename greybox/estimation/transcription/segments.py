@@ -26,7 +26,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector, Ini
 from greybox.estimation.transcription.eliminated_states import ProjectedShooting
 from greybox.estimation.transcription.problem import EstimationProblem, Runs
 from greybox.estimation.transcription.select import estimate_error_growth
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.simulation.kernel.record import Record
 
 Cuts = tuple[tuple[int, ...], ...]

@@ -20,7 +20,7 @@ from greybox.estimation.transcription.problem import (
     Solution,
     make_strategy,
 )
-from greybox.estimation.transcription.simulation_error import Evaluation
+from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps, follow_step
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 

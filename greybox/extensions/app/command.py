@@ -159,7 +159,7 @@ class StudyOnFile:
     ) -> tuple[tuple[str, ...], tuple[ColumnChoice, ...]] | None:
         """The columns of a file that lacks some of the model's, and which each signal may be; None where no choice would help."""
         from greybox.data.columns import propose_columns
-        from greybox.data.formats import open_record_file
+        from greybox.data.file_kinds import open_record_file
         from greybox.data.policy import READING_POLICY
 
         if self.study.headers:

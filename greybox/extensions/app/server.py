@@ -33,7 +33,7 @@ from tornado.netutil import bind_sockets
 from tornado.web import Application, HTTPError, RequestHandler, stream_request_body
 
 from greybox.base import DataError, GreyboxError, write_file
-from greybox.data.formats import record_suffixes
+from greybox.data.file_kinds import record_suffixes
 from greybox.data.policy import READING_POLICY
 from greybox.extensions.app.jobs import JobKind
 from greybox.extensions.app.workbench import UnmatchedRecordError, Workbench

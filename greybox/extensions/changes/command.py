@@ -69,7 +69,7 @@ def changed(study: ChangeStudy) -> Answer:
 
 def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.base.parallel.jobs import open_workers
-    from greybox.data.formats import list_record_files
+    from greybox.data.file_kinds import list_record_files
     from greybox.extensions.changes.detect import detect_changes
 
     files = list_record_files(study.estimation)
@@ -93,7 +93,7 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 
 def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
-    from greybox.data.formats import list_record_files
+    from greybox.data.file_kinds import list_record_files
     from greybox.extensions.changes.survey import survey_population
 
     machines = {
@@ -105,7 +105,7 @@ def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
 
 def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
-    from greybox.data.formats import list_record_files
+    from greybox.data.file_kinds import list_record_files
     from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(study.estimation)

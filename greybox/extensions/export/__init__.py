@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING
 from greybox.base.faces import lazy_face
 
 if TYPE_CHECKING:
+    from greybox.estimation.linear.exported_model import ExportFinding
     from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.linear.model_family import ModelFamily, WorstCase, sample_family
     from greybox.estimation.linear.operating_point import OperatingPoint, find_operating_point
-    from greybox.estimation.linear.plant import ExportFinding
     from greybox.estimation.linear.sampling import sample
     from greybox.estimation.linear.transfer_channel import TransferChannel, extract_channel
     from greybox.extensions.export.c_code import to_c

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from greybox.base import format_unit, write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import DiscreteStep, make_discrete_step
 from greybox.extensions.export.observer import Observer, refuse_sampling

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 
 from greybox.base import GreyboxError, ModelError, nearest, to_identifier, to_identifiers, write_file
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export import discrete_step
 from greybox.extensions.export.target import ExportTarget

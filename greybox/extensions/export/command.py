@@ -79,7 +79,7 @@ def _kind(study: ExportStudy) -> ExportTarget:
 
 def _as_json(made: Export, to: str, report: Path | None) -> str:
     from greybox.base import format_json, to_json_data
-    from greybox.estimation.linear.plant import to_plant
+    from greybox.estimation.linear.exported_model import to_plant
     from greybox.extensions.export.linear_files import LinearFile, PrintedExport
 
     printed: PrintedExport = {
@@ -96,10 +96,10 @@ def _as_json(made: Export, to: str, report: Path | None) -> str:
 def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
     from dataclasses import replace
 
+    from greybox.estimation.linear.exported_model import to_plant
     from greybox.estimation.linear.linearisation import minimal_realisation
     from greybox.estimation.linear.linearise import linearise
     from greybox.estimation.linear.model_family import sample_family
-    from greybox.estimation.linear.plant import to_plant
     from greybox.extensions.export.document import Export
     from greybox.shell.answers import LinearAnswer
 
@@ -123,7 +123,7 @@ def _linear(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> t
 
 
 def _code(fit: Fit, kind: ExportTarget, target: Path, study: ExportStudy) -> tuple[LinearAnswer | CodeAnswer, Export]:
-    from greybox.estimation.linear.plant import to_plant
+    from greybox.estimation.linear.exported_model import to_plant
     from greybox.extensions.export.document import Export
     from greybox.extensions.export.observer import design_observer
     from greybox.shell.answers import CodeAnswer

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import ModelError
-from greybox.estimation.linear.plant import ExportedModel
+from greybox.estimation.linear.exported_model import ExportedModel
 from greybox.model import Input, Model, Output, Parameter, State
 from greybox.simulation.integrators.discretisation import discretise
 from greybox.simulation.integrators.step import Step

@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 from greybox.base import format_unit, parse_unit, to_identifier, to_identifiers, to_line, write_file
 from greybox.base.errors import ModelError, OutputError
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.c_code import write_constants, write_step
 from greybox.extensions.export.discrete_step import (

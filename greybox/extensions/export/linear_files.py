@@ -16,10 +16,10 @@ import numpy as np
 from greybox.base import ExtensionKind, ModelError, load_extensions, nearest, to_identifiers, to_line, write_file
 from greybox.base.json_file import write_json as write_json_file
 from greybox.base.json_shape import Axes, FileKind, Matrix
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
 from greybox.estimation.linear.model_family import ModelFamily, sample_family
-from greybox.estimation.linear.plant import ExportedModel, to_plant
 from greybox.estimation.linear.transfer_channel import TransferChannel, describe_behaviour, extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget

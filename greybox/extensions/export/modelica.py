@@ -11,7 +11,7 @@ import casadi as ca
 
 from greybox.base import ModelError, format_unit, write_file
 from greybox.base.texts import to_comment, to_identifier, to_identifiers, to_line
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.target import ExportTarget
 from greybox.model import Balance, Model

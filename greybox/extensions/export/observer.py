@@ -17,7 +17,7 @@ import numpy as np
 from greybox.base import ModelError, nearest, to_identifier
 from greybox.base.numerics import LARGEST_VALUE
 from greybox.estimation import Fit, FitOptions
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.predictor import (
     CorrectionKind,
     FixedParameterModel,

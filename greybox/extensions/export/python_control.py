@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, nearest, to_identifier, to_identifiers
+from greybox.estimation.linear.exported_model import ExportFinding, to_plant
 from greybox.estimation.linear.linearisation import Linearisation, minimal_realisation
 from greybox.estimation.linear.linearise import linearise
-from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.estimation.linear.transfer_channel import extract_channel
 from greybox.estimation.result import Fit
 from greybox.extensions.export import discrete_step

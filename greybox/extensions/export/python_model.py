@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 
 from greybox.base import GreyboxError, to_identifier, write_file
-from greybox.estimation.linear.plant import ExportedModel, to_plant
+from greybox.estimation.linear.exported_model import ExportedModel, to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.observer import Observer, write_observer_class
 from greybox.extensions.export.target import ExportTarget

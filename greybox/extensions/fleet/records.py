@@ -15,7 +15,7 @@ from typing import Any
 from greybox.base import DataError
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment, Hold
-from greybox.data.formats import list_record_files
+from greybox.data.file_kinds import list_record_files
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.read import read_csv
 from greybox.model import Model

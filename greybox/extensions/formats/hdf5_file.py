@@ -12,7 +12,7 @@ from greybox.base import convert
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header
-from greybox.data.formats import FileFormat
+from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.base import DataError
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width, raise_limit
-from greybox.data.formats import FileFormat
+from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.extensions.formats.hdf5_file import is_hdf5, read_hdf5
 

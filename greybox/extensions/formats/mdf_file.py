@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_width
-from greybox.data.formats import FileFormat
+from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 

@@ -14,7 +14,7 @@ import numpy as np
 from greybox.base import DataError, nearest
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width
-from greybox.data.formats import FileFormat, RecordFile
+from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from greybox.base import DataError
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
-from greybox.data.formats import FileFormat
+from greybox.data.file_kinds import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 

@@ -11,8 +11,8 @@ import numpy as np
 from greybox.base import DataError, Finding, convert
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import TIME, check_width, parse_header
+from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
-from greybox.data.formats import FileFormat
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 

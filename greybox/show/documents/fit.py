@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from greybox.base import Finding
 from greybox.base import document as doc
-from greybox.estimation import Fit, errors, fit_issues, optimum, result_parts
+from greybox.estimation import Fit, errors, optimum, result_parts
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.show.documents import tables
@@ -85,7 +86,7 @@ def _sections(
     yield tables.fit_provenance_section(fit, command)
 
 
-UNDETERMINED = (fit_issues.EstimationCode.PARAMETER_UNDETERMINED, fit_issues.EstimationCode.DIRECTION_UNDETERMINED)
+UNDETERMINED = (EstimationCode.PARAMETER_UNDETERMINED, EstimationCode.DIRECTION_UNDETERMINED)
 
 
 # Up to so many times the noise a fit is said to explain its records: noise is known to about a tenth.
@@ -122,9 +123,9 @@ def findings_below(fit: Fit) -> list[Finding]:
 def _further(fit: Fit) -> list[Finding]:
     """Findings that say something else than sentences of the page: what is above the noise, open, or widened stands there once."""
     worst = _worst_misfit(fit)
-    known = {fit_issues.EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
+    known = {EstimationCode.MISFIT_ABOVE_NOISE} if worst is not None and worst > GOOD_MISFIT else set()
     if fit.uncertainty.kind == "sandwich" and fit.uncertainty.inflation:
-        known.add(fit_issues.EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
+        known.add(EstimationCode.RESIDUAL_CORRELATED)  # the note below the parameters
     return [f for f in fit.findings if f.code not in known.union(UNDETERMINED)]
 
 

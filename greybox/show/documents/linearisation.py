@@ -8,9 +8,9 @@ import numpy as np
 
 from greybox.base import document as doc
 from greybox.base import format_unit
+from greybox.estimation.linear.exported_model import format_signals
 from greybox.estimation.linear.linearisation import Linearisation
 from greybox.estimation.linear.model_family import ModelFamily
-from greybox.estimation.linear.plant import format_signals
 from greybox.estimation.linear.transfer_channel import describe_behaviour
 from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.base import Finding, format_unit
 from greybox.base.document import REMARK, Block, Facts, Paragraphs, TableBlock
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.profiles import NEARLY_COLLINEAR
 from greybox.estimation.record_trends import TrendKind
 from greybox.estimation.residuals import ResidualTestKind

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.base import Finding, format_unit
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.base.numerics import VANISHED_POLE
-from greybox.estimation.linear.plant import ExportFinding
+from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders
 from greybox.show.sentences.wording import value_with_unit

@@ -18,7 +18,7 @@ import pytest
 import greybox as gb
 from greybox.base.extensions import ExtensionKind, load_extension
 from greybox.base.texts import escape_line, to_comment, to_line
-from greybox.estimation.linear.plant import to_plant
+from greybox.estimation.linear.exported_model import to_plant
 from greybox.estimation.result import Fit
 from greybox.extensions.export.discrete_step import make_discrete_step
 from greybox.extensions.export.fmu import write_description

@@ -9,7 +9,7 @@ from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
 import greybox as gb
-from greybox.estimation.linear.plant import ExportFinding as Code
+from greybox.estimation.linear.exported_model import ExportFinding as Code
 from models.micro_actuator import micro_actuator, micro_actuator_no_inductance
 from models.pneumatic_cylinder import pneumatic_cylinder
 from models.pneumatic_full import pneumatic_full

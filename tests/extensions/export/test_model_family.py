@@ -10,8 +10,8 @@ from scipy.signal import cont2discrete, dlsim
 
 import greybox as gb
 from greybox.data.signals import multisine
+from greybox.estimation.linear.exported_model import ExportFinding, to_plant
 from greybox.estimation.linear.model_family import make_parameter_distribution
-from greybox.estimation.linear.plant import ExportFinding, to_plant
 from greybox.simulation.simulate import simulate_twin
 from models.micro_actuator import micro_actuator
 

@@ -18,7 +18,7 @@ import greybox as gb
 from greybox.base.errors import DataError, ModelError, OutputError
 from greybox.base.json_file import read_json
 from greybox.data.experiment import Experiment
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.extensions.fmu.plant import read_fmu
 from greybox.extensions.fmu.simulator import FmuRunError, FmuSimulator
 from greybox.shell.answers import FitAnswer

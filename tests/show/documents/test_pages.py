@@ -24,7 +24,7 @@ from greybox.base.findings import Finding
 from greybox.comparison.result import ComparisonFinding
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.estimation.check import check
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.residuals import residual_tests
 from greybox.estimation.result_parts import FitNoise, Misfit, Trace
 from greybox.shell.commands import app

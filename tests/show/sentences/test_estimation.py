@@ -6,7 +6,7 @@ import pytest
 
 from greybox.base.findings import Finding
 from greybox.data.noise.noise_model import AutoRegression
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.predictor import CorrectionKind, PredictionCorrection
 from greybox.estimation.result_parts import SolverReport
 

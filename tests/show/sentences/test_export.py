@@ -6,7 +6,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.findings import Finding
-from greybox.estimation.linear.plant import ExportFinding as Code
+from greybox.estimation.linear.exported_model import ExportFinding as Code
 from models.micro_actuator import micro_actuator
 
 FRICTION = {"effects": ["coulomb_friction"], "state": "v", "level": 0.1, "held": 0.0589, "unit": "N"}

@@ -11,7 +11,7 @@ from greybox import Experiment, FitOptions, fit
 from greybox.base.findings import Finding, Severity
 from greybox.data.noise.noise_model import NoiseSource
 from greybox.data.signals import multisine
-from greybox.estimation.fit_issues import EstimationCode
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.result import ResultCode, _finding
 from greybox.estimation.result_parts import FitNoise, FitUncertainty
 from greybox.show.sentences.wording import format_with_std, make_formatter

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -85,13 +85,8 @@ class EstimationCode(StrEnum):
 # Where a simulation broke: which term of which balance, when, and at which states.
 
 
-class QuantityKind(StrEnum):
-    """What may fail to be a number in a run."""
-
-    START = "start"
-    TERM = "term"
-    STORAGE = "storage"
-    OUTPUT = "output"
+# What may fail to be a number in a run.
+QuantityKind = Literal["start", "term", "storage", "output"]
 
 
 def locate_simulation_failure(
@@ -139,15 +134,15 @@ def find_first_not_finite(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndar
     system = model.system
     for name, value in zip(system.state_names, x, strict=True):
         if not np.isfinite(value):
-            return _describe_quantity(QuantityKind.START, name, "", "", float(value), "")
+            return _describe_quantity("start", name, "", "", float(value), "")
     bounds = np.array([s.bounds for s in model.all_states], float)
     inside = np.clip(x, bounds[:, 0] + STATE_BOUND_MARGIN, bounds[:, 1] - STATE_BOUND_MARGIN)
     quantities: list[tuple[QuantityKind, str, str, ca.SX, str]] = []
     for b in system.balances:
-        quantities += [(QuantityKind.TERM, name, b.name, ca.SX(term), b.unit) for name, term in b.terms.items()]
-        quantities.append((QuantityKind.STORAGE, b.name, b.name, 1 / ca.SX(b.storage), ""))
+        quantities += [("term", name, b.name, ca.SX(term), b.unit) for name, term in b.terms.items()]
+        quantities.append(("storage", b.name, b.name, 1 / ca.SX(b.storage), ""))
     for j, name in enumerate(system.output_names):
-        quantities.append((QuantityKind.OUTPUT, name, "", system.outputs[j], model.outputs[j].unit))
+        quantities.append(("output", name, "", system.outputs[j], model.outputs[j].unit))
     arguments = [system.x, system.u, system.p]
     formulas = ca.vertcat(*(formula for _, _, _, formula, _ in quantities))
     names = {s.name() for group in arguments for s in ca.symvar(ca.SX(group))}
@@ -167,7 +162,7 @@ def _describe_quantity(
 ) -> dict[str, str]:
     # JSON has no infinities: the value is text.
     value_text = f"{value:g}"
-    return {"kind": str(kind), "name": name, "balance": balance, "formula": formula, "value": value_text, "unit": unit}
+    return {"kind": kind, "name": name, "balance": balance, "formula": formula, "value": value_text, "unit": unit}
 
 
 def _name_point(model: Model, x: np.ndarray, u: np.ndarray) -> list[dict[str, str]]:
