@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -34,36 +34,31 @@ PLAIN, EXTENDED = "plain model", "extended model"
 Say = Callable[[str], None]
 
 
-@dataclass(frozen=True)
-class DemoSetup:
-    """The rig of the demonstration and how it is measured."""
-
-    model: str = "micro_actuator"
-    """The shipped model that is fitted."""
-    hidden: str = "cubic_stiffness"
-    """The effect that the rig has and the model lacks."""
-    strength: Mapping[str, float] = field(default_factory=lambda: {"K3": 5e9})
-    """Its parameters: at full stroke the hinges push back by an eighth more than a straight spring would (N/m^3)."""
-    sampling_time: float = 2.5e-4
-    """Seconds: 4 kHz resolves the electrical time constant of 60 us by the held input alone, and is a usual rate."""
-    rows: int = 1200
-    """Rows of the estimation record: 0.3 s."""
-    validation_rows: int = 600
-    """Rows of the validation record: 0.15 s."""
-    band: tuple[float, float] = (5.0, 400.0)
-    """Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows."""
-    voltage: float = 2.0
-    """Volt: rms of the multisine and amplitude of the sweep."""
-    noise: Mapping[str, float] = field(default_factory=lambda: {"x": 0.2e-6, "i": 5e-3})
-    """Standard deviation of the noise of each output, in m and A."""
-    known: tuple[str, ...] = ("M", "Ra")
-    """Constants that are fixed: weighed, and measured with a multimeter."""
-    start_error: float = 0.4
-    """The start values are off by this share of the truth, upwards and downwards in turn."""
-    seed: int = 20100
-    """Seed of the multisine's phases and of the noise."""
-    black_boxes: tuple[BlackBoxKind, ...] = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
-    """The black boxes beside the physical models."""
+# The rig of the demonstration and how it is measured.
+# The shipped model that is fitted.
+MODEL = "micro_actuator"
+# The effect that the rig has and the model lacks ...
+HIDDEN = "cubic_stiffness"
+# ... with its parameters: at full stroke the hinges push back by an eighth more than a straight spring would (N/m^3).
+STRENGTH: Mapping[str, float] = {"K3": 5e9}
+# Seconds: 4 kHz resolves the electrical time constant of 60 us by the held input alone, and is a usual rate.
+SAMPLING_TIME = 2.5e-4
+# Rows of the estimation record (0.3 s) and of the validation record (0.15 s).
+ROWS, VALIDATION_ROWS = 1200, 600
+# Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows.
+BAND = (5.0, 400.0)
+# Volt: rms of the multisine and amplitude of the sweep.
+VOLTAGE = 2.0
+# Standard deviation of the noise of each output, in m and A.
+NOISE: Mapping[str, float] = {"x": 0.2e-6, "i": 5e-3}
+# Constants that are fixed: weighed, and measured with a multimeter.
+KNOWN = ("M", "Ra")
+# The start values are off by this share of the truth, upwards and downwards in turn.
+START_ERROR = 0.4
+# Seed of the multisine's phases and of the noise.
+SEED = 20100
+# The black boxes beside the physical models.
+BLACK_BOXES = (BlackBoxKind.ARX, BlackBoxKind.OUTPUT_ERROR)
 
 
 @dataclass(frozen=True)
@@ -72,7 +67,7 @@ class Demo(Printable):
 
     ``truth`` of the rig's parameters, the hidden effect's included; ``start`` of the search. ``plain``: the model's own fit;
     ``discovery``: what it lacks; ``comparison`` with black boxes on the other record; ``plant``: matrices of the extended model.
-    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all; ``setup`` of the rig.
+    ``records`` as files; ``files`` that were written beside them -> what they are; ``seconds`` in all.
     """
 
     truth: Mapping[str, float]
@@ -84,12 +79,19 @@ class Demo(Printable):
     records: tuple[Path, ...]
     files: Mapping[Path, str]
     seconds: float
-    setup: DemoSetup
 
     @property
     def fit(self) -> Fit:
         """The model with the effect that was found."""
         return self.discovery.best
+
+    @property
+    def arguments(self) -> str:
+        """What the commands take that repeat it: the model, the records, and what was known."""
+        first, second = self.records
+        known = " ".join(f"--fix {name}={self.fit.parameters[name].value:g}" for name in KNOWN)
+        noise = " ".join(f"--noise {name}={std:g}" for name, std in NOISE.items())
+        return f"{MODEL} {first} --validate {second} {known} {noise} --at-rest"
 
     @property
     def deviations(self) -> dict[str, float]:
@@ -101,7 +103,6 @@ class Demo(Printable):
 def run_demo(
     directory: str | Path,
     *,
-    setup: DemoSetup | None = None,
     say: Say | None = None,
     report: Callable[[int], None] | None = None,
     pictures: bool = False,
@@ -116,8 +117,6 @@ def run_demo(
     ----------
     directory
         Folder for the records and results.
-    setup
-        The rig and how it is measured; the default is the one of the tutorial.
     say
         Called with a line of text before each step.
     report
@@ -126,34 +125,31 @@ def run_demo(
         Also write figures as PNG and SVG.
     """
     began, folder = time.perf_counter(), Path(directory)
-    setup = setup or DemoSetup()
     tell = say or (lambda _: None)
-    model = find_shipped_model(setup.model)
-    rig = (model + effect(setup.hidden)).start(**setup.strength)
-    tell(
-        f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {setup.hidden}, which the model lacks"
-    )
-    records = _measure(rig, folder, setup)
-    known = model.fix(*setup.known)
-    truth = {q.name: q.value for q in rig.fix(*setup.known).free_parameters}
-    start = {q.name: q.value * (1 + setup.start_error * (-1) ** k) for k, q in enumerate(known.free_parameters)}
+    model = find_shipped_model(MODEL)
+    rig = (model + effect(HIDDEN)).start(**STRENGTH)
+    tell(f"measuring the rig (a simulation by CVODES, with sensor noise); it hides {HIDDEN}, which the model lacks")
+    records = _measure(rig, folder)
+    known = model.fix(*KNOWN)
+    truth = {q.name: q.value for q in rig.fix(*KNOWN).free_parameters}
+    start = {q.name: q.value * (1 + START_ERROR * (-1) ** k) for k, q in enumerate(known.free_parameters)}
     train, test = (read_csv(path, known) for path in records)
     options = FitOptions(at_rest=True)
-    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(setup.known)} are known")
-    plain = fit(known.start(**start), train, noise=setup.noise, validation=test, options=options)
+    tell(f"1. fit: {', '.join(start)} from {train.rows} rows; {' and '.join(KNOWN)} are known")
+    plain = fit(known.start(**start), train, noise=NOISE, validation=test, options=options)
     tell(f"   the residual in x is {plain.misfit['x'].noise_ratio:.0f} times the noise: the model is incomplete")
     tell("2. discover: which effect of the catalogue explains the residual?")
     discovery = discover(
         known.start(**start),
         train,
         validation=test,
-        noise=setup.noise,
+        noise=NOISE,
         options=options,
         on_message=lambda s: tell(f"   {s}"),
         on_refit=report,
     )
     tell("3. compare with black boxes, which need no physics")
-    comparison = _compare(plain, discovery.best, train, test, setup)
+    comparison = _compare(plain, discovery.best, train, test)
     tell("4. export the state space")
     plant = linearise(discovery.best)
     files = {
@@ -166,24 +162,24 @@ def run_demo(
         ): "the state space for python-control",
     }
     if pictures:
-        gap = _draw_gap(plain, discovery.best, comparison, folder, setup)
+        gap = _draw_gap(plain, discovery.best, comparison, folder)
         files |= dict.fromkeys(gap, "the error before and after")
         files |= dict.fromkeys(draw_fit(discovery.best, folder), "measured and simulated")
     seconds = time.perf_counter() - began
-    return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds, setup)
+    return Demo(truth, start, plain, discovery, comparison, plant, records, files, seconds)
 
 
-def _compare(plain: Fit, best: Fit, train: Experiment, test: Experiment, setup: DemoSetup) -> Comparison:
+def _compare(plain: Fit, best: Fit, train: Experiment, test: Experiment) -> Comparison:
     """Both physical models and the best black boxes of the displacement, on the record that none of them saw."""
-    scans = best_black_boxes(train, output="x", kinds=setup.black_boxes, at_rest=True, units={"x": "m", "u": "V"})
+    scans = best_black_boxes(train, output="x", kinds=BLACK_BOXES, at_rest=True, units={"x": "m", "u": "V"})
     models: dict[str, ComparedModel] = {PLAIN: plain, EXTENDED: best}
     models |= {str(kind): [scan.best] for kind, scan in scans.items()}
     return compare(models, test, training=train)
 
 
-def _draw_gap(plain: Fit, best: Fit, comparison: Comparison, folder: Path, setup: DemoSetup) -> list[Path]:
+def _draw_gap(plain: Fit, best: Fit, comparison: Comparison, folder: Path) -> list[Path]:
     """The picture of the gap, on the validation record."""
-    noise = setup.noise["x"]
+    noise = NOISE["x"]
     black = [e.name for e in comparison.entries if e.kind == "black"]
     order = [PLAIN, *black, EXTENDED]
     added = "".join(f" + {e.name}" for e in best.model.effects)
@@ -201,17 +197,17 @@ def _draw_gap(plain: Fit, best: Fit, comparison: Comparison, folder: Path, setup
     )
 
 
-def _measure(rig: Model, folder: Path, setup: DemoSetup) -> tuple[Path, Path]:
+def _measure(rig: Model, folder: Path) -> tuple[Path, Path]:
     """Two records of the rig: one to estimate from, one to judge by."""
-    generator = np.random.default_rng(setup.seed)
+    generator = np.random.default_rng(SEED)
     (drive,) = (i.name for i in rig.inputs)
-    t = setup.sampling_time * np.arange(setup.rows)
+    t = SAMPLING_TIME * np.arange(ROWS)
     inputs = {
-        "multisine": multisine(t, *setup.band, setup.voltage, generator),
-        "sweep": chirp(t[: setup.validation_rows], *setup.band, setup.voltage),
+        "multisine": multisine(t, *BAND, VOLTAGE, generator),
+        "sweep": chirp(t[:VALIDATION_ROWS], *BAND, VOLTAGE),
     }
     paths = []
     for k, (name, u) in enumerate(inputs.items()):
-        record = simulate_twin(rig, {drive: u}, setup.sampling_time, setup.noise, setup.seed + k, name=name)
+        record = simulate_twin(rig, {drive: u}, SAMPLING_TIME, NOISE, SEED + k, name=name)
         paths.append(write_csv(record, rig, folder / f"{name}.csv"))
     return paths[0], paths[1]

@@ -11,11 +11,9 @@ import pytest
 
 from greybox import read_csv, report
 from greybox.estimation.findings import EstimationCode
-from greybox.shell.demonstration import EXTENDED, PLAIN, Demo, DemoSetup, run_demo
+from greybox.shell.demonstration import EXTENDED, HIDDEN, KNOWN, NOISE, PLAIN, STRENGTH, Demo, run_demo
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
-
-SETUP = DemoSetup()
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +27,7 @@ def result(tmp_path_factory: pytest.TempPathFactory, announced: list[str]) -> De
 
 
 def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
-    assert SETUP.hidden not in {e.name for e in result.plain.model.effects}
+    assert HIDDEN not in {e.name for e in result.plain.model.effects}
     assert result.plain.misfit["x"].noise_ratio > 50
     assert codes(result.plain.findings) & {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MODEL_DOES_NOT_FOLLOW}
 
@@ -37,14 +35,14 @@ def test_the_model_alone_misses_the_record_by_far(result: Demo) -> None:
 def test_the_hidden_effect_is_named_and_closes_the_gap(result: Demo) -> None:
     assert result.discovery.verdict == "named"
     (effect,) = result.discovery.effects
-    assert (effect["name"], effect["site"]) == (SETUP.hidden, "force")
-    assert effect["parameters"]["K3"]["value"] == pytest.approx(SETUP.strength["K3"], rel=0.01)
-    assert result.discovery.holdout["x"].before > 50 * SETUP.noise["x"]
-    assert result.discovery.holdout["x"].after == pytest.approx(SETUP.noise["x"], rel=0.08)
+    assert (effect["name"], effect["site"]) == (HIDDEN, "force")
+    assert effect["parameters"]["K3"]["value"] == pytest.approx(STRENGTH["K3"], rel=0.01)
+    assert result.discovery.holdout["x"].before > 50 * NOISE["x"]
+    assert result.discovery.holdout["x"].after == pytest.approx(NOISE["x"], rel=0.08)
 
 
 def test_the_constants_come_back_from_a_start_forty_percent_off(result: Demo) -> None:
-    truth = {n: v for n, v in micro_actuator.values.items() if n not in SETUP.known} | SETUP.strength
+    truth = {n: v for n, v in micro_actuator.values.items() if n not in KNOWN} | dict(STRENGTH)
     assert result.truth == truth
     for name, value in truth.items():
         if name in result.start:
@@ -91,7 +89,7 @@ def test_the_story_is_told_in_order(result: Demo, announced: list[str]) -> None:
     steps = [line.split(":")[0] for line in announced if line[:1].isdigit()]
     assert [step[0] for step in steps] == ["1", "2", "3", "4"]
     text = str(result)
-    order = ["parameter", SETUP.hidden, "rms error on the validation record", "black box", "linear model"]
+    order = ["parameter", HIDDEN, "rms error on the validation record", "black box", "linear model"]
     places = [text.index(words) for words in order]
     assert places == sorted(places)
 

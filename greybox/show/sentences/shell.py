@@ -74,10 +74,6 @@ def model_listing(listing: ModelListing) -> str:
 
 def demo_answer(demo: Demo, folder: Path) -> str:
     """What `greybox demo` prints: the results, the files, and the commands that repeat it."""
-    setup, (first, second) = demo.setup, demo.records
-    known = " ".join(f"--fix {name}={demo.fit.parameters[name].value:g}" for name in setup.known)
-    noise = " ".join(f"--noise {name}={std:g}" for name, std in setup.noise.items())
-    arguments = f"{setup.model} {first} --validate {second} {known} {noise} --at-rest"
     return "\n".join(
         [
             "",
@@ -89,8 +85,8 @@ def demo_answer(demo: Demo, folder: Path) -> str:
             *(f"  {path.name:20s} {what}" for path, what in demo.files.items()),
             "",
             "to repeat the demonstration step by step:",
-            f"  greybox fit {arguments}",
-            f"  greybox discover {arguments}",
+            f"  greybox fit {demo.arguments}",
+            f"  greybox discover {demo.arguments}",
             f"  greybox export {folder / 'fit.json'} --to control",
         ]
     )
