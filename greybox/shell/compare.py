@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.shell import inputs
-from greybox.shell.progress import ShowProgress, describe_progress, share_done, show_progress
+from greybox.shell.progress import ShowProgress, report_fit, report_starts, show_progress
 from greybox.shell.study import (
     FITTING,
     LAYOUT,
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from greybox.comparison.result import Comparison
     from greybox.data.experiment import Experiment
     from greybox.estimation.result import Fit
-    from greybox.estimation.transcription.problem import FitProgress
     from greybox.model import Model
 
 
@@ -148,20 +147,14 @@ def _fit(
     from greybox.estimation.fit import fit
     from greybox.estimation.multistart import multistart
 
-    def report(progress: FitProgress) -> None:
-        show(f"{plant.title}: {describe_progress(progress)}", share_done(progress))
-
-    def tally(done: int, jobs: int) -> None:
-        show(f"{plant.title}: {done} of {jobs} starts done", done / jobs)
-
     began = time.perf_counter()
     if "starts" in given:
-        many = multistart(plant, records, report=tally, **given)
+        many = multistart(plant, records, report=report_starts(plant.title, show), **given)
         if many.interrupted:
             raise KeyboardInterrupt
         result = many.best
     else:
-        result = fit(plant, records, report=report, **given)
+        result = fit(plant, records, report=report_fit(plant.title, show), **given)
     return result, time.perf_counter() - began
 
 

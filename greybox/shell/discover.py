@@ -50,7 +50,7 @@ def discover(study: Study) -> Answer:
     write_model = load_extension(ExtensionKind.EXPORTS, "python").write
     records, validation = inputs.read_records(study, model)
     quiet = inputs.read_quiet_records(study, model, hold=study.hold)
-    test = inputs.read_test_records(study, model)
+    test = inputs.read_files(study, study.test, model)
     inputs.print_record_notes(records, validation, quiet, test)
     inputs.check_skip(study, [*validation, *test])
     only_laws = study.candidates == (NO_EFFECTS,)

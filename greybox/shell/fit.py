@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import ExitCode, FitError
 from greybox.base.interrupts import hold_interrupts
 from greybox.shell import inputs
-from greybox.shell.progress import show_fit_progress, show_progress
+from greybox.shell.progress import report_starts, show_fit_progress, show_progress
 from greybox.shell.study import (
     FITTING,
     LAYOUT,
@@ -83,7 +83,7 @@ def fit(study: Study) -> Answer:
                     records,
                     starts=study.starts,
                     seed=study.seed or 0,
-                    report=lambda done, jobs: show(f"{model.title}: {done} of {jobs} starts done", done / jobs),
+                    report=report_starts(model.title, show),
                     executor=executor,
                     workers=workers,
                     journal=journal,

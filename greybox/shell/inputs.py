@@ -109,23 +109,11 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
     input is unknown is refused. Raises GreyboxError.
     """
     from greybox.data.experiment import refuse_unknown_input
-    from greybox.data.read import read_experiments
 
     from_files = {name: None for name, values in study.conditions.items() if values is None}
     given = {name: values for name, values in study.conditions.items() if values is not None}
     estimation, validation = (
-        read_experiments(
-            files,
-            model,
-            conditions=from_files,
-            split=study.split_holes,
-            hold=study.hold,  # type: ignore[arg-type]
-            allow_constant_input=study.free_decay,
-            **layout_of(study),
-        )
-        if files
-        else ()
-        for files in (study.estimation, study.validation)
+        read_files(study, files, model, from_files) for files in (study.estimation, study.validation)
     )
     refuse_repeated_records(study.estimation, estimation)
     validation = tuple(_marked_if_fitted(record, estimation) for record in validation)
@@ -139,6 +127,25 @@ def read_records(study: Study, model: Model) -> tuple[tuple[Experiment, ...], tu
     )
     print_findings(findings)
     return pieces[0], pieces[1]
+
+
+def read_files(
+    study: Study, files: Sequence[Path], model: Model, conditions: Mapping[str, None] | None = None
+) -> tuple[Experiment, ...]:
+    """The records in ``files`` as the study says that they are laid out and held. Raises GreyboxError."""
+    from greybox.data.read import read_experiments
+
+    if not files:
+        return ()
+    return read_experiments(
+        files,
+        model,
+        conditions=conditions,
+        split=study.split_holes,
+        hold=study.hold,  # type: ignore[arg-type]
+        allow_constant_input=study.free_decay,
+        **layout_of(study),
+    )
 
 
 def read_quiet_records(study: Study, model: Model, hold: str | None = None) -> tuple[Experiment, ...]:
@@ -239,22 +246,6 @@ def print_record_notes(*groups: Iterable[Experiment]) -> None:
 
     for finding in collect_record_findings(record for group in groups for record in group):
         print_note(f"note: {finding}")
-
-
-def read_test_records(study: Study, model: Model) -> tuple[Experiment, ...]:
-    """The records that take no part in a search. Raises GreyboxError."""
-    from greybox.data.read import read_experiments
-
-    if not study.test:
-        return ()
-    return read_experiments(
-        study.test,
-        model,
-        hold=study.hold,  # type: ignore[arg-type]
-        split=study.split_holes,
-        allow_constant_input=study.free_decay,
-        **layout_of(study),
-    )
 
 
 # Rows of a validation record that must be left after ``--skip``: fewer give no meaningful error.

@@ -12,6 +12,7 @@ from greybox.shell.terminal import print_note
 if TYPE_CHECKING:
     from rich.progress import Progress as Bar
 
+    from greybox.base.parallel.jobs import JobProgressCallback
     from greybox.estimation.transcription.problem import FitProgress, FitProgressCallback
 
 
@@ -101,19 +102,22 @@ def show_progress(silent: bool = False) -> Iterator[ShowProgress]:
 def show_fit_progress(title: str, silent: bool = False) -> Iterator[FitProgressCallback]:
     """A function to report a fit's progress to; the line is gone at the end."""
     with show_progress(silent) as show:
-
-        def report(progress: FitProgress) -> None:
-            show(f"{title}: {describe_progress(progress)}", share_done(progress))
-
-        yield report
+        yield report_fit(title, show)
 
 
-def describe_progress(progress: FitProgress) -> str:
-    """Where a fit is."""
-    return (
-        f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration},"
-        f" misfit {progress.noise_ratio:.4g} x noise"
-    )
+def report_fit(title: str, show: ShowProgress) -> FitProgressCallback:
+    """What a fit reports to: ``show`` is told where it is."""
+
+    def report(progress: FitProgress) -> None:
+        place = f"stage {progress.stage} of {progress.stages}, iteration {progress.iteration}"
+        show(f"{title}: {place}, misfit {progress.noise_ratio:.4g} x noise", share_done(progress))
+
+    return report
+
+
+def report_starts(title: str, show: ShowProgress) -> JobProgressCallback:
+    """What a search from several starts reports to."""
+    return lambda done, jobs: show(f"{title}: {done} of {jobs} starts done", done / jobs)
 
 
 # Iterations that a stage of a fit usually takes.
