@@ -87,6 +87,14 @@ def compute_misfit(
     return Misfit(rmse, unit, best_fit, ratio, samples)
 
 
+def compute_noise_ratios(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> dict[str, float]:
+    """Misfit over noise of each output; of a robust fit that of the bulk, which outliers do not enlarge."""
+    if problem.loss is None:
+        return {name: m.noise_ratio for name, m in misfit.items()}
+    scales = dict(zip((o.name for o in problem.model.outputs), problem.loss.scale, strict=True))
+    return {name: float(scales[name]) for name in misfit}
+
+
 def compute_record_misfits(fit: Fit, trace: Trace, skip: int = 0) -> dict[str, Misfit]:
     """Misfit of one record of a fit by output, without its first ``skip`` rows."""
     units = {o.name: o.unit for o in fit.model.outputs}

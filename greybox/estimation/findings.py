@@ -16,7 +16,7 @@ from greybox.data.experiment import Experiment, collect_record_findings
 from greybox.data.findings import is_sensor_fault
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance
-from greybox.estimation.noise_loop import compute_noise_ratios
+from greybox.estimation.errors import compute_noise_ratios
 from greybox.estimation.objective import ProcessNoiseTest
 from greybox.estimation.optimum import Optimum, PredictionOptimum
 from greybox.estimation.parameter_constancy import NOISE_RATIO, find_certain_ratio

@@ -181,7 +181,7 @@ def fit(
         estimate = estimate_by_prediction_error(
             model, experiments, levels, options, report, quiet=quiet, initial=initial
         )
-        tests = likelihood_ratio_tests(estimate.optimum, estimate.names, estimate.zero, estimate.sizes, options)
+        tests = likelihood_ratio_tests(estimate, options)
         optimum = PredictionOptimum(model, estimate.solution, tests, maximum=estimate.optimum)
     else:
         problem = prepare_problem(model, experiments, noise, options, quiet=quiet, initial=initial)

@@ -7,7 +7,6 @@ weights change the residual.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,7 @@ from greybox.estimation.objective import SimulationErrorObjective
 from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.optim.minimisation import GaussNewtonPolicy, Termination, TerminationPolicy
 from greybox.estimation.options import ColourTreatment, FitOptions, LossKind, Transcription
-from greybox.estimation.result_parts import Misfit, RobustReport
+from greybox.estimation.result_parts import RobustReport
 from greybox.estimation.sandwich import estimate_residual_colour
 from greybox.estimation.transcription.collocation import solve_collocation
 from greybox.estimation.transcription.multiple_shooting import solve_multiple_shooting
@@ -269,14 +268,6 @@ def estimate_bulk_scale(solution: Solution) -> np.ndarray:
     r = compute_whitened_residuals(solution.problem, solution.simulate())
     least = 1.0 if solution.problem.noise.known else LEAST_SCALE
     return np.array([max(estimate_spread(column, robust=True), least) for column in r.T])
-
-
-def compute_noise_ratios(problem: EstimationProblem, misfit: Mapping[str, Misfit]) -> dict[str, float]:
-    """Misfit over noise of each output; of a robust fit that of the bulk, which outliers do not enlarge."""
-    if problem.loss is None:
-        return {name: m.noise_ratio for name, m in misfit.items()}
-    scales = dict(zip((o.name for o in problem.model.outputs), problem.loss.scale, strict=True))
-    return {name: float(scales[name]) for name in misfit}
 
 
 def compute_whitened_residuals(problem: EstimationProblem, runs: Runs) -> np.ndarray:

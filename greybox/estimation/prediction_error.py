@@ -95,22 +95,19 @@ LIMIT_RATIO = float(chdtri(1, 0.1))
 
 
 def likelihood_ratio_tests(
-    optimum: objective.LikelihoodMaximum,
-    names: Sequence[str],
-    zero: Sequence[str],
-    sizes: Mapping[str, float],
-    options: FitOptions,
+    estimate: MaximumLikelihoodEstimate, options: FitOptions
 ) -> tuple[objective.ProcessNoiseTest, ...]:
     """Each intensity with its likelihood ratio against zero, everything else estimated anew."""
+    optimum = estimate.optimum
     if not optimum.status.success:
         return ()
     variables = optimum.objective.variables
     p = variables.parameters(variables.here)
     values = dict(zip((q.name for q in variables.model.all_parameters), p, strict=True))
     tests = []
-    for name in names:
-        if name in zero:
-            upper = find_upper_limit(optimum, name, PROCESS_NOISE_FLOOR * sizes[name], options)
+    for name in estimate.names:
+        if name in estimate.zero:
+            upper = find_upper_limit(optimum, name, PROCESS_NOISE_FLOOR * estimate.sizes[name], options)
             tests.append(objective.ProcessNoiseTest(name, 0.0, 0.0, 1.0, limits=(0.0, upper)))
             continue
         rest = objective.search_minimum(

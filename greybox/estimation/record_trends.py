@@ -132,7 +132,7 @@ def find_trend(values: np.ndarray, covariance: np.ndarray, conditions: Mapping[s
             continue
         line, left, spread = _least_squares(np.column_stack([one, z]), theta, precision)
         p_value, excess = _compare(scatter, left, 1, count - 2)
-        each, _, _ = _least_squares((z[:, None] == levels).astype(float), theta, precision)
+        each, left_by_level, _ = _least_squares((z[:, None] == levels).astype(float), theta, precision)
         at = float(each[0]), float(each[-1])
         if p_value <= ERROR_PROBABILITY:
             # Through the origin: within its error, which must be small enough to say so.
@@ -144,12 +144,11 @@ def find_trend(values: np.ndarray, covariance: np.ndarray, conditions: Mapping[s
             followed.append((p_value, RecordTrend(kind, name, ends, at, 1 - left / scatter)))
             continue
         # One value for each level: it needs levels that were repeated, to be held against what repeats differ by.
-        left = _least_squares((z[:, None] == levels).astype(float), theta, precision)[1]
         steps = np.diff(each)
         if count > len(levels) > 2 and (np.all(steps > 0) or np.all(steps < 0)):
-            p_value, _ = _compare(scatter, left, len(levels) - 1, count - len(levels))
+            p_value, _ = _compare(scatter, left_by_level, len(levels) - 1, count - len(levels))
             if p_value <= ERROR_PROBABILITY:
-                followed.append((p_value, RecordTrend(TrendKind.MONOTONE, name, ends, at, 1 - left / scatter)))
+                followed.append((p_value, RecordTrend(TrendKind.MONOTONE, name, ends, at, 1 - left_by_level / scatter)))
     if not followed:
         return RecordTrend(TrendKind.DIFFERENT, values=(float(theta.min()), float(theta.max())))
     # Of several conditions the one that explains most leads.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
@@ -177,28 +177,25 @@ def equal_variance_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | N
 
     None of a single block.
     """
-    if len(blocks) < 2:
-        return None
-    if all(np.ptp(b) == 0 for b in blocks):
-        return 0.0, 1.0
-    return _analyse_variance(np.abs(b - np.median(b)) for b in blocks)
+    return _analyse_variance(blocks, lambda b: np.abs(b - np.median(b)))
 
 
 def equal_mean_test(blocks: Sequence[np.ndarray]) -> tuple[float, float] | None:
     """The F statistic of equal means over blocks; None of a single block."""
+    return _analyse_variance(blocks, lambda b: b)
+
+
+def _analyse_variance(
+    blocks: Sequence[np.ndarray], measure: Callable[[np.ndarray], np.ndarray]
+) -> tuple[float, float] | None:
+    """The F statistic of equal means of a ``measure``, and its tail probability: `scipy.stats` takes half a second to import."""
     if len(blocks) < 2:
         return None
     if all(np.ptp(b) == 0 for b in blocks):
         return 0.0, 1.0
-    return _analyse_variance(blocks)
-
-
-def _analyse_variance(blocks: Iterable[np.ndarray]) -> tuple[float, float]:
-    """The F statistic of equal means, and its tail probability. `scipy.stats` has it too and takes half a second to import."""
     # One block after the other: all of them are a long record once more.
-    counts, means, spreads = (
-        np.array(of_blocks) for of_blocks in zip(*((len(b), b.mean(), b.var()) for b in blocks), strict=True)
-    )
+    measured = ((len(b), m.mean(), m.var()) for b in blocks for m in [measure(b)])
+    counts, means, spreads = (np.array(of_blocks) for of_blocks in zip(*measured, strict=True))
     number, total = len(counts), int(counts.sum())
     # F = between / within, each over its degrees of freedom: k - 1 and N - k.
     between = float(counts @ (means - counts @ means / total) ** 2) / (number - 1)

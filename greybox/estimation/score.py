@@ -176,7 +176,7 @@ def run_model(
             by_filter = {k: correction.predict(e, k, initial=trace.initial_state) for k in steps}
         for name, y in trace.measured.items():
             if isinstance(correction, Predictor):
-                ahead: Mapping[int, np.ndarray] = _without_history({k: by_filter[k][name] for k in steps})
+                ahead = PredictionsAhead(tuple(steps), {k: by_filter[k][name] for k in steps}.__getitem__)
             else:
                 colour = correction.colours.get(name) if correction else None
                 ahead = PredictionsAhead(tuple(steps), partial(_predict_by_colour, trace, name, colour))
@@ -205,16 +205,11 @@ def run_by_itself(
             experiment.outputs[name],
             run,
             skip,
-            _without_history({k: each[name] for k, each in ahead.items()}),
+            PredictionsAhead(tuple(steps), {k: each[name] for k, each in ahead.items()}.__getitem__),
         )
         for name, run in free.items()
         if name in experiment.outputs
     ]
-
-
-def _without_history(ahead: Mapping[int, np.ndarray]) -> dict[int, np.ndarray]:
-    """Predictions (N,) by how many samples ahead they are; the first so many rows have no measurement to go by, and do not count."""
-    return {k: np.concatenate([np.full(min(k, len(y)), np.nan), y[k:]]) for k, y in ahead.items()}
 
 
 def check_steps_ahead(steps: Iterable[int], records: Sequence[Experiment]) -> None:

@@ -25,6 +25,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import TINY, DataError, ModelError
+from greybox.base.interrupts import hold_interrupts
 from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
@@ -38,7 +39,6 @@ from greybox.estimation.transcription.problem import (
     Runs,
     SegmentedRun,
     Solution,
-    monitor_progress,
 )
 from greybox.estimation.transcription.segments import (
     MAX_LOG_CHANGE,
@@ -291,8 +291,8 @@ class MultipleShooting:
         self, options: FitOptions, initialise: bool, report: FitProgressCallback | None
     ) -> MultipleShootingResult:
         """With continuity: lifted Gauss-Newton."""
-        began = time.perf_counter()
-        with monitor_progress(self.segmented.pieces, report) as monitor:
+        began, monitor = time.perf_counter(), ProgressMonitor(self.segmented.pieces, report)
+        with hold_interrupts(monitor):
             # First states are estimated from the samples of each segment, and the constants fitted as if they need not meet.
             if initialise:
                 v, arcs = self.segmented.whole.variables, estimate_segment_states(self.segmented)

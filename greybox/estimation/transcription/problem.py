@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
@@ -12,7 +11,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.base import Finding, ModelError, Severity, nearest
-from greybox.base.interrupts import hold_interrupts
 from greybox.base.numerics import OVERFLOWING_CURVATURE
 from greybox.data.experiment import Experiment, refuse_long_time_gaps
 from greybox.data.noise import AutoRegression, GrowingNoise, NoiseModel, estimate_noise
@@ -413,25 +411,25 @@ FitProgressCallback = Callable[[FitProgress], None]
 
 
 class ProgressMonitor:
-    """Called with the number of each iteration and its cost; whether to ``stop``."""
+    """Called with the number of each iteration and its cost, over the first ``share`` of the records; whether to ``stop``."""
 
-    def __init__(self, problem: EstimationProblem, report: FitProgressCallback | None) -> None:
-        self.report, self.stop = report, False
-        self.count = max(sum(int(np.isfinite(r.y).sum()) for r in problem.records), 1)
+    def __init__(
+        self,
+        problem: EstimationProblem,
+        report: FitProgressCallback | None,
+        share: float = 1.0,
+        stage: int = 1,
+        stages: int = 1,
+    ) -> None:
+        self.report, self.stop, self.stage, self.stages = report, False, stage, stages
+        parts = (r.y[: round(share * len(r.u))] for r in problem.records)
+        self.count = max(sum(int(np.isfinite(y).sum()) for y in parts), 1) if report else 1
 
     def __call__(self, iteration: int, cost: float) -> bool:
         """Report where the search is; whether to end it."""
         if self.report:
-            self.report(FitProgress(1, 1, iteration, float(np.sqrt(cost / self.count))))
+            self.report(FitProgress(self.stage, self.stages, iteration, float(np.sqrt(cost / self.count))))
         return self.stop
-
-
-@contextmanager
-def monitor_progress(problem: EstimationProblem, report: FitProgressCallback | None) -> Iterator[ProgressMonitor]:
-    """A `ProgressMonitor` that hears Ctrl-C."""
-    watch = ProgressMonitor(problem, report)
-    with hold_interrupts(watch):
-        yield watch
 
 
 # Codes of what a transcription and a solution say about themselves.

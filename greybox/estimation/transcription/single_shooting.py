@@ -14,8 +14,8 @@ from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcr
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
-    FitProgress,
     FitProgressCallback,
+    ProgressMonitor,
     Runs,
     Solution,
     make_strategy,
@@ -401,7 +401,9 @@ class _Search:
             iterations=self.options.iterations,
             termination_test=minimisation.Termination(policy, *low_high, start.count).test,
             thorough=self.options.thorough and is_whole,
-            progress=self.progress(share),
+            progress=ProgressMonitor(
+                self.problem, self.report, share, len(self.shares), len(self.shares) + (share < 1)
+            ),
             policy=self.options.policy.minimisation,
         )
         self.variables, self.status, self.word = variables.recentre(outcome.z), outcome.status, outcome.solver_status
@@ -411,15 +413,3 @@ class _Search:
         self.seconds += outcome.seconds
         self.known = outcome.value if share == 1 else None
         return outcome
-
-    def progress(self, share: float) -> minimisation.IterationCallback | None:
-        """What IPOPT calls after each iteration."""
-        if self.report is None:
-            return None
-        report, stage, stages = self.report, len(self.shares), len(self.shares) + (share < 1)
-        count = sum(int(np.isfinite(r.y[: round(share * len(r.u))]).sum()) for r in self.problem.records)
-
-        def progress(iteration: int, cost: float) -> None:
-            report(FitProgress(stage, stages, iteration, float(np.sqrt(cost / max(count, 1)))))
-
-        return progress
