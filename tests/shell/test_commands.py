@@ -485,14 +485,14 @@ def test_ctrl_c_while_the_command_is_being_loaded_is_told_in_one_line() -> None:
         "    def find_spec(self, name, *_):\n"
         "        if name == 'click':\n"
         "            print('loading', flush=True)\n"
-        "            time.sleep(30)\n"
+        "            time.sleep(170)\n"
         "sys.meta_path.insert(0, Slow())\n"
         "greybox.shell.main()\n"
     )
     command = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert command.stdout.readline() == "loading\n"
     command.send_signal(signal.SIGINT)
-    _, errors = command.communicate(timeout=20)
+    _, errors = command.communicate(timeout=150)
     assert (command.returncode, errors) == (130, "error: interrupted\n")
 
 

@@ -1,10 +1,11 @@
-"""A function in a process of its own, which may crash or be limited without harm to the run of the tests."""
+"""Processes beside the run of the tests: a function in one of its own, which may crash or be limited without harm; whether one is alive."""
 
 from __future__ import annotations
 
 import os
 import pickle
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 
@@ -34,3 +35,13 @@ def run_in_child(function: Callable[[], Any]) -> Any:
     if kind == "error":
         raise RuntimeError(value)
     return value
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process is at work: one that has ended and that nobody has asked for its status is not."""
+    stat = Path(f"/proc/{pid}/stat")
+    try:
+        os.kill(pid, 0)
+        return not Path("/proc/self/stat").exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    except (ProcessLookupError, FileNotFoundError):  # it may end between any two of these
+        return False

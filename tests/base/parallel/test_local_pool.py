@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.child import is_alive
+
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals as POSIX has them")
 # Half of what a worker would go on for: on a busy machine the system takes seconds to end one.
 END_SECONDS = 30.0
@@ -20,15 +22,6 @@ JOBS = {
     "runs python": "exec('while True: pass')",
     "never lets other threads run": "sum(range(10**11))",
 }
-
-
-def is_alive(pid: int) -> bool:
-    stat = Path(f"/proc/{pid}/stat")
-    try:
-        os.kill(pid, 0)
-        return not stat.exists() or stat.read_text().rpartition(")")[2].split()[0] != "Z"
-    except ProcessLookupError:  # it may end between any two of these
-        return False
 
 
 def start(folder: Path, doing: str, main: str = "") -> tuple[subprocess.Popen, list[int]]:

@@ -22,8 +22,11 @@ class Deleted:
         sum(range(1000))
 
 async def main():
-    asyncio.get_running_loop().call_later(0.1, lambda: Deleted() and None)
-    await asyncio.wait_for(serve(SimpleNamespace(close=lambda: None), 0, lambda address: None), 30)
+    def press(address):
+        # It serves by then, and nothing else would end it.
+        asyncio.get_running_loop().call_soon(lambda: Deleted() and None)
+
+    await asyncio.wait_for(serve(SimpleNamespace(close=lambda: None), 0, press), 30)
 
 signal.signal(signal.SIGINT, interrupt)
 asyncio.run(main())
