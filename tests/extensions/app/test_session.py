@@ -15,6 +15,7 @@ import pytest
 
 import greybox as gb
 from greybox.base.errors import DataError, GreyboxError, ModelError
+from greybox.base.files import locked
 from greybox.extensions.app.command import StudyOnFile
 from greybox.extensions.app.jobs import JobKind, _fit
 from greybox.extensions.app.session import Session, ValueRange
@@ -160,17 +161,21 @@ def test_a_fit_gives_the_rig_s_constants_and_its_exports_repeat_it(
 
 def test_a_stopped_discovery_changes_nothing_and_keeps_its_refits(bench: Workbench, tmp_path: Path) -> None:
     news: list[str] = []
+    journal = tmp_path / "out" / "journal.jsonl"
+    journal.parent.mkdir()
 
     def hear(item) -> None:
         news.append(item["news"])
         if item["news"] == "refit" and item["content"] == 2:  # the first is in the journal by then
-            bench.stop()
+            # Whoever holds the journal holds the search, which cannot end before it is asked to.
+            with open(journal, "ab") as file, locked(file):
+                bench.stop()
 
     before, bench.listener = bench.session, hear
     bench.start(JobKind.DISCOVER)
     wait(bench)
     assert news[-1] == "stopped" and bench.session is before
-    assert (tmp_path / "out" / "journal.jsonl").stat().st_size > 0
+    assert journal.stat().st_size > 0
 
 
 def test_a_stop_asked_for_twice_ends_at_once(bench: Workbench) -> None:
