@@ -115,6 +115,17 @@ class CompiledLoops(AdjointLoops):
         self.library = load_library(lambda: self.source, f"adjoint {self.loops} {key}")
         self._iw = np.zeros(max(f.sz_iw() for f in functions.all) + 1, np.int64)
         self._w = np.zeros(max(f.sz_w() for f in functions.all) + 1)
+        self._work = _find_address(self._iw), _find_address(self._w)
+        # Sizes and arrays of each loop. Types are declared once: a search calls the loops some hundred thousand times.
+        for name, sizes, arrays in (
+            ("run_forward", 3, 3),
+            ("run_backward", 3, 6),
+            ("run_outputs", 4, 4),
+            ("run_outputs_back", 4, 6),
+        ):
+            function = getattr(self.library, name)
+            function.argtypes = [ctypes.c_longlong] * sizes + [ctypes.c_void_p] * (arrays + len(self._work))
+            function.restype = None
 
     @cached_property
     def source(self) -> str:
@@ -159,10 +170,13 @@ class CompiledLoops(AdjointLoops):
     def _call(self, name: str, sizes: tuple[int, ...], *arrays: np.ndarray) -> None:
         for array in arrays:
             assert array.flags.c_contiguous and array.dtype == np.float64  # C reads them as they lie
-        addresses = [ctypes.c_void_p(a.ctypes.data) for a in (*arrays, self._iw, self._w)]
-        function = getattr(self.library, name)
-        function.restype = None
-        function(*[ctypes.c_longlong(n) for n in sizes], *addresses)
+        getattr(self.library, name)(*sizes, *map(_find_address, arrays), *self._work)
+
+
+def _find_address(array: np.ndarray) -> int:
+    """Where the numbers of an array begin."""
+    address: int = array.__array_interface__["data"][0]
+    return address
 
 
 @lru_cache(maxsize=64)

@@ -219,11 +219,11 @@ class InputRefinement:
         inputs = self.inputs(v.reshape(len(self.names), -1))
         along = np.zeros((len(self.order), self.question.rows))
         runs = [SensitivityRun(plant, inputs) for plant in self.goal.plants]
-        value = self.goal.value(runs, self.scale)
+        value, slopes_of_runs = self.goal.differentiate(runs, self.scale)
         if not np.isfinite(value):
             return 1e6, np.zeros_like(v)
         cost = -value
-        for run, (outputs, slopes) in zip(runs, self.goal.slopes(runs, self.scale), strict=True):
+        for run, (outputs, slopes) in zip(runs, slopes_of_runs, strict=True):
             along -= run.gradient(outputs, slopes, np.zeros(run.states.shape))
         for constraint in self._rates(inputs):
             penalty, push = self._penalise(constraint)
