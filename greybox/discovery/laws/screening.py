@@ -8,11 +8,12 @@ from functools import partial
 
 import casadi as ca
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import ndtri
 
 from greybox.base.numerics import TINY
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.laws.observer import FilteredRun, FilterTape, ObservedRecord, StateObserver, observe_records
+from greybox.discovery.laws.observer import FilteredRun, ObservedRecord, StateObserver, observe_records
 from greybox.discovery.laws.terms import LawTerm, list_terms
 from greybox.discovery.problem import DiscoveryProblem
 from greybox.model.model import Model
@@ -29,7 +30,6 @@ class ObservedModel:
     intensity: float
     records: Sequence[ObservedRecord]
     runs: Sequence[FilteredRun]
-    tapes: Sequence[FilterTape]
     prior: np.ndarray
     """Mean and standard deviation (np, 2) of the constants before the records were seen."""
 
@@ -104,7 +104,7 @@ def fit_in_observer(
     """
     names = [q.name for q in model.free_parameters]
     substeps = max(1, min(problem.prepare(model).step.substeps, MOST_SUBSTEPS))
-    observer = StateObserver(model, names, [name for name, _ in list_law_sites(model)], substeps)
+    observer = StateObserver(model, names, list_law_sites(model), substeps)
     definitions = _list_definitions(model)
     rates = {rate: state for state, rate in definitions.items()}
     pushed = [s for s in model.system.state_names if s not in list_unseen_states(model) or s not in definitions]
@@ -121,11 +121,9 @@ def fit_in_observer(
     start = np.array([model.values[n] for n in names])
 
     def run(z: np.ndarray, intensity: float) -> tuple[float, list[FilteredRun]]:
-        p = np.array(list(model.values.values()))
-        p[observer.columns] = z
         runs: list[FilteredRun] = []
         for record in records:
-            one = observer.run(record, p, noise, intensity)
+            one = observer.run(record, z, noise, intensity)
             if one is None:
                 return np.inf, []
             runs.append(one)
@@ -140,7 +138,7 @@ def fit_in_observer(
         return None
     for _ in range(steps):
         objective, runs, at = best
-        slopes = np.concatenate([r.slopes.reshape(-1, len(names)) for r in runs])
+        slopes = np.concatenate([r.slopes[:, :, r.x.shape[1] :].reshape(-1, len(names)) for r in runs])
         errors = np.concatenate([r.e.ravel() for r in runs])
         scaled = np.vstack([slopes * spread, np.eye(len(names))])
         target = np.concatenate([errors, (z - mean) / spread])
@@ -157,16 +155,11 @@ def fit_in_observer(
         if objective - best[0] < SETTLED_DECREASE:
             break
     objective, runs, at = best
-    p = np.array(list(model.values.values()))
-    p[observer.columns] = z
-    taped = [observer.tape(r, p, noise, intensities[at]) for r in records]
-    firsts = np.array([start for _, start in taped])
+    firsts = np.array([r.smooth_start(record) for r, record in zip(runs, records, strict=True)])
     states = dict(zip(model.system.state_names, map(tuple, firsts.T.tolist()), strict=True))
     values = {**model.values, **dict(zip(names, map(float, z), strict=True))}
     prior = np.column_stack([mean, spread])
-    return ObservedModel(
-        model, values, states, objective, intensities[at], records, runs, [tape for tape, _ in taped], prior
-    )
+    return ObservedModel(model, values, states, objective, intensities[at], records, runs, prior)
 
 
 def _descend(
@@ -226,8 +219,8 @@ def rank_terms(observed: ObservedModel) -> list[TermStart]:
             chunk = columns[first : first + TERMS_AT_ONCE]
             values = [signals.of(*column) for column in chunk]
             slopes = [
-                tape.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
-                for k, tape in enumerate(observed.tapes)
+                run.slopes_of_signals(np.column_stack([v[k] for v in values]), index[site]).reshape(-1, len(chunk))
+                for k, run in enumerate(runs)
             ]
             for (term, shape, lag), (decrease, amplitude) in zip(
                 chunk, free.regress(np.concatenate(slopes)), strict=True
@@ -389,12 +382,11 @@ class _FreeDirections:
         names, records, runs = [q.name for q in observed.model.free_parameters], observed.records, observed.runs
         mean, spread = observed.prior.T
         z = np.array([observed.values[n] for n in names])
-        constants = np.concatenate([r.slopes.reshape(-1, len(names)) for r in runs]) * spread
-        starts = [
-            tape.slopes_of_start().reshape(-1, len(record.spread)) * record.spread
-            for tape, record in zip(observed.tapes, records, strict=True)
-        ]
-        columns = np.hstack([constants, _block_diagonal(starts)])
+        slopes = [r.slopes.reshape(-1, r.slopes.shape[2]) for r in runs]
+        constants = np.concatenate([each[:, each.shape[1] - len(names) :] for each in slopes]) * spread
+        starts = [each[:, : len(r.spread)] * r.spread for each, r in zip(slopes, records, strict=True)]
+        # A first state is of its record alone.
+        columns = np.hstack([constants, block_diag(*starts)])
         errors = np.concatenate([r.e.ravel() for r in runs])
         free = columns.shape[1]
         known = np.concatenate([(z - mean) / spread, np.zeros(free - len(names))])
@@ -416,13 +408,3 @@ class _FreeDirections:
         decrease = np.where(possible, push**2 / safe, 0.0)
         amplitude = np.where(possible, -push / safe, 0.0)
         return list(zip(decrease.tolist(), amplitude.tolist(), strict=True))
-
-
-def _block_diagonal(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    rows, columns = sum(len(b) for b in blocks), sum(b.shape[1] for b in blocks)
-    whole = np.zeros((rows, columns))
-    r = c = 0
-    for b in blocks:
-        whole[r : r + len(b), c : c + b.shape[1]] = b
-        r, c = r + len(b), c + b.shape[1]
-    return whole
