@@ -352,7 +352,8 @@ def localise_residual(
     residuals = normalised_residuals(candidate)
     experiments = candidate.problem.experiments
     alone = ResidualLocalisation.without_sites(candidate)
-    if not alone.is_missing:
+    # A run that has gone astray says no more than that something is missing.
+    if not alone.is_missing or any(np.any(np.abs(r) == ASTRAY_RESIDUAL) for r in residuals):
         return alone
     names, times = [e.name for e in experiments], [e.time for e in experiments]
     windows = divide_misfit(names, times, residuals, LOCALISATION_WINDOWS)
@@ -385,9 +386,14 @@ def estimate_site_signals(candidate: FittedCandidate) -> dict[str, ResidualSigna
     return {site.label: _to_signal(candidate, line, site, smoothed) for site, smoothed in ranked}
 
 
+# Residual over noise beyond which a run has gone astray: how far it went says nothing, and the square of this is still a number.
+ASTRAY_RESIDUAL = 1e100
+
+
 def normalised_residuals(candidate: FittedCandidate) -> list[np.ndarray]:
-    """Residual over noise (N, ny) of each record."""
-    return [r for r, _ in unwhitened_shooting(candidate).residuals(candidate.variables.here)]
+    """Residual over noise (N, ny) of each record, no larger than `ASTRAY_RESIDUAL`."""
+    residuals = (r for r, _ in unwhitened_shooting(candidate).residuals(candidate.variables.here))
+    return [np.clip(r, -ASTRAY_RESIDUAL, ASTRAY_RESIDUAL) for r in residuals]
 
 
 def find_worst_stretch(residuals: Sequence[np.ndarray], most_rows: int) -> tuple[int, int, int]:

@@ -7,6 +7,7 @@ import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.discovery.curve_shape import Parity, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
+from greybox.discovery.execution import RefitOutcome
 from greybox.discovery.localisation import (
     CONCENTRATED_TIME,
     LOCALISATION_WINDOWS,
@@ -49,6 +50,23 @@ def test_dry_friction_is_localised_in_the_force_balance_over_the_velocity():
     # Drive and voltage balance are one input direction: no sensor can ever tell them apart.
     gains = {site.label: site.gain for site in location.sites}
     assert gains["input u"] == pytest.approx(gains["balance voltage"])
+
+
+def test_a_run_that_goes_astray_is_located_nowhere():
+    """A growth without its limit: after 1 s the run is at exp(400), whose square is no number."""
+    growth = Model(
+        "growth",
+        states=[State("x", "m", 1.0)],
+        inputs=[],
+        outputs=[Output("x", "m")],
+        parameters=[Parameter("k", "1/s", 400.0, fixed=True)],
+        balances=lambda x, u, p: [Balance("mass", "m/s", 1, "x", growth=p.k * x.x)],
+    )
+    time = np.linspace(0, 1, 200)
+    record = gb.Experiment("logistic", time, {}, {"x": 100 / (1 + 99 * np.exp(-20 * time))})
+    problem = DiscoveryProblem(growth, (record,), {"x": 0.01}, (), gb.FitOptions(at_rest=True))
+    located = localise_residual(problem.restore(growth, RefitOutcome({"k": 400.0}, ((1.0,),), 0)))
+    assert located.is_missing and not located.sites and not located.windows
 
 
 def test_a_complete_model_leaves_nothing_to_localise():
