@@ -207,12 +207,12 @@ class StepwiseSelection:
         if selected is self.baseline:
             return self.baseline
         self._retest_baseline(selected)
-        if not self._accept(StepKind.ADD, self.baseline, selected):
+        if not self._accept(self.baseline, selected):
             return self.baseline
         self._tell(DiscoveryCode.FIRST_EFFECT, selected)
         while self._has_structure_left(selected) and len(selected.effects) < self.budget.most_effects:
             larger = self._extend(selected)
-            if larger is None or not self._accept(StepKind.ADD, selected, larger):
+            if larger is None or not self._accept(selected, larger):
                 break
             if self._explained_by_shape_correction(selected, larger):
                 self._tell(DiscoveryCode.SHAPE_CORRECTION_SUFFICES, selected)
@@ -623,9 +623,9 @@ class StepwiseSelection:
 
     # Steps and messages
 
-    def _accept(self, kind: StepKind, smaller: FittedCandidate, larger: FittedCandidate) -> bool:
+    def _accept(self, smaller: FittedCandidate, larger: FittedCandidate) -> bool:
         decision = judge_effect(self.baseline, smaller, larger, self.policy.selection)
-        self.steps.append(SelectionStep(kind, larger.effects, decision.passed, decision.checks))
+        self.steps.append(SelectionStep(StepKind.ADD, larger.effects, decision.passed, decision.checks))
         return decision.passed
 
     def _tell(self, code: DiscoveryCode, fit: FittedCandidate) -> None:
