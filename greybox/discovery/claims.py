@@ -308,11 +308,13 @@ def _allow_for_sensors(claims: Sequence[Claim]) -> tuple[Claim, ...]:
     """
     certain = {c.sites for c in claims if c.depth is Depth.NAME and c.is_established}
     return tuple(
-        lower_grade(c)
-        if c.size < SENSOR_CLASS and c.sites not in certain and any(map(_is_sensor, c.sites)) and not c.name
-        else c
-        for c in claims
+        lower_grade(c) if _is_within_sensor_class(c) and c.sites not in certain and not c.name else c for c in claims
     )
+
+
+def _is_within_sensor_class(claim: Claim) -> bool:
+    """Whether a sensor at one of the claim's places is commonly off by as much as what is claimed."""
+    return claim.size < SENSOR_CLASS and any(map(_is_sensor, claim.sites))
 
 
 def _is_sensor(label: str) -> bool:
@@ -530,9 +532,9 @@ def place_within_sensor_class(claims: Sequence[Claim]) -> Claim | None:
         c
         for c in claims
         if c.depth is Depth.PLACE
-        and c.grade is Grade.PROBABLE
+        and not c.is_established
         and c.probability >= ESTABLISHED_FROM
-        and 0 < c.size < SENSOR_CLASS
+        and _is_within_sensor_class(c)
     ]
     return max(doubted, key=lambda c: c.probability, default=None)
 

@@ -452,7 +452,7 @@ class StepwiseSelection:
     def _simplify(self, best: FittedCandidate, among: Sequence[FittedCandidate]) -> FittedCandidate:
         """The simplest member of a family that does nearly as well as its best."""
         for name in best.effects:
-            for parent in _list_simpler(self._effect(name)):
+            for parent in self._simpler(name):
                 wanted = {parent if n == name else n for n in best.effects}
                 simpler = next((fit for fit in among if set(fit.effects) == wanted), None)
                 if simpler is None:
@@ -612,11 +612,14 @@ class StepwiseSelection:
 
     def _are_related(self, a: FittedCandidate, b: FittedCandidate) -> bool:
         """Whether one model is the other with a parent effect in the place of its child."""
-        alone = [
-            [e for e in one.model.effects if e.name in set(one.effects) - set(other.effects)]
-            for one, other in ((a, b), (b, a))
-        ]
-        return any(y.name in _list_simpler(x) or x.name in _list_simpler(y) for x in alone[0] for y in alone[1])
+        only_a, only_b = set(a.effects) - set(b.effects), set(b.effects) - set(a.effects)
+        pairs = [(x, y) for x in only_a for y in only_b]
+        return any(y in self._simpler(x) or x in self._simpler(y) for x, y in pairs)
+
+    def _simpler(self, name: str) -> tuple[str, ...]:
+        """The effects that one contains or approaches."""
+        effect = self._effect(name)
+        return (*effect.parents, *effect.approaches)
 
     def _effect(self, name: str) -> Effect:
         return next(e for e in self.candidates if e.name == name)
@@ -631,11 +634,6 @@ class StepwiseSelection:
     def _tell(self, code: DiscoveryCode, fit: FittedCandidate) -> None:
         values = {"before": self.baseline.noise_ratio, "after": fit.noise_ratio, "bounded": fit.is_noise_bounded}
         self.on_message(str(Finding(code, subject=" + ".join(fit.effects), values=values)))
-
-
-def _list_simpler(effect: Effect) -> tuple[str, ...]:
-    """The effects that one contains or approaches."""
-    return (*effect.parents, *effect.approaches)
 
 
 def checks_of(steps: Sequence[SelectionStep]) -> Iterator[Check]:

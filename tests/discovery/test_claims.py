@@ -14,7 +14,9 @@ from greybox.discovery.claims import (
     deepest_established,
     describe_effect,
     list_tied_sets,
+    lower_grade,
     name_claim,
+    place_within_sensor_class,
     read_certainty,
     read_verdict,
     to_features,
@@ -141,19 +143,27 @@ def test_sites_that_the_sensors_cannot_tell_apart_are_one_place():
 def test_a_place_that_may_be_a_sensor_is_not_established_by_what_a_sensor_may_be_off_by():
     alike = (("balance force", "sensor of x"),)
 
-    def places(reach, *names):
+    def claims_at(reach, *names, alike=alike):
         plain = fitted(left=20.0, reach=reach), 0
         won = [(fitted(name, reach=reach), 5) for name in names]
-        return [c for c in weigh_claims(draws(*won, plain), alike, (), 0.0) if c.depth is Depth.PLACE]
+        return weigh_claims(draws(*won, plain), alike, (), 0.0)
+
+    def place(claims):
+        (made,) = [c for c in claims if c.depth is Depth.PLACE]
+        return made
 
     # The error of the plain model is 20 times the noise: 20 % of the range of the readings, or 0.2 %.
-    (large,) = places(100.0, "coulomb_friction", "sensor_lag")
-    (small,) = places(10_000.0, "coulomb_friction", "sensor_lag")
-    assert large.is_established and small.grade is Grade.PROBABLE
-    assert large.probability == small.probability
-    assert large.size == pytest.approx(np.sqrt(20.0**2 - 1) / 100) == 100 * small.size
-    # A name that always wins has beaten what sensors do, and one place in the plant is no sensor.
-    assert places(10_000.0, "coulomb_friction")[0].is_established
+    large, small = (claims_at(reach, "coulomb_friction", "sensor_lag") for reach in (100.0, 10_000.0))
+    assert place(large).is_established and place(small).grade is Grade.PROBABLE
+    assert place(large).probability == place(small).probability
+    assert place(large).size == pytest.approx(np.sqrt(20.0**2 - 1) / 100) == 100 * place(small).size
+    assert place_within_sensor_class(small) == place(small) and place_within_sensor_class(large) is None
+    # A name that always wins has beaten what sensors do.
+    assert place(claims_at(10_000.0, "coulomb_friction")).is_established
+    # A place in the plant is no sensor: neither doubted for one nor said to be one, whatever else made it no more than probable.
+    in_plant = claims_at(10_000.0, "coulomb_friction", "quadratic_damping", alike=())
+    assert place(in_plant).is_established
+    assert place_within_sensor_class([lower_grade(c) for c in in_plant]) is None
 
 
 def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():

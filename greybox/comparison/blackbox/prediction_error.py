@@ -490,6 +490,7 @@ def finish_model(
     units: Mapping[str, str],
 ) -> PolynomialModel:
     """The model with its noise, of ``count`` errors with so much ``freedom``, and with what is to be known of its search."""
+    # A, C and D of order zero are 1, one coefficient each: then the errors are those of a simulation.
     has_noise_model = len(model.a) + len(model.c) + len(model.d) > 3
     return replace(
         model,
