@@ -91,10 +91,11 @@ def summarise(
         )
     elif location.likeliest:
         missing.append(_missing_signal(judged, location, surrogate))
-    if not headline and (doubted := place_within_sensor_class(claims)) is not None:
-        values = {"size": doubted.size, "limit": SENSOR_CLASS}
-        missing.append(Finding(DiscoveryCode.WITHIN_SENSOR_CLASS, subject=doubted.output, values=values))
-    headline = headline or [Finding(DiscoveryCode.UNKNOWN_EFFECT)]
+    if not headline:
+        headline.append(Finding(DiscoveryCode.UNKNOWN_EFFECT))
+        if (doubted := place_within_sensor_class(claims)) is not None:
+            values = {"size": doubted.size, "limit": SENSOR_CLASS}
+            headline.append(Finding(DiscoveryCode.WITHIN_SENSOR_CLASS, subject=doubted.output, values=values))
     if surrogate is None:
         return (*headline, *look_alike, *missing)
     missing.append(Finding(DiscoveryCode.SURROGATE_FITTED, subject=surrogate.site, values=to_values(surrogate)))
