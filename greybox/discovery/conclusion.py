@@ -552,7 +552,12 @@ def _word_on(finished: RefitComparison) -> tuple[Finding, ...]:
     """That another fit which begins at this one ends elsewhere, or fails; nothing where it ends there too."""
     if finished.is_settled:
         return ()
-    values = {"status": finished.status, "errors": list(finished.errors), "constants": dict(finished.constants)}
+    values = {
+        "status": finished.status,
+        "errors": list(finished.errors),
+        "constants": dict(finished.constants),
+        "is_late": finished.is_late,
+    }
     return (Finding(DiscoveryCode.REFIT_ELSEWHERE, Severity.WARNING, finished.fit.model.title, values),)
 
 

@@ -293,6 +293,8 @@ class RefitComparison:
         Free constants that it moves, in their standard deviations.
     is_settled
         Whether another fit ends there too.
+    is_late
+        Whether the time limit left no time for another one.
     """
 
     fit: Fit
@@ -300,6 +302,7 @@ class RefitComparison:
     errors: tuple[Mapping[str, Any], ...] = ()
     constants: Mapping[str, float] = field(default_factory=dict)
     is_settled: bool = True
+    is_late: bool = False
 
 
 def compare_with_refit(fit: Fit, again: Fit) -> RefitComparison:
@@ -324,15 +327,18 @@ def finish_fit(
     """``fit`` as a fit of one's own of the same model ends, validated; as it is where nobody asks for it.
 
     The model that a search writes holds these constants. Whoever fits it gets what the search reports, because the search has done just
-    that, until another fit changed nothing; where none of them stands still, what the last one changed is told.
+    that, until another fit changed nothing; where none of them stands still, what the last one changed is told, and where the time limit
+    leaves no time for one, that is.
     """
     user = problem.user_settings
-    if user is None or problem.executor.is_late:
+    if user is None:
         return RefitComparison(fit)
-    best = RefitComparison(fit)
+    best = RefitComparison(fit, is_settled=False, is_late=True)
     # It begins at the answer: that it stands there is no trouble for which other starts would have to be searched from.
     options = replace(user.options, other_starts=0)
     for _ in range(most):
+        if problem.executor.is_late:
+            break
         again = estimate(fit.model, problem.experiments, noise=user.noise, quiet=user.quiet, options=options)
         # The constants of a fit that did not end are no better than those where it began.
         if fit.success and not again.success:

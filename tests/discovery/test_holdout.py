@@ -211,13 +211,13 @@ class RecordsThatJudge(ValidationSet):
         return SimpleNamespace(misfit={"x": Misfit(model.fit.judged, "m", 0.0, 1.0, 10)})
 
 
-def finish(monkeypatch, first, *ends):
+def finish(monkeypatch, first, *ends, is_late=False):
     """`finish_fit` of ``first``, where fits that begin there end at ``ends``, one after the other; how many were made."""
     rest = list(ends)
     monkeypatch.setattr(holdout, "estimate", lambda *_, **__: rest.pop(0))
     problem = SimpleNamespace(
         user_settings=SimpleNamespace(noise={}, quiet=(), options=FitOptions()),
-        executor=SimpleNamespace(is_late=False),
+        executor=SimpleNamespace(is_late=is_late),
         experiments=(),
     )
     validation = RecordsThatJudge(())
@@ -254,3 +254,9 @@ def test_a_fit_that_does_not_end_leaves_the_one_before(monkeypatch):
     finished, _ = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), EndedFit(0.5, status="iteration_limit"))
     assert finished.fit.error == 0.9
     assert not finished.is_settled and finished.status == "iteration_limit"
+
+
+def test_where_the_time_is_over_it_is_said_that_nobody_tried(monkeypatch):
+    finished, made = finish(monkeypatch, EndedFit(1.0), EndedFit(0.9), is_late=True)
+    assert made == 0 and finished.fit.error == 1.0
+    assert finished.is_late and not finished.is_settled and not finished.errors

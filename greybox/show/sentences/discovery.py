@@ -505,9 +505,19 @@ def _test_error(finding: Finding) -> str:
     return f"{where} goes from {change_text(v['before'], v['after'], v['unit'])}"
 
 
+# Moved constants that a sentence names.
+MOST_MOVES = 3
+
+
 def _refit_elsewhere(finding: Finding) -> str:
     status, errors, constants = (finding.values[key] for key in ("status", "errors", "constants"))
     ended = f" ({status_text(status)})" if status else ""
+    # Result files of before have no such key: nothing was told there where the time was over.
+    if finding.values.get("is_late") and not (errors or constants):
+        return (
+            f"{finding.subject}: the time limit left no time to fit the answer once more from where it ended, so nobody knows whether its"
+            " constants have settled. Fit the written model, or give the search more time."
+        )
     if not (errors or constants):
         return (
             f"{finding.subject}: a fit of this model that begins at these constants does not end with success{ended}. The constants are"
@@ -517,7 +527,11 @@ def _refit_elsewhere(finding: Finding) -> str:
         f"the error of {e['output']} on the {e['records']} records from {change_text(e['before'], e['after'], e['unit'], 4)}"
         for e in errors
     ]
-    parts += [f"{name} by {move:.2g} standard deviations" for name, move in constants.items()]
+    # A curve has twenty heights: the largest moves tell, the others are in the result file.
+    moved = sorted(constants.items(), key=lambda item: -item[1])
+    parts += [f"{name} by {move:.2g} standard deviations" for name, move in moved[:MOST_MOVES]]
+    if len(moved) > MOST_MOVES:
+        parts.append(f"{count_noun(len(moved) - MOST_MOVES, 'further constant')} by less")
     return f"{finding.subject}: the last fit had not settled. Another that begins at these constants{ended} changes {join_names(parts)}."
 
 

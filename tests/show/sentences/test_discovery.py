@@ -197,6 +197,21 @@ FINDINGS = [
         " records from 2.1 to 1.89 mV and b by 0.51 standard deviations.",
     ),
     (
+        Code.REFIT_ELSEWHERE,
+        *(
+            "rotor",
+            {"status": "converged", "errors": [], "constants": {"b": 0.5, "J": 2, "c": 0.2, "k": 0.3, "d": 0.1}},
+        ),
+        "rotor: the last fit had not settled. Another that begins at these constants (converged) changes J by 2 standard deviations, b by"
+        " 0.5 standard deviations, k by 0.3 standard deviations and 2 further constants by less.",
+    ),
+    (
+        Code.REFIT_ELSEWHERE,
+        *("rotor", {"status": "", "errors": [], "constants": {}, "is_late": True}),
+        "rotor: the time limit left no time to fit the answer once more from where it ended, so nobody knows whether its constants have"
+        " settled. Fit the written model, or give the search more time.",
+    ),
+    (
         Code.TEST_ERROR,
         *("x", {"before": 0.315, "after": 0.27, "unit": "V", "is_plain": False}),
         "on the test records, which took no part in the search, the error of x goes from 315 to 270 mV",
