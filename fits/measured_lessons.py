@@ -100,7 +100,7 @@ def draw_torque(folder: Path) -> Figure:
     right.set_yticks([0.2, 1.2, 2.2], ["viscous alone", "and dry", "and dry, by load"])
     right.set_xlabel("rms error of the angle, mrad")
     right.set_xlim(0, 1.5 * right.get_xlim()[1])  # room for the legend beside the bars
-    right.legend(fontsize="small", loc="lower right")
+    right.legend(fontsize="small", loc="upper right")
     return figure
 
 

@@ -85,8 +85,8 @@ VANISHED_POLE = 1e-12
 # A pole whose imaginary part is below this is real.
 REAL_POLE = 1e-12
 
-# Smallest divisor: keeps a quotient finite where numerator and denominator vanish together.
-TINY = 1e-300
+# Smallest divisor: keeps a quotient finite where numerator and denominator vanish together, and where the divisor alone does.
+TINY = 1e-100
 
 # Share of a velocity's size that an observer's first state is off rest: at rest the slope of a root of it is infinite.
 OFF_REST = 1e-3

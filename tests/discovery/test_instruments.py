@@ -1,11 +1,14 @@
 """A physical name has to beat the lie of an instrument: gains, units and clocks on a pendulum whose constants are known."""
 
+import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.discovery.findings import DiscoveryCode as Code
 from greybox.estimation.findings import EstimationCode
 from tests.support.findings import find
+from tests.support.first_order import first_order
 from tests.support.weighed_pendulum import NOISE, WITH_FRICTION, swung
 
 NAMES = ("input_gain", "sensor_gain", "clock_skew", "cubic_stiffness", "directional_damping", "constant_load")
@@ -31,6 +34,32 @@ def test_the_lie_of_an_instrument_is_named(made, name, value):
     if name == "input_gain":
         unit = find(found.instruments, EstimationCode.GAIN_IS_UNIT_FACTOR)
         assert unit.values["units"] == "kilogram-force and newton" and str(unit) in str(found)
+
+
+@pytest.mark.parametrize("side", [1, -1], ids=["upper", "lower"])
+def test_either_end_of_the_range_of_a_sensor_is_named(side):
+    """A converter shows its last value for all that is beyond, with the noise in front of it."""
+    generator = np.random.default_rng(15)
+    period, lag, gain, end = 0.05, 0.5, 2.0, side * 1.2
+    u = np.repeat(generator.normal(size=60), 10)
+    # First-order lag under a held input, its step in closed form.
+    kept = np.exp(-period / lag)
+    y = lfilter([0.0, gain * (1 - kept)], [1.0, -kept], u) + 0.01 * generator.normal(size=len(u))
+    cut = side * np.minimum(side * y, side * end)
+    assert 0.02 < np.mean(cut != y) < 0.3
+    record = gb.Experiment("cut", period * np.arange(len(u)), {"u": u}, {"y": cut})
+    names = ("sensor_saturation", "reading_curve", "input_saturation", "gain_by_sign", "input_offset")
+    found = gb.discover(
+        first_order(),
+        record.window(0, 400),
+        validation=record.window(400, 600),
+        noise={"y": 0.01},
+        effects=[gb.effect(name) for name in names],
+    )
+    (effect,) = found.effects
+    assert effect["name"] == "sensor_saturation" and effect["grade"] == "established"
+    assert found.extended.model.values["side"] == side
+    assert abs(found.extended.model.values["y_max"] - end) < 0.01
 
 
 def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_established():

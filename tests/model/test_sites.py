@@ -146,6 +146,10 @@ def test_scales_are_those_of_the_site():
     assert at_load.displacement == np.abs(x[:, 2]).max() and scales.displacement == np.abs(x[:, 0]).max()
     assert at_load.storage == 2.0 and scales.storage == 1.0
     assert scales.at("L").input == np.abs(u[:, 1]).max()
+    # The range of a reading is that of the record, zero within it or not.
+    assert scales.readings == (x[:, 0].min(), x[:, 0].max())
+    assert scales.at("a2").readings == (x[:, 2].min(), x[:, 2].max())
+    assert scales.at("load").readings == scales.readings and scales.at("a2").reading == np.abs(x[:, 2]).max()
     placed = next(e for e in applicable_effects(TWO_BODIES, scales) if e.name == "input_offset_at_L")
     assert placed.probe(scales)["u0"] == pytest.approx(0.01 * np.abs(u[:, 1]).max())
 

@@ -63,10 +63,12 @@ def test_water_that_runs_over_falls_into_the_lower_tank_by_its_share():
 
 def test_a_curved_reading_is_anchored_at_both_ends_and_a_sensor_ends():
     curve, end = effect("reading_curve"), effect("sensor_saturation")
-    p = NamedValues("parameter", {"y0": 1.5, "bow": 0.4, "full": 10.0, "y_max": 7.0})
+    p = NamedValues("parameter", {"y0": 1.5, "bow": 0.4, "full": 10.0, "y_max": 7.0, "side": 1.0})
     assert [curve.on_output(level, None, None, p) for level in (0.0, 10.0)] == [1.5, 10.0]
     assert curve.on_output(5.0, None, None, p) == pytest.approx(5.0 + 0.75 - 0.4 * 2.5)
     assert [float(end.on_output(level, None, None, p)) for level in (5.0, 9.0)] == [5.0, 7.0]
+    lower = NamedValues("parameter", {"y_max": 7.0, "side": -1.0})
+    assert [float(end.on_output(level, None, None, lower)) for level in (5.0, 9.0)] == [7.0, 9.0]
 
 
 @pytest.mark.parametrize(("name", "hold"), [("linear_input", "first"), ("band_limited_input", "band-limited")])

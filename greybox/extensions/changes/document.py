@@ -24,7 +24,14 @@ from greybox.extensions.changes.sentences import is_determined, merge_not_seen, 
 from greybox.show.documents.tables import provenance_section, records_section, signal_units
 from greybox.show.figures.records import plot_residual, plot_run
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import count_noun, format_with_std, make_formatter, spread_text, value_with_unit
+from greybox.show.sentences.wording import (
+    count_noun,
+    format_with_std,
+    make_formatter,
+    spread_text,
+    value_with_unit,
+    with_unit,
+)
 
 TONES = {
     ChangeVerdict.UNCHANGED: Tone.GOOD,
@@ -89,9 +96,7 @@ def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
             # to as many digits as the interval tells
             write = make_formatter(p.mean, (p.interval[1] - p.interval[0]) / 4)
             interval = " to ".join(map(write, p.interval))
-            rows.append(
-                [name, f"{write(p.mean)} {p.unit}".rstrip(), interval, spread_text(p.spread, p.unit, p.relative)]
-            )
+            rows.append([name, with_unit(write(p.mean), p.unit), interval, spread_text(p.spread, p.unit, p.relative)])
         yield TableBlock("What the machines have in common", head, rows)
     if change.machines:
         units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
@@ -129,7 +134,7 @@ def constant_row(name: str, change: ConstantChange) -> list[str]:
     write = make_formatter(change.before, width / 4)
     return [
         name,
-        *(f"{write(value)} {unit}".rstrip() for value in (change.before, change.after)),
+        *(with_unit(write(value), unit) for value in (change.before, change.after)),
         _signed(difference, change.before, change.unit, width),
         " to ".join(_signed(e, change.before, change.unit, width) for e in change.interval),
         p_text(change.p),
@@ -145,7 +150,7 @@ def _machine_cell(constant: MachineConstant | None) -> str:
 
 def _signed(change: float, before: float, unit: str, width: float) -> str:
     if not before:
-        return f"{change:+.3g} {unit}".rstrip()
+        return with_unit(f"{change:+.3g}", unit)
     return ("+" if change > 0 else "-") + share_of(change, before, unit, width)
 
 

@@ -22,6 +22,8 @@ from greybox.show.sentences.wording import (
     limit_text,
     make_formatter,
     quantity_text,
+    value_with_unit,
+    with_unit,
 )
 from greybox.simulation.simulate import simulate
 
@@ -100,7 +102,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
             [
                 name,
                 d.parameter,
-                *("nothing" if a is None else f"{a:.2g} {d.unit}".rstrip() for a in (d.before, d.after)),
+                *("nothing" if a is None else value_with_unit(a, d.unit, 2) for a in (d.before, d.after)),
             ]
             for name, d in design.detection.items()
         ]
@@ -113,7 +115,7 @@ def _gains(design: Design) -> Iterator[TableBlock]:
     rows = [
         [
             name,
-            f"{format_number(c.value)} {c.unit}".rstrip(" -"),
+            with_unit(format_number(c.value), c.unit).rstrip(" -"),
             *("open" if s is None else make_formatter(c.value, s)(s) for s in (c.std_before, c.std_after)),
         ]
         for name, c in design.predicted.items()

@@ -13,7 +13,14 @@ from greybox.extensions.fleet.result import ConstantDistribution, FleetCode, Fle
 from greybox.show.documents.tables import provenance_section
 from greybox.show.figures.figure import typeset_unit
 from greybox.show.sentences.registry import sentence
-from greybox.show.sentences.wording import count_noun, format_number, format_with_std, make_formatter, spread_text
+from greybox.show.sentences.wording import (
+    count_noun,
+    format_number,
+    format_with_std,
+    make_formatter,
+    spread_text,
+    with_unit,
+)
 
 # Records that a table of the page holds: those that need a look first; the file has all.
 LISTED_RECORDS = 200
@@ -104,7 +111,7 @@ def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
     left_open = f"{100 * constant.std / constant.median:.2g} %" if constant.relative else f"{constant.std:.2g}"
     return [
         name,
-        f"{write(constant.median)} {unit}".rstrip(),
+        with_unit(write(constant.median), unit),
         f"{write(constant.low)} to {write(constant.high)}",
         spread_text(constant.spread, unit, constant.relative),
         left_open,

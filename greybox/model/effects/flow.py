@@ -361,24 +361,45 @@ reading_curve = Effect(
     grid=lambda s: {"full": [s.reading]},
 )
 
+# Where the range of a sensor may end, as shares of the range of its readings.
+RANGE_ENDS: tuple[float, ...] = (1.0, 0.95, 0.85)
+
+
+def _range_ends(s: Scales) -> Mapping[str, list[float]]:
+    low, high = s.readings
+    into = [(1 - share) * (high - low) for share in RANGE_ENDS]
+    return {"y_max": [*(high - depth for depth in into), *(low + depth for depth in into)], "side": [1.0, -1.0]}
+
+
 sensor_saturation = Effect(
     "sensor_saturation",
     site="sensor",
     parameters=[
         shape_parameter(
-            "y_max", "{sensor}", OUT_OF_REACH, (1e-9, OUT_OF_REACH), "largest reading", "large: absent until fitted"
-        )
+            "y_max",
+            "{sensor}",
+            OUT_OF_REACH,
+            (-OUT_OF_REACH, OUT_OF_REACH),
+            "reading at the end of the range",
+            "large: absent until fitted",
+        ),
+        # Which end it is: no constant to be found, both are tried.
+        replace(
+            shape_parameter("side", "1", 1.0, (-1.0, 1.0), "1 for the upper end, -1 for the lower one"), fixed=True
+        ),
     ],
-    on_output=lambda value, x, u, p: ca.fmin(value, p.y_max),
-    equation="min(y, y_max)",
+    # min(y, y_max) at the upper end; with both signs turned it is max(y, y_max) at the lower one.
+    on_output=lambda value, x, u, p: p.side * ca.fmin(p.side * value, p.side * p.y_max),
+    equation="min(y, y_max), or max(y, y_max) at a lower end",
     parity="even",
     tells_apart=(
-        "Look at the reading at its top: a sensor at its end shows one value exactly, without noise, whatever the plant does."
+        "Look at the reading at its top, or at its bottom: a sensor at its end shows one value exactly, without noise, whatever the plant"
+        " does."
     ),
     source="end of the range of a converter",
     amplitudes=("y_max",),
     neutral={"y_max": OUT_OF_REACH},
-    grid=lambda s: {"y_max": [share * s.reading for share in (1.0, 0.95, 0.85)]},
+    grid=_range_ends,
 )
 
 LEVEL: tuple[Effect, ...] = (upper_overflow, lower_overflow, overflow, linear_leak, reading_curve, sensor_saturation)

@@ -28,8 +28,10 @@ class SiteScales:
         Between which the displacement lies.
     store
         Peak of the pressure or level that the balance stores.
-    input, sensor, reading
-        Of an input, and of an output: how far it moves from its first value, and its peak.
+    input, sensor
+        Of an input, and how far an output moves from its first value.
+    readings
+        Least and largest reading of an output.
     pitch
         Distance along the displacement after which what the plain model leaves repeats; 0 where it does not.
     """
@@ -43,7 +45,7 @@ class SiteScales:
     store: float = 0.0
     input: float = 0.0
     sensor: float = 0.0
-    reading: float = 0.0
+    readings: tuple[float, float] | None = None
     pitch: float = 0.0
 
 
@@ -73,8 +75,8 @@ class Scales:
         Time between samples and length of the record, in s.
     fastest, slowest
         Time constants ``1 / |lambda|`` of the model along the record in s, integrators left out, at most the duration.
-    reading
-        Peak of the main output itself.
+    readings
+        Least and largest reading of the main output.
     peaks
         Peak of every state that has a role, by role.
     lowest, highest
@@ -99,7 +101,7 @@ class Scales:
     duration: float
     fastest: float
     slowest: float
-    reading: float = 1.0
+    readings: tuple[float, float] = (0.0, 1.0)
     peaks: Mapping[str, float] = field(default_factory=dict)
     lowest: float = 0.0
     highest: float = 0.0
@@ -122,6 +124,11 @@ class Scales:
         }
         sites = {name: replace(at_site, pitch=pitches.get(name, at_site.pitch)) for name, at_site in self.sites.items()}
         return replace(self, pitch=next(iter(pitches.values()), self.pitch), sites=sites)
+
+    @property
+    def reading(self) -> float:
+        """Peak of the main output itself."""
+        return max(map(abs, self.readings))
 
     @property
     def visible_force(self) -> float:
@@ -205,7 +212,7 @@ def measure_scales(model: Model, x: np.ndarray, u: np.ndarray, period: float) ->
         duration=duration,
         fastest=fastest,
         slowest=slowest,
-        reading=_peak(shown),
+        readings=_range(shown),
         peaks=peaks,
         lowest=body.lowest,
         highest=body.highest,
@@ -226,7 +233,7 @@ def _measure_site(
         return SiteScales(input=_peak(inputs[site.name]))
     if site.kind is PlaceKind.OUTPUT:
         shown = readings[site.name]
-        return SiteScales(sensor=_peak(shown - shown[0]), reading=_peak(shown))
+        return SiteScales(sensor=_peak(shown - shown[0]), readings=_range(shown))
     seen = {role: states[name] for role, name in site.states.items() if name}
     displacement = seen.get("displacement", np.zeros(0))
     return SiteScales(
@@ -311,6 +318,12 @@ def bound_delays(model: Model, period: float) -> Model:
 
 def _peak(values: np.ndarray) -> float:
     return float(np.abs(values).max(initial=0.0)) or 1.0
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    low, high = float(values.min()), float(values.max())
+    # A reading that never moves lies between nothing and itself, or 1 as a peak does.
+    return (low, high) if low < high else (min(low, 0.0), max(high, float(not low)))
 
 
 def _time_constants(model: Model, x: np.ndarray, u: np.ndarray, p: np.ndarray, duration: float) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from greybox.comparison.blackbox.polynomial import BlackBoxFinding
 from greybox.comparison.result import ComparisonFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import format_number
+from greybox.show.sentences.wording import format_number, value_with_unit, with_unit
 
 if TYPE_CHECKING:
     from greybox.base import Check
@@ -33,7 +33,7 @@ RECORDS = {
 def _best_model(finding: Finding) -> str:
     values = finding.values
     unit = format_unit(values["unit"])
-    error = f"{format_number(values['error'], 4)} {unit}".rstrip()
+    error = with_unit(format_number(values["error"], 4), unit)
     text = (
         f"{finding.subject}, {MEASURE[values['measure']]} {RECORDS[values['records']]}: {_model_name(values['model'])} is best,"
         f" {error}"
@@ -46,7 +46,7 @@ def _best_model(finding: Finding) -> str:
     least, other = values["error"], values["rival_error"]
     if least > 0:
         return f"{text}. The best {values['other_kind']} box, {rival}, has {other / least:.3g} times the error."
-    return f"{text}. The best {values['other_kind']} box, {rival}, has {format_number(other, 4)} {unit}".rstrip() + "."
+    return f"{text}. The best {values['other_kind']} box, {rival}, has {with_unit(format_number(other, 4), unit)}."
 
 
 def _model_name(model: Mapping[str, Any]) -> str:
@@ -180,7 +180,7 @@ def _unstable(finding: Finding) -> str:
 
 def _smoothing_feedthrough(finding: Finding) -> str:
     values = finding.values
-    jump = f"{values['jump']:.4g} {values['unit']}".rstrip()
+    jump = value_with_unit(values["jump"], values["unit"], 4)
     return (
         f"the response jumps by {jump} at the step, which a plant with inertia cannot; its phase is that of a delay of"
         f" {values['delay']:.4g} s ({values['samples']:.2f} samples)"
@@ -222,7 +222,7 @@ def polynomial_blocks(model: PolynomialModel) -> list[Block]:
             (f"zeros from {n}", f"{_numbers(model.zeros(n))}; steady-state gain {model.gain(n):.6g}")
             for n in model.inputs
         ),
-        ("noise", f"{model.noise_std:.4g} {unit}".rstrip() + f" one step ahead, over {model.samples} equations"),
+        ("noise", f"{value_with_unit(model.noise_std, unit, 4)} one step ahead, over {model.samples} equations"),
         ("digits", f"at least {needed} keep stability, and the frequency response within 1 %"),
         *([("history", f"{model.history}; focus: {model.focus}")] if model.history else []),
         *(("note", finding) for finding in model.findings),
@@ -283,7 +283,7 @@ def structure_scan_blocks(scan: StructureScan) -> list[Block]:
             s.label,
             f"{s.model.parameters}",
             *("-" if np.isposinf(v) else f"{v:.1f}" for v in (s.aic, s.bic)),
-            f"{s.free_run:.4g} {scan.unit}".rstrip(),
+            value_with_unit(s.free_run, scan.unit, 4),
             "" if s.model.stable else "unstable",
             "<- chosen" if s is scan.chosen else "",
         ]

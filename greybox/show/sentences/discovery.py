@@ -22,6 +22,7 @@ from greybox.show.sentences.wording import (
     join_names,
     quantity_text,
     value_with_unit,
+    with_unit,
 )
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ def surrogate_text(values: Mapping[str, Any]) -> str:
 @renders("HoldoutError")
 def _holdout_error(error: HoldoutError) -> str:
     noise = f" (noise {error.floor:.4g})" if error.is_floor_known else ""
-    return f"{error.before:.4g} -> {error.after:.4g} {error.unit}".rstrip() + noise
+    return with_unit(f"{error.before:.4g} -> {error.after:.4g}", error.unit) + noise
 
 
 @renders("EffectTest")

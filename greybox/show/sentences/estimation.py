@@ -217,7 +217,7 @@ def write_record_trend(finding: Finding) -> str:
     unit = format_unit(v["unit"])
     low, high = (wording.format_number(each, 3) for each in v["at"])
     if v["kind"] == TrendKind.ALIKE:
-        return f"one value of {name} does for all {v['records']} records: {low} {unit}".rstrip()
+        return f"one value of {name} does for all {v['records']} records: {wording.with_unit(str(low), unit)}"
     if v["kind"] == TrendKind.DIFFERENT:
         return f"{name} differs between the records ({low} to {high} {unit}) and follows no condition that is given"
     condition, (least, most) = v["condition"], v["levels"]
@@ -454,7 +454,8 @@ def write_smoothed_states(states: SmoothedStates) -> str:
     for name, mean in states.mean.items():
         size = np.sqrt(np.mean(states.std[name] ** 2))
         unit = format_unit(states.units[name])
-        lines.append(f"  {name}: {mean.min():.4g} to {mean.max():.4g} {unit}, standard deviation {size:.2g} {unit}")
+        seen, spread = wording.range_with_unit(mean.min(), mean.max(), unit), wording.value_with_unit(size, unit, 2)
+        lines.append(f"  {name}: {seen}, standard deviation {spread}")
     for name, e in states.innovations.items():
         lines.append(
             f"  innovation of {name}: mean {np.nanmean(e):.2g}, standard deviation {np.nanstd(e):.3g} (1 is correct)"
@@ -615,7 +616,7 @@ def write_profile(profile: Profile) -> str:
         f"{v:.5g}{' (open)' if is_open else ''}"
         for v, is_open in zip(profile.interval, profile.open_sides, strict=True)
     ]
-    value = f"{profile.name}: {profile.best:.5g} {profile.unit}"
+    value = f"{profile.name}: {wording.value_with_unit(profile.best, profile.unit, 5)}"
     return "\n  ".join([f"{value}, 95 % by profile likelihood [{sides[0]}, {sides[1]}]", *explain_profile(profile)])
 
 
@@ -629,7 +630,7 @@ def explain_profile(profile: Profile) -> list[str]:
     }[profile.shape]
     if profile.valley is not None:
         value, rise = profile.valley
-        place = f"{value:.5g} {profile.unit}"
+        place = wording.value_with_unit(value, profile.unit, 5)
         shape += (
             f": at {place} the cost is less than at the optimum; fit again from there"
             if rise < 0

@@ -11,9 +11,14 @@ PREFIXED = {"m", "m/s", "s", "V", "V/s", "A", "N", "Pa", "W", "Hz", "H", "F", "T
 PREFIXES = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 
 
+def with_unit(number: str, unit: str) -> str:
+    """A number and its unit; a pure number has none."""
+    return number if unit == "1" else f"{number} {unit}".rstrip()
+
+
 def value_with_unit(value: float, unit: str, digits: int = 3) -> str:
     """``0.31 mV`` as it is, without another prefix."""
-    return f"{value:.{digits}g} {unit}".rstrip()
+    return with_unit(f"{value:.{digits}g}", unit)
 
 
 def spread_text(spread: float, unit: str, relative: bool) -> str:
@@ -25,7 +30,7 @@ def spread_text(spread: float, unit: str, relative: bool) -> str:
 
 def range_with_unit(low: float, high: float, unit: str) -> str:
     """``-1 to 2.5 V``; ``no values`` where there are none."""
-    return f"{low:.4g} to {high:.4g} {unit}".rstrip() if math.isfinite(low) else "no values"
+    return with_unit(f"{low:.4g} to {high:.4g}", unit) if math.isfinite(low) else "no values"
 
 
 def choose_prefix(unit: str, largest: float) -> tuple[float, str]:
@@ -40,13 +45,13 @@ def choose_prefix(unit: str, largest: float) -> tuple[float, str]:
 def quantity_text(value: float, unit: str, digits: int = 3, beside: float = 0.0) -> str:
     """``0.31 mV``, in the unit that suits the larger of it and the value ``beside`` it."""
     factor, prefix = choose_prefix(unit, max(abs(value), abs(beside)))
-    return f"{factor * value:.{digits}g} {prefix}{unit}".rstrip()
+    return with_unit(f"{factor * value:.{digits}g}", f"{prefix}{unit}")
 
 
 def change_text(before: float, after: float, unit: str, digits: int = 3) -> str:
     """``8.84 to 0.31 mV``: both in the unit that suits the larger one."""
     factor, prefix = choose_prefix(unit, max(abs(before), abs(after)))
-    return f"{factor * before:.{digits}g} to {factor * after:.{digits}g} {prefix}{unit}".rstrip()
+    return with_unit(f"{factor * before:.{digits}g} to {factor * after:.{digits}g}", f"{prefix}{unit}")
 
 
 def limit_text(low: float, high: float, unit: str = "", digits: int = 3) -> str:

@@ -84,7 +84,12 @@ def test_every_effect_says_what_it_is_and_where_it_comes_from(entry):
             (entry.name, q.name)
             in {
                 *(("reading_curve", "full"), ("root_leak", "laminar"), ("radiation_loss", "T0")),
-                *(("natural_convection", "least"), ("brush_drop", "ib"), ("end_stop", "side")),
+                *(
+                    ("natural_convection", "least"),
+                    ("brush_drop", "ib"),
+                    ("end_stop", "side"),
+                    ("sensor_saturation", "side"),
+                ),
             }
         )
     own = {q.name: q for q in entry.parameters}
