@@ -16,7 +16,7 @@ from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.holdout import PARTIAL_SHARE, VISIBLE_RMS, HoldoutError, worst_output
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.problem import FittedCandidate, clean_cost_limit, noise_cost_limit
 
 
 class Verdict(StrEnum):
@@ -67,20 +67,6 @@ class Conclusion:
 def make_check(rule: DiscoveryRule, value: float, limit: float, passed: bool, subject: str = "") -> Check:
     """A check whose outcome is more than a comparison of ``value`` and ``limit``."""
     return Check(rule, float(value), float(limit), bool(passed), subject)
-
-
-def noise_cost_limit(count: int) -> float:
-    """Cost per sample that ``count`` samples of noise of exactly known level hardly ever exceed: four standard deviations."""
-    return 1 + 4 * math.sqrt(2 / max(count, 1))
-
-
-# Cost per sample beyond chance that is still clean: for a noise level that is not exact, and for the integrator's error.
-FLOOR_MARGIN = 0.05
-
-
-def clean_cost_limit(count: int) -> float:
-    """Cost per sample above which something other than noise is left."""
-    return noise_cost_limit(count) + FLOOR_MARGIN
 
 
 # Samples over which the correlation of coloured noise is summed for the number of independent samples in a record.

@@ -19,10 +19,12 @@ from greybox.discovery.execution import SearchStage
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.policy import SelectionPolicy
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
-from greybox.estimation import Fit, FitNoise, FitOptions, Validation
 from greybox.estimation.errors import errors_by_block
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.optim.quadratic_model import QuadraticModel
+from greybox.estimation.options import FitOptions
+from greybox.estimation.result import Fit
+from greybox.estimation.result_parts import FitNoise, Validation
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.validate import validate
 from greybox.model.model import Model

@@ -12,7 +12,6 @@ from greybox.base.errors import DataError, nearest
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.curve_shape import Dependence, rank_dependences
-from greybox.discovery.decision import clean_cost_limit
 from greybox.discovery.disturbance_sites import (
     DisturbanceSite,
     LinearisedRun,
@@ -28,7 +27,7 @@ from greybox.discovery.disturbance_sites import (
     whiten_columns,
 )
 from greybox.discovery.policy import SelectionPolicy
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -102,6 +103,20 @@ class FittedCandidate:
     def promised_decrease(self) -> float:
         """By how much a further Gauss-Newton step promises to lower the cost."""
         return self.evaluation.predicted_decrease(*self.variables.bounds())
+
+
+def noise_cost_limit(count: int) -> float:
+    """Cost per sample that ``count`` samples of noise of exactly known level hardly ever exceed: four standard deviations."""
+    return 1 + 4 * math.sqrt(2 / max(count, 1))
+
+
+# Cost per sample beyond chance that is still clean: for a noise level that is not exact, and for the integrator's error.
+FLOOR_MARGIN = 0.05
+
+
+def clean_cost_limit(count: int) -> float:
+    """Cost per sample above which something other than noise is left."""
+    return noise_cost_limit(count) + FLOOR_MARGIN
 
 
 # Iterations of a refit: what has not converged by then is not the answer, or is finished in the last fit.

@@ -16,13 +16,7 @@ import numpy as np
 
 from greybox.base.findings import Check, Finding
 from greybox.discovery.candidates import generate_child_starting_points, generate_starting_points
-from greybox.discovery.decision import (
-    EXCESS_AUTOCORRELATION,
-    clean_cost_limit,
-    judge_effect,
-    make_check,
-    noise_cost_limit,
-)
+from greybox.discovery.decision import EXCESS_AUTOCORRELATION, judge_effect, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
@@ -32,6 +26,8 @@ from greybox.discovery.problem import (
     DiscoveryProblem,
     FittedCandidate,
     StartValues,
+    clean_cost_limit,
+    noise_cost_limit,
 )
 from greybox.discovery.residual_noise import excess_autocorrelation, fit_shape_correction
 from greybox.model import Effect, Model

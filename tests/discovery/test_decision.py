@@ -7,18 +7,17 @@ import pytest
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.decision import (
     Verdict,
-    clean_cost_limit,
     decide_verdict,
     judge_effect,
     judge_holdout,
     judge_residual,
     judge_validation_only,
-    noise_cost_limit,
     visible_rms_limit,
 )
 from greybox.discovery.findings import DiscoveryRule as Rule
 from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.policy import SelectionPolicy
+from greybox.discovery.problem import clean_cost_limit, noise_cost_limit
 from tests.support.fake_candidates import COUNT, candidate
 
 POLICY = SelectionPolicy()

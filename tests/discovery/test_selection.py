@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import pytest
 
-from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.policy import DiscoveryPolicy, SearchBudget
-from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.problem import FittedCandidate, noise_cost_limit
 from greybox.discovery.selection import StepKind, StepwiseSelection
 from tests.support.fake_candidates import COUNT, FakeProblem, costs, leaves_noise, toy_effect
 

@@ -6,9 +6,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
-from greybox.discovery.decision import noise_cost_limit
 from greybox.discovery.execution import FailureLog, RefitJob
-from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.problem import FittedCandidate, noise_cost_limit
 from greybox.model.effect import Effect
 from greybox.model.model import Model
 from greybox.model.signals import Parameter

@@ -15,7 +15,7 @@ import numpy as np
 
 from greybox.base.findings import Check, Finding
 from greybox.base.values import ReadOnly
-from greybox.discovery.decision import Grade, clean_cost_limit, make_check
+from greybox.discovery.decision import Grade, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate
@@ -41,7 +41,7 @@ from greybox.discovery.laws.terms import (
     write_equation,
 )
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
+from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit
 from greybox.discovery.residual_noise import is_level_known
 from greybox.discovery.selection import TIE_COST
 from greybox.estimation.result import Fit

@@ -12,8 +12,9 @@ from greybox.base import TINY, DataError, Finding, FitError, ModelError, Severit
 from greybox.data.experiment import Experiment, Hold
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import SignalLimit
-from greybox.discovery import Discovery, DiscoveryProblem
 from greybox.discovery.candidates import estimate_scales, generate_starting_points
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.result import Discovery
 from greybox.estimation import Fit, FitOptions
 from greybox.estimation.fit import fit
 from greybox.estimation.identifiability.structural import analyse_structural_identifiability

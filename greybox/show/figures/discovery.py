@@ -22,7 +22,8 @@ from greybox.base.figure import (
     Scale,
     Series,
 )
-from greybox.discovery import ResidualLocalisation, Verdict, estimate_residual_spectrum
+from greybox.discovery.decision import Verdict
+from greybox.discovery.localisation import ResidualLocalisation, estimate_residual_spectrum
 from greybox.show.figures.figure import draw_sizes, scale_to_prefix, size_axis, typeset_exponents
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title

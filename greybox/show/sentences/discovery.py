@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import Check, Finding, format_unit
 from greybox.base.json_shape import to_values
 from greybox.data.signals import InputKind
-from greybox.discovery import Depth, Grade
+from greybox.discovery.claims import Depth
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
+from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.laws.terms import LikenessKind
