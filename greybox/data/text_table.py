@@ -107,16 +107,11 @@ class TextTable:
             return (".",)
         return (".", ",") if self.has_point else (",",)
 
-    def _read_rows(self) -> Iterator[str]:
-        """The lines of numbers."""
-        lines = (line for line in self.source.read_lines() if _is_of_table(line))
-        return islice(lines, self.skipped, None)
-
     def _read(self, positions: Sequence[int], decimal: str) -> Reading:
         columns = {k: np.zeros(self.rows) for k in positions}
         ragged: dict[int, int] = {}
         bad: dict[int, dict[int, str]] = {k: {} for k in positions}
-        lines, start = self._read_rows(), 0
+        lines, start = islice(filter(_is_of_table, self.source.read_lines()), self.skipped, None), 0
         while block := list(islice(lines, self.policy.rows_per_chunk)):
             if start + len(block) > self.rows:
                 break
@@ -250,13 +245,13 @@ def _find_header_in_comments(
         text = line.lstrip().lstrip("#%").strip()
         for between in dict.fromkeys((separator, *SEPARATORS)):
             headers = split_header(text, between)
-            if columns > 1 and len(headers) == columns and all(map(_is_name, headers)):
+            if (
+                columns > 1
+                and len(headers) == columns
+                and all(any(map(str.isalpha, name)) and NUMBER.fullmatch(name) is None for name in headers)
+            ):
                 return number, headers
     return None
-
-
-def _is_name(field: str) -> bool:
-    return any(map(str.isalpha, field)) and NUMBER.fullmatch(field) is None
 
 
 def _holds_numbers(fields: Sequence[str]) -> bool:

@@ -85,7 +85,7 @@ def bring_to_one_base(
         How large the result may be.
     """
     first = next(iter(samples.values()))
-    if step is None and all(_same_stamps(s.time, first.time) for s in samples.values()):
+    if step is None and all(s.time is first.time or np.array_equal(s.time, first.time) for s in samples.values()):
         return TimeBase(first.time, {k: s.values for k, s in samples.items()})
     fastest = _find_fastest(samples, uses)
     half_row = (_usual_step(samples[fastest].time) if step is None else step) / 2
@@ -171,10 +171,6 @@ def interpolate_band_limited(samples: Samples, at: np.ndarray) -> np.ndarray:
         # Whittaker and Shannon: the sum of y_k sinc(d_k), cut off by the window.
         result += padded[np.clip(whole + shift + half, 0, len(padded) - 1)] * np.sinc(distance) * window
     return result
-
-
-def _same_stamps(a: np.ndarray, b: np.ndarray) -> bool:
-    return a is b or (len(a) == len(b) and bool(np.array_equal(a, b)))
 
 
 def _usual_step(time: np.ndarray) -> float:

@@ -20,7 +20,7 @@ from greybox.base.numerics import SAME_DIRECTION
 from greybox.data.noise.noise_model import AutoRegression
 from greybox.discovery.problem import FittedCandidate
 from greybox.estimation.transcription.shooting_cost import SingleShooting
-from greybox.model import Model, System
+from greybox.model import Model
 from greybox.simulation.linearise import linearise_along
 
 
@@ -84,7 +84,8 @@ def list_disturbance_sites(model: Model, measured: Sequence[str]) -> list[Distur
     sites = [
         DisturbanceSite(b.name, SiteKind.BALANCE, b.unit, system.state_names.index(b.state))
         for b in system.balances
-        if b.state in plant and not _is_definition(system, b.state)
+        # A balance that only says what a rate is (dx/dt = v) lacks nothing.
+        if b.state in plant and not system.rhs[system.state_names.index(b.state)].is_symbolic()
     ]
     sites += [
         DisturbanceSite(i.name, SiteKind.INPUT, i.unit, k)
@@ -145,11 +146,6 @@ def _direction(site: DisturbanceSite, b: np.ndarray, storage: np.ndarray) -> np.
     direction = np.zeros_like(storage)
     direction[:, site.column] = 1 / storage[:, site.column]
     return direction
-
-
-def _is_definition(system: System, state: str) -> bool:
-    """Whether a balance only says what a rate is (``dx/dt = v``): nothing can be missing there."""
-    return bool(system.rhs[system.state_names.index(state)].is_symbolic())
 
 
 # The unexplained signal at one site of a model: a smoothing spline through the residual, and how likely the site is.

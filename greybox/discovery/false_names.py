@@ -222,7 +222,10 @@ def _hold_contests(
     scores, fits = _refit(table.scores, rest, site, hopeful)
     if fits is None:
         return None
-    relatives = _list_relatives(contests.answer.model, signal.effect)
+    model = contests.answer.model
+    bound = next(b for b in model.bound_effects if b.effect.name == signal.effect)
+    # The name of the effect without its place, and those of its family.
+    relatives = {signal.effect.partition(AT)[0], *describe_effect(model, bound).family}
     others = [c for c in contests.candidates if not relatives & {name.partition(AT)[0] for name in c.effects}]
     sets = [FittedSet(c, sums) for c in others if (sums := table.sums(c)) is not None]
     established = 0
@@ -291,12 +294,6 @@ def _refit(
     is_cut, executor.skipped = executor.skipped > skipped, skipped
     within = HoldoutScores(wide, replace(scores.validation, records=judging))
     return within, None if is_cut else [fit for fit in fits if fit is not None]
-
-
-def _list_relatives(model: Model, effect: str) -> set[str]:
-    """The name of an effect without its place, and those of its family."""
-    bound = next(b for b in model.bound_effects if b.effect.name == effect)
-    return {effect.partition(AT)[0], *describe_effect(model, bound).family}
 
 
 def _promised_decrease(slopes: LinearisedSet, responses: Sequence[np.ndarray]) -> np.ndarray:

@@ -157,7 +157,7 @@ def discover(
     ('named', ['coulomb_friction'])
     """
     began = time.perf_counter()
-    options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or _ignore
+    options, policy, on_message = options or FitOptions(), policy or DiscoveryPolicy(), on_message or (lambda _: None)
     validation_set = ValidationSet(_as_tuple(validation), skip, beginning)
     growing = [name for name, given in (noise or {}).items() if isinstance(given, GrowingNoise)]
     if growing:
@@ -396,7 +396,3 @@ def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[E
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:
     return name_records(records)
-
-
-def _ignore(_: str) -> None:
-    return None

@@ -211,7 +211,8 @@ def propose_next_steps(
 def propose_noise_check(base: Fit) -> tuple[Finding, ...]:
     """What to check if no effect seems to be missing: an overestimated noise hides a missing effect."""
     units = {o.name: o.unit for o in base.model.outputs}
-    guessed = _outputs_of_unknown_noise(base)
+    # Outputs whose noise was estimated from the records that were fitted.
+    guessed = [name for name in base.misfit if base.noise.sources.get(name) not in INDEPENDENT_SOURCES]
     if not guessed:
         return ()
     values = {"std": [base.noise.std[n] for n in guessed], "units": [units[n] for n in guessed], "outputs": guessed}
@@ -274,11 +275,6 @@ def _detection_limit(candidate: FittedCandidate) -> Finding | None:
         "unit": candidate.model.parameter(name).unit,
     }
     return Finding(DiscoveryCode.DETECTION_LIMIT, subject=bound.effect.name, values=values)
-
-
-def _outputs_of_unknown_noise(base: Fit) -> list[str]:
-    """Outputs whose noise was estimated from the records that were fitted."""
-    return [name for name in base.misfit if base.noise.sources.get(name) not in INDEPENDENT_SOURCES]
 
 
 def _propose(

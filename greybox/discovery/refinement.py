@@ -198,7 +198,9 @@ def refine_candidate(
         As in `refine`.
     """
     problem = scores.problem
-    model = _without_shape_corrections(start.model)
+    model = start.model
+    for name in filter(is_shape_correction, [e.name for e in model.effects]):
+        model = model.without(name)
     values = {n: v for n, v in start.model.values.items() if n in model.values}
     selected = problem.refit_best(model, [values], keep=1, like=start) or start
     scales = estimate_scales(selected)
@@ -384,12 +386,6 @@ def _refit_without(problem: DiscoveryProblem, selected: FittedCandidate, name: s
     values = {n: value for n, value in selected.model.values.items() if n in model.values}
     refit = partial(problem.refit_best, model, [values], 1, like=selected)
     return problem.failures.attempt(SearchStage.REFINEMENT, tuple(e.name for e in model.effects), refit, None)
-
-
-def _without_shape_corrections(model: Model) -> Model:
-    for name in [e.name for e in model.effects if is_shape_correction(e.name)]:
-        model = model.without(name)
-    return model
 
 
 def with_residual_noise(problem: DiscoveryProblem, candidate: FittedCandidate) -> DiscoveryProblem:

@@ -515,9 +515,11 @@ class StepwiseSelection:
         prepared = [(key, self._prepare(fit, effect, partial(self._screening_job, fit, effect))) for key, effect in new]
         jobs = [(key, job) for key, job in prepared if job is not None]
         for (key, job), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
-            # It contains the smaller model: from there it cannot do worse.
+            # It contains the smaller model: from where that ended, the effect absent, it cannot do worse.
             if extended is None or extended.cost > fit.cost:
-                extended = self._refit_from_absent(fit, job) or extended
+                absent = {name: value for name, value in fit.model.values.items() if name in job.model.values}
+                again = self.problem.refit_best(job.model, [absent], keep=1, iterations=job.iterations, like=fit)
+                extended = again or extended
             if extended is not None:
                 self.fits[key] = extended
         self._carry_on([key for key, _ in jobs if key in self.fits])
@@ -534,11 +536,6 @@ class StepwiseSelection:
         for key, further in zip(falling, self.problem.refit_all(jobs), strict=True):
             if further is not None and further.cost < self.fits[key].cost:
                 self.fits[key] = further
-
-    def _refit_from_absent(self, fit: FittedCandidate, job: RefitJob) -> FittedCandidate | None:
-        """The larger model from where the smaller one ended, the effect absent."""
-        absent = {name: value for name, value in fit.model.values.items() if name in job.model.values}
-        return self.problem.refit_best(job.model, [absent], keep=1, iterations=job.iterations, like=fit)
 
     def _prepare(self, fit: FittedCandidate, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
         """A refit of ``fit`` with ``effect``; None where it cannot even begin."""

@@ -245,7 +245,11 @@ def fit_curve_surrogate(
     where the curve explains nothing worth mentioning on the validation records. ``base`` is the plain model validated on them.
     """
     places = [*_localised_places(candidate, location), *_usual_places(problem, candidate, location, policy)]
-    refits = [(place, _refit_curve(problem, candidate, place)) for place in places]
+    limits = (SURROGATE_REFIT_STARTS, SURROGATE_REFIT_ITERATIONS)
+    refits = [
+        (place, problem.refit_best(*_prepare_curve(problem, candidate, place), *limits, like=candidate))
+        for place in places
+    ]
     stable = [
         (place, fit)
         for place, fit in refits
@@ -313,7 +317,8 @@ def _usual_places(
                 CurvePlace(site, replace(d, period=None), signal) for d in ranked if d.variable == variable
             ][:1]
             places += [place for place in likeliest_of_it if place.shows_curve]
-    costs = [_predict_curve(problem, candidate, place) for place in places]
+    # The cost that one step predicts for a curve at each.
+    costs = [problem.predict_cost(*_prepare_curve(problem, candidate, place), like=candidate) for place in places]
     order = sorted(range(len(places)), key=costs.__getitem__)
     return [places[k] for k in order[:SURROGATE_VARIABLES] if costs[k] < (1 - USEFUL_SHARE) * candidate.cost]
 
@@ -427,18 +432,6 @@ def _prepare_curve(
         for start in curve_starts
         for values in ({}, nominal)
     ]
-
-
-def _refit_curve(problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace) -> FittedCandidate | None:
-    """``candidate`` with a curve there, refitted."""
-    model, starts = _prepare_curve(problem, candidate, place)
-    return problem.refit_best(model, starts, SURROGATE_REFIT_STARTS, SURROGATE_REFIT_ITERATIONS, like=candidate)
-
-
-def _predict_curve(problem: DiscoveryProblem, candidate: FittedCandidate, place: CurvePlace) -> float:
-    """The cost that one step predicts for a curve there."""
-    model, starts = _prepare_curve(problem, candidate, place)
-    return problem.predict_cost(model, starts, like=candidate)
 
 
 # Points of the curve in the result.

@@ -16,7 +16,7 @@ from greybox.model import balance, build_system, process_noise, validation
 from greybox.model.effect import Effect
 from greybox.model.signals import Input, NamedValues, Output, Parameter, State, names_by_role
 from greybox.model.sites import Site
-from greybox.model.system import BoundEffect, ParameterSymbol, Statement, System
+from greybox.model.system import BoundEffect, Statement, System
 from greybox.model.ties import Formula, Tie, apply_ties, as_formula, check_tie, check_tied_value, schedule_effect
 
 
@@ -113,7 +113,14 @@ class Model(Printable):
     def bound_effects(self) -> tuple[BoundEffect, ...]:
         """Each effect with the names and units it has in this model."""
         return tuple(
-            BoundEffect(effect, tuple(map(_renamed, effect.parameters, placed.parameters)), placed)
+            BoundEffect(
+                effect,
+                tuple(
+                    replace(q, name=s.name, unit=s.unit)
+                    for q, s in zip(effect.parameters, placed.parameters, strict=True)
+                ),
+                placed,
+            )
             for effect, placed in zip(self.effects, self.system.effects, strict=True)
         )
 
@@ -556,11 +563,6 @@ class Model(Printable):
     def __getstate__(self) -> dict[str, Any]:
         """The fields alone: a copy, here or in another process, writes out its own equations."""
         return {f.name: getattr(self, f.name) for f in fields(self)}
-
-
-def _renamed(parameter: Parameter, symbol: ParameterSymbol) -> Parameter:
-    """A parameter of an effect with the name and the unit that it has in a model."""
-    return replace(parameter, name=symbol.name, unit=symbol.unit)
 
 
 def _narrow_bounds(model: Model, tie: Tie, quantity: Parameter) -> Model:

@@ -221,8 +221,9 @@ def _walk_definitions(file: Path, value: ast.AST) -> Iterator[ast.AST]:
             continue
         seen.add(id(node))
         if isinstance(node, ast.ImportFrom):
-            neighbour = _find_neighbour(place, node)
-            if neighbour is not None:
+            # The file beside this one that the import takes names from.
+            neighbour = place.with_name(f"{(node.module or '').rpartition('.')[2]}.py")
+            if neighbour.is_file():
                 waiting += [
                     (neighbour, _read_module(neighbour)[a.name])
                     for a in node.names
@@ -233,12 +234,6 @@ def _walk_definitions(file: Path, value: ast.AST) -> Iterator[ast.AST]:
             yield inner
             if isinstance(inner, ast.Name) and inner.id in _read_module(place):
                 waiting.append((place, _read_module(place)[inner.id]))
-
-
-def _find_neighbour(file: Path, node: ast.ImportFrom) -> Path | None:
-    """The file beside ``file`` that an import takes names from."""
-    neighbour = file.with_name(f"{(node.module or '').rpartition('.')[2]}.py")
-    return neighbour if neighbour.is_file() else None
 
 
 def _read_signal(call: ast.Call) -> SignalOutline:

@@ -6,6 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, ClassVar, NotRequired, TypedDict
 
 from greybox.base import GreyboxError, nearest
@@ -69,7 +70,7 @@ def schema_of_command(command: str) -> dict[str, Any]:
     printed = list_printed()
     if command not in printed:
         raise GreyboxError(f"no command {command!r}; {nearest(command, list(printed))}")
-    references, definitions = make_definitions(*map(_find_type, printed[command]))
+    references, definitions = make_definitions(*map(resolve_name, printed[command]))
     # What may be null is described in place: the definition that it was taken from is left out unless something else refers to it.
     needed, pending = set[str](), [repr(references)]
     while pending:
@@ -83,12 +84,6 @@ def schema_of_command(command: str) -> dict[str, Any]:
         **(references[0] if len(references) == 1 else {"anyOf": references}),
         "$defs": {name: each for name, each in definitions.items() if name in needed},
     }
-
-
-def _find_type(place: str) -> Any:
-    """The type ``module:name``."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
 
 
 class PrintedSimulation(TypedDict):

@@ -111,7 +111,9 @@ def study_text(study: Study, path: Path, name: str, commands: Mapping[str, Comma
         value = getattr(study, option.name)
         if value == option.kind.empty:
             continue
-        data = option.kind.to_toml(option.kind.moved(value, lambda file: _relative(file, path.parent)))
+        # Paths as seen from the folder of the file that is written; absolute ones stay.
+        moved = option.kind.moved(value, lambda p: p if p.is_absolute() else Path(os.path.relpath(p, path.parent)))
+        data = option.kind.to_toml(moved)
         if not option.key:
             tables[option.table] = [f"{_key(k)} = {_toml(v)}" for k, v in data.items()]
             continue
@@ -192,11 +194,6 @@ def _unused(path: Path, place: str, option: Option[Any], name: str, readers: Map
         f"{path}, {place}: greybox {name} does not use it, {agreed};"
         f" leave it out, or move it to the table {home}, which only greybox {users[0]} reads"
     )
-
-
-def _relative(file: Path, folder: Path) -> Path:
-    """A path as seen from the folder of the file that is written; absolute ones stay."""
-    return file if file.is_absolute() else Path(os.path.relpath(file, folder))
 
 
 def _key(name: str) -> str:

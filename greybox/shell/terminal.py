@@ -65,7 +65,7 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
     @functools.wraps(command)
     def run(*args: Any, **options: Any) -> None:
         with warnings.catch_warnings():
-            warnings.showwarning = _print_warning
+            warnings.showwarning = lambda message, *_, **__: print_note(f"warning: {message}")
             asked = threading.Event()
 
             def end(number: int, frame: FrameType | None) -> None:
@@ -121,10 +121,6 @@ def print_findings(findings: Iterable[Finding]) -> None:
 
     for finding in findings:
         print_note(f"{finding.severity}: {sentence(finding)}")
-
-
-def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print_note(f"warning: {message}")
 
 
 # The page that every command leaves for those who would rather look than read.

@@ -250,7 +250,8 @@ def _estimate_level(
     colour = WHITE
     if at_rest:
         series = join_series(at_rest)
-        if _have_same_pace(experiments, quiet):
+        paces = [float(np.median(e.intervals)) for e in (*experiments, *quiet)]
+        if max(paces) - min(paces) <= SAME_PACE * max(paces):  # a colour is one per sample
             colour = fit_autoregression(series, policy=policy)
         samples = int(np.isfinite(series).sum())
         if name not in given and samples >= QUIET_MIN_SAMPLES and not is_constant(series):
@@ -446,8 +447,3 @@ def _check_quiet(model: Model, experiments: Sequence[Experiment], quiet: Sequenc
 
 # Sampling times that differ by more than this share of the longest do not share a colour.
 SAME_PACE = 0.01
-
-
-def _have_same_pace(experiments: Sequence[Experiment], quiet: Sequence[Experiment]) -> bool:
-    paces = [float(np.median(e.intervals)) for e in (*experiments, *quiet)]
-    return max(paces) - min(paces) <= SAME_PACE * max(paces)

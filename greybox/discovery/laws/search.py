@@ -45,7 +45,6 @@ from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_c
 from greybox.discovery.residual_noise import is_level_known
 from greybox.discovery.selection import TIE_COST
 from greybox.estimation.result import Fit
-from greybox.model.model import Model
 
 
 @dataclass(frozen=True)
@@ -312,7 +311,8 @@ def search_laws(
     on_message
         Called with a line about each step.
     """
-    search = _LawSelection(problem, scores, policy, _free_values(problem.model), on_message)
+    free = {q.name: q.value for q in problem.model.free_parameters}
+    search = _LawSelection(problem, scores, policy, free, on_message)
     observed = _observe_plain(search, baseline)
     if observed is not None:
         again = search.refit(observed, FINISH_ITERATIONS)
@@ -332,10 +332,6 @@ def search_laws(
         search.refit_second_terms()
     search.finish_leading()
     return _judge(search, _retest_baseline(search, baseline))
-
-
-def _free_values(model: Model) -> dict[str, float]:
-    return {q.name: q.value for q in model.free_parameters}
 
 
 # Gauss-Newton steps of the plain model's constants in the observer.

@@ -15,11 +15,6 @@ from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 
 
-def _creep_grid(s: Scales) -> Mapping[str, list[float]]:
-    # Faster than the body itself it is damping, slower than the record a stiffness.
-    return {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)}
-
-
 def _hysteresis_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
     v = x.velocity
     # Bouc-Wen with exponent 1: z' = v - beta |v| z - gamma v |z|.
@@ -143,7 +138,8 @@ viscoelastic_creep = Effect(
     source="standard linear solid (Zener): one Maxwell branch beside the spring",
     amplitudes=("K1",),
     probe=lambda s: {"K1": s.visible_force / s.displacement},
-    grid=_creep_grid,
+    # Faster than the body itself it is damping, slower than the record a stiffness.
+    grid=lambda s: {"tau1": geometric_grid(max(s.fastest, 4 * s.period), 0.5 * s.duration, 5)},
 )
 
 bouc_wen_hysteresis = Effect(

@@ -22,21 +22,11 @@ def _drooping_constants(x: NamedValues, u: NamedValues, p: NamedValues) -> Mappi
     return {role: p[role] * left for role in roles}
 
 
-def _heat_balance(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-    # The resistance as it is used already carries the factor 1 + z.
-    return [Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)]
-
-
 def _amplifier_current(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
     """Current from the amplifier when the inductance carries ``x.current`` and ``Re`` the rest."""
     emf = (p.back_emf_constant if "back_emf_constant" in p else p.force_constant) * x.velocity
     # u = emf + R i + Re (i - iL), solved for the current i of the amplifier; iL is that of the inductance.
     return (u.drive - emf + p.Re * x.current) / (p.resistance + p.Re)
-
-
-def _force_with_eddies(x: NamedValues, u: NamedValues, p: NamedValues) -> Mapping[str, Mapping[str, Expression]]:
-    # Only the current in the inductance makes force; the other terms take the current from the amplifier.
-    return {"force": {"coil": p.force_constant * x.current}}
 
 
 force_constant_droop = Effect(
@@ -66,7 +56,10 @@ winding_heating = Effect(
     ],
     states=[State("z", "", description="rise of the resistance, as a share")],
     on_parameter=lambda x, u, p: {"resistance": p.resistance * (1 + x.z)},
-    balances=_heat_balance,
+    # The resistance as it is used already carries the factor 1 + z.
+    balances=lambda x, u, p: [
+        Balance("heat", "1", p.tau_th, "z", power=p.Rth * p.resistance * x.current**2, cooling=-x.z)
+    ],
     equation="Ra (1 + z), tau_th z' = Rth Ra (1 + z) i^2 - z",
     parity="slow",
     tells_apart=(
@@ -93,7 +86,8 @@ eddy_current = Effect(
         )
     ],
     on_state=lambda x, u, p: {"current": _amplifier_current(x, u, p)},
-    on_term=_force_with_eddies,
+    # Only the current in the inductance makes force; the other terms take the current from the amplifier.
+    on_term=lambda x, u, p: {"force": {"coil": p.force_constant * x.current}},
     equation="La iL' = Re (i - iL), u = Ra i + Re (i - iL) + Kv v, force Kf iL",
     parity="linear",
     tells_apart=(

@@ -78,7 +78,8 @@ def formula_effect(
         return p[amplitude] * x[LAGGED]
 
     def memory(x: NamedValues, u: NamedValues, p: NamedValues) -> list[Balance]:
-        undelayed = evaluate_formula(subject, _without_amplitude(formula, amplitude), _Names(x, u, p))
+        # What the amplitude multiplies: a formula with memory begins with it, ``k*v**2``.
+        undelayed = evaluate_formula(subject, formula.removeprefix(f"{amplitude}*"), _Names(x, u, p))
         return [Balance(f"{name}_memory", lag_unit or "1", p[lag], LAGGED, arriving=undelayed, leaving=-x[LAGGED])]
 
     has_memory = lag_unit is not None
@@ -113,11 +114,6 @@ class _Names:
     def names(self) -> list[str]:
         """Every name that can be asked for."""
         return [name for group in self._groups for name in group.names]
-
-
-def _without_amplitude(formula: str, amplitude: str) -> str:
-    """What the amplitude multiplies. A formula with memory begins with it: ``k*v**2``."""
-    return formula.removeprefix(f"{amplitude}*")
 
 
 def _constant(values: Mapping[str, Any]) -> Callable[[Any], Mapping[str, Any]]:

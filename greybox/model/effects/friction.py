@@ -21,11 +21,6 @@ FRICTION_LEVELS = (
 )
 
 
-def _coulomb_friction(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
-    # Coulomb holds at standstill exactly what it takes while sliding.
-    return DryFriction(sliding=p.Fc, static=p.Fc)
-
-
 def _steady_level(x: NamedValues, p: NamedValues) -> Expression:
     """Friction of steady sliding at the present speed: it falls from Fs to Fc. One that rises with speed is a drag, not this effect."""
     # Stribeck: Fc + (Fs - Fc) exp(-(v / vs)^2).
@@ -86,11 +81,6 @@ def _lugre_grid(s: Scales) -> Mapping[str, list[float]]:
     }
 
 
-def _lugre_limits(s: Scales) -> Mapping[str, tuple[float, float]]:
-    """Those of the fall; bristles damped beyond ``s1`` stick to the body within a third of a sampling period, which no record shows."""
-    return {**_fall_within_record(s), "s1": (0.0, 3 * s.storage / s.period)}
-
-
 def _friction_under_load(x: NamedValues, u: NamedValues, p: NamedValues) -> DryFriction:
     # Amontons beside a constant level: Fc + mu N, where N is the size of what is transmitted.
     level = p.Fc + p.mu * x.transmitted
@@ -119,7 +109,8 @@ coulomb_friction = Effect(
     parameters=[
         amplitude_parameter("Fc", "{force}", "friction while sliding, and the most it holds at standstill", low=0.0)
     ],
-    dry=_coulomb_friction,
+    # Coulomb holds at standstill exactly what it takes while sliding.
+    dry=lambda x, u, p: DryFriction(sliding=p.Fc, static=p.Fc),
     equation="-Fc sign(v)",
     parity="odd",
     tells_apart=(
@@ -172,7 +163,8 @@ lugre_friction = Effect(
     amplitudes=("Fc", "Fs"),
     probe=lambda s: {"Fc": s.visible_force, "Fs": FRICTION_RATIOS[1] * s.visible_force},
     grid=_lugre_grid,
-    limits=_lugre_limits,
+    # Bristles damped beyond ``s1`` stick to the body within a third of a sampling period, which no record shows.
+    limits=lambda s: {**_fall_within_record(s), "s1": (0.0, 3 * s.storage / s.period)},
     from_parent=_lugre_from_parent,
 )
 

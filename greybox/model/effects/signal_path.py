@@ -12,18 +12,7 @@ from greybox.model.effect import EVERY_BALANCE, Effect
 from greybox.model.effects.flow import OUT_OF_REACH
 from greybox.model.effects.parameters import UNTAILORED_DELAY, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import LONGEST_DELAY, Scales
-from greybox.model.signals import Expression, NamedValues, State
-
-
-def _clip(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    # u within [-u_max, u_max].
-    return ca.fmin(ca.fmax(value, -p.u_max), p.u_max)
-
-
-def _soft_from_hard_limit(values: Mapping[str, float], s: Scales) -> list[Mapping[str, float]]:
-    # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
-    return [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)]
-
+from greybox.model.signals import State
 
 # Difference of the gain by sign that a search starts from beside a constant load, as a share.
 GAIN_SHARE = 0.2
@@ -33,11 +22,6 @@ def _gain_from_offset(values: Mapping[str, float], s: Scales) -> list[Mapping[st
     # An input of both signs that does less on one side has a mean: that is what a fitted offset or load shows.
     share = min(2 * abs(values["u0"]) / s.input, 0.5) if "u0" in values else GAIN_SHARE
     return [{"g": share}, {"g": -share}]
-
-
-def _play_of_input(value: Expression, x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-    # What the state was and where the input is: play does not depend on the way between.
-    return ca.fmin(ca.fmax(x.w, value - p.h), value + p.h)
 
 
 input_saturation = Effect(
@@ -53,7 +37,7 @@ input_saturation = Effect(
             "large: absent until fitted",
         )
     ],
-    on_input=_clip,
+    on_input=lambda value, x, u, p: ca.fmin(ca.fmax(value, -p.u_max), p.u_max),
     equation="min(max(u, -u_max), u_max)",
     parity="odd",
     tells_apart=(
@@ -82,7 +66,8 @@ soft_saturation = Effect(
     amplitudes=("u_max",),
     neutral={"u_max": OUT_OF_REACH},
     grid=lambda s: {"u_max": [share * s.input for share in (3.0, 1.5, 0.7)]},
-    from_parent=_soft_from_hard_limit,
+    # tanh leaves off long before its limit: the same loss at the peak takes a limit that is higher.
+    from_parent=lambda values, s: [{"u_max": factor * min(values["u_max"], s.input)} for factor in (1.0, 1.5, 3.0)],
 )
 
 input_dead_zone = Effect(
@@ -119,7 +104,8 @@ input_hysteresis = Effect(
     parameters=[amplitude_parameter("h", "{drive}", "half of the width of the loop", low=0.0)],
     states=[State("w", "{drive}", description="input that gets through")],
     update=lambda x, u, p: {"w": ca.fmin(ca.fmax(x.w, u.input - p.h), u.input + p.h)},
-    on_input=_play_of_input,
+    # What the state was and where the input is: play does not depend on the way between.
+    on_input=lambda value, x, u, p: ca.fmin(ca.fmax(x.w, value - p.h), value + p.h),
     equation="w = min(max(w, u - h), u + h), w in the place of u",
     parity="odd",
     tells_apart=(

@@ -96,7 +96,9 @@ def _traces(series: fig.Series, panel: fig.Panel, stretches: int) -> list[dict[s
         case fig.Bars():
             return [_bars(series, panel)]
         case fig.Area():
-            return _area(series)
+            edge = {"type": "scatter", "mode": "lines", "x": series.x, "line": {"width": 0}, "hoverinfo": "skip"}
+            fill = {"fill": "tonexty", "fillcolor": css_variable(series.role)}
+            return [edge | {"y": series.low, **_named("")}, edge | {"y": series.high, **fill, **_named(series.label)}]
         case fig.Heatmap():
             return [_heatmap(series)]
     return []  # bands and references across the whole panel belong to its layout
@@ -166,12 +168,6 @@ def _bars(bars: fig.Bars, panel: fig.Panel) -> dict[str, Any]:
     value = f"%{{{along}:.4g}} {unit}" + ", %{customdata}" * bool(bars.remarks)
     trace["hovertemplate"] = _pointed_at(f"%{{{across}}}: {value}", bars.label)
     return trace
-
-
-def _area(area: fig.Area) -> list[dict[str, Any]]:
-    edge = {"type": "scatter", "mode": "lines", "x": area.x, "line": {"width": 0}, "hoverinfo": "skip"}
-    fill = {"fill": "tonexty", "fillcolor": css_variable(area.role)}
-    return [edge | {"y": area.low, **_named("")}, edge | {"y": area.high, **fill, **_named(area.label)}]
 
 
 def _heatmap(heatmap: fig.Heatmap) -> dict[str, Any]:

@@ -248,12 +248,11 @@ def discretise(
     return refine_substeps(target, make, first, p, x[0], inputs, longest, policy)
 
 
+# Both for the next fit of the same equations at other values.
+_make_taylor = lru_cache(maxsize=64)(taylor)
+
+
 @lru_cache(maxsize=64)
-def _make_taylor(system: System, order: int, substeps: int) -> Step:
-    return taylor(system, order, substeps)
-
-
-@lru_cache(maxsize=64)  # for the next fit of the same equations at other values
 def _make(system: System, method: str, fast: tuple[int, ...], substeps: int, past: InputHistory | None) -> Step:
     if method == "exact":
         return exact_hold(system, past)

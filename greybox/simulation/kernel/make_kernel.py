@@ -143,9 +143,8 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
         return InterpretedKernel(step, str(error))
 
 
-@lru_cache(maxsize=64)  # for the next fit with the same step
-def _make_linear(step: Step) -> LinearKernel:
-    return LinearKernel(step)
+# These are for the next fit with the same step.
+_make_linear = lru_cache(maxsize=64)(LinearKernel)
 
 
 @lru_cache(maxsize=64)
