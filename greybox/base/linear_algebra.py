@@ -14,16 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from greybox.base.numerics import (
-    CERTAIN_COLUMN,
-    CERTAIN_INFORMATION,
-    COLUMN_CUTOFF,
-    DIRECTION_CUTOFF,
-    OPEN_DIRECTION_ENTRY,
-    RANK_CUTOFF,
-    REACHABILITY_RANK,
-    TINY,
-)
+from greybox.base import numerics
 
 
 @dataclass(frozen=True)
@@ -69,10 +60,10 @@ class RowTriangle:
             self.rows += len(block)
 
 
-INFORMATION_RANK = RankTolerance(RANK_CUTOFF, CERTAIN_INFORMATION)
-COLUMN_RANK = RankTolerance(COLUMN_CUTOFF, CERTAIN_COLUMN)
-DIRECTION_RANK = RankTolerance(DIRECTION_CUTOFF, DIRECTION_CUTOFF)
-REACHABILITY = RankTolerance(REACHABILITY_RANK, REACHABILITY_RANK)
+INFORMATION_RANK = RankTolerance(numerics.RANK_CUTOFF, numerics.CERTAIN_INFORMATION)
+COLUMN_RANK = RankTolerance(numerics.COLUMN_CUTOFF, numerics.CERTAIN_COLUMN)
+DIRECTION_RANK = RankTolerance(numerics.DIRECTION_CUTOFF, numerics.DIRECTION_CUTOFF)
+REACHABILITY = RankTolerance(numerics.REACHABILITY_RANK, numerics.REACHABILITY_RANK)
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +120,7 @@ class ScaledDecomposition:
     @property
     def is_open(self) -> np.ndarray:
         """Which unknowns (n,) a direction that does not count touches."""
-        return np.any(np.abs(self.weak) > OPEN_DIRECTION_ENTRY, axis=1)
+        return np.any(np.abs(self.weak) > numerics.OPEN_DIRECTION_ENTRY, axis=1)
 
     @property
     def null_basis(self) -> np.ndarray:
@@ -190,7 +181,7 @@ def decompose_symmetric(matrix: np.ndarray, tolerance: RankTolerance = INFORMATI
     Rows and columns whose diagonal is zero, or negative by rounding, hold no information and are taken to be zero.
     """
     diagonal = np.diag(matrix)
-    informed = diagonal > TINY
+    informed = diagonal > numerics.TINY
     scale = np.sqrt(np.where(informed, diagonal, 1.0))
     # A unit diagonal: then the size of an eigenvalue does not depend on the units of the unknowns.
     scaled = np.where(informed[:, None] & informed, matrix / scale / scale[:, None], 0.0)
@@ -239,7 +230,7 @@ def range_basis(
     return decompose_columns(matrix, tolerance, scale).range_basis
 
 
-def are_independent(directions: Sequence[np.ndarray], cutoff: float = DIRECTION_CUTOFF) -> bool:
+def are_independent(directions: Sequence[np.ndarray], cutoff: float = numerics.DIRECTION_CUTOFF) -> bool:
     """Whether the rows (k, n), taken to length one, are linearly independent."""
     return decompose_columns(np.asarray(directions).T, RankTolerance(cutoff, cutoff)).rank == len(directions)
 

@@ -18,6 +18,7 @@ import numpy as np
 from greybox.base.json_shape import to_values
 from greybox.base.numerics import TINY
 from greybox.base.values import ReadOnly
+from greybox.discovery import localisation
 from greybox.discovery.curve_shape import Dependence, rank_dependences
 from greybox.discovery.disturbance_sites import (
     DisturbanceSite,
@@ -34,12 +35,6 @@ from greybox.discovery.disturbance_sites import (
 )
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutError
-from greybox.discovery.localisation import (
-    LOCALISATION_MOST_ROWS,
-    ResidualLocalisation,
-    find_worst_stretch,
-    signal_units,
-)
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.estimation.result import Fit
 from greybox.model.model import Model
@@ -102,7 +97,7 @@ class RemainingError:
 def measure_remaining_error(
     fit: Fit,
     holdout: Mapping[str, HoldoutError],
-    location: ResidualLocalisation,
+    location: localisation.ResidualLocalisation,
     uncounted: int,
 ) -> Mapping[str, RemainingError]:
     """By output what a model leaves.
@@ -244,7 +239,7 @@ def _estimate(
     measured = [np.isfinite(record.samples(record.y)) for record in shooting.records]
     if not all(np.isfinite(r[present]).all() for r, present in zip(residuals, measured, strict=True)):
         return None  # without the effect the model overflows: nothing to compare with
-    record, first, rows = find_worst_stretch(residuals, LOCALISATION_MOST_ROWS)
+    record, first, rows = localisation.find_worst_stretch(residuals, localisation.LOCALISATION_MOST_ROWS)
     line = linearise_run(without, record, first, rows)
     sites = list_disturbance_sites(without.model, [o.name for o in without.model.outputs])
     site = next((s for s in sites if s.name == site_name), None)
@@ -258,7 +253,7 @@ def _estimate(
     names = [*without.model.system.state_names, *(i.name for i in without.model.inputs)]
     states = shooting.simulate(zero)[record][1]
     along_run = _states_and_inputs(candidate, without, states[stretch], line)[from_data.rows]
-    units = signal_units(without.model)
+    units = localisation.signal_units(without.model)
     along = zip(names, along_run.T, strict=True)
     variables = {name: (values, units[name]) for name, values in along if name not in without.model.auxiliary}
     time = line.time[from_data.rows]

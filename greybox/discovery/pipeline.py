@@ -17,11 +17,10 @@ from pathlib import Path
 from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
+from greybox.discovery import residual_noise
 from greybox.discovery.candidates import CandidateList, estimate_scales, failed_candidates, list_candidates
 from greybox.discovery.conclusion import add_test_error, conclude
-from greybox.discovery.decision import (
-    judge_validation_only,
-)
+from greybox.discovery.decision import judge_validation_only
 from greybox.discovery.execution import PARALLEL_SECONDS, RefitExecutor, RefitJournal, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import (
@@ -38,15 +37,7 @@ from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
 from greybox.discovery.record_conditions import follow_conditions
-from greybox.discovery.refinement import (
-    VALIDATION_SHARE,
-)
-from greybox.discovery.residual_noise import (
-    estimate_residual_noise,
-    is_level_known,
-    is_noise_known,
-    is_same_noise,
-)
+from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
 from greybox.estimation import FitOptions
@@ -301,7 +292,7 @@ def _select_and_judge(
     values = {"misfit": problem.baseline.noise_ratio, "bounded": problem.baseline.is_noise_bounded}
     on_message(str(Finding(DiscoveryCode.BASELINE_FITTED, values=values)))
     selection = StepwiseSelection(problem, candidates, scales, policy, on_message)
-    if is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
+    if residual_noise.is_noise_known(problem.baseline.problem.noise, bool(problem.quiet)):
         selected = selection.select()
     else:
         selection, selected = _select_with_unknown_noise(selection)
@@ -332,13 +323,13 @@ RESIDUAL_NOISE_ROUNDS = 2
 def _select_with_unknown_noise(selection: StepwiseSelection) -> tuple[StepwiseSelection, FittedCandidate]:
     """The selection with the noise that the best single effect leaves, and again with the one that the selected model leaves."""
     policy, on_message = selection.policy, selection.on_message
-    level_known = is_level_known(selection.baseline.problem.noise)
+    level_known = residual_noise.is_level_known(selection.baseline.problem.noise)
     selected = selection.select() if level_known else selection.select_first()
     for _ in range(RESIDUAL_NOISE_ROUNDS):
         if selection.problem.executor.is_late:
             break
-        noise = estimate_residual_noise(selected)
-        if is_same_noise(noise, selected.problem.noise):
+        noise = residual_noise.estimate_residual_noise(selected)
+        if residual_noise.is_same_noise(noise, selected.problem.noise):
             if level_known:
                 break
             on_message(str(Finding(DiscoveryCode.NOISE_WHITE)))

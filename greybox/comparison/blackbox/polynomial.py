@@ -11,17 +11,9 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.signal import lfilter
 
+from greybox.base import numerics
 from greybox.base.errors import DataError, nearest
 from greybox.base.findings import Finding
-from greybox.base.numerics import (
-    CONFINED_ROOT_MARGIN,
-    FADED_RESPONSE,
-    FREE_RESPONSE_GROWTH,
-    NEGLIGIBLE_SINGULAR_VALUE,
-    REFLECTED_ROOT_MARGIN,
-    SAME_SAMPLING_TIME,
-    TINY,
-)
 from greybox.base.texts import to_identifiers
 from greybox.base.values import Printable
 from greybox.comparison.blackbox.linear_regression import (
@@ -69,11 +61,11 @@ def reflect_roots(polynomial: np.ndarray) -> np.ndarray:
     """
     roots = np.roots(polynomial)
     size = np.abs(roots)
-    if np.all(size < 1 - REFLECTED_ROOT_MARGIN):
+    if np.all(size < 1 - numerics.REFLECTED_ROOT_MARGIN):
         return polynomial
     # z -> 1 / conj(z): |1 - z e^{-iw}| changes by a constant factor alone, and so does the spectrum.
     size = np.where(size > 1, 1 / np.maximum(size, 1), size)
-    inside = np.minimum(size, 1 - REFLECTED_ROOT_MARGIN) * np.exp(1j * np.angle(roots))
+    inside = np.minimum(size, 1 - numerics.REFLECTED_ROOT_MARGIN) * np.exp(1j * np.angle(roots))
     mirrored = np.real(np.poly(inside))
     return np.append(mirrored, np.zeros(len(polynomial) - len(mirrored)))
 
@@ -82,9 +74,11 @@ def confine_roots(polynomial: np.ndarray) -> np.ndarray:
     """A polynomial in ``q^-1`` that begins with 1, its roots on or outside the unit circle moved radially to just inside it."""
     roots = np.roots(polynomial)
     size = np.abs(roots)
-    if np.all(size <= 1 - CONFINED_ROOT_MARGIN):
+    if np.all(size <= 1 - numerics.CONFINED_ROOT_MARGIN):
         return polynomial
-    confined = np.real(np.poly(roots * np.minimum(1.0, (1 - CONFINED_ROOT_MARGIN) / np.maximum(size, TINY))))
+    confined = np.real(
+        np.poly(roots * np.minimum(1.0, (1 - numerics.CONFINED_ROOT_MARGIN) / np.maximum(size, numerics.TINY)))
+    )
     return np.append(confined, np.zeros(len(polynomial) - len(confined)))
 
 
@@ -285,7 +279,7 @@ class PolynomialModel(Printable):
 
     def _to_record(self, experiment: Experiment, initial: InitialChoice) -> SampledRecord:
         record = to_sampled_record(experiment, self.output, self.inputs, need_output=initial != "zero")
-        if not np.isclose(record.sampling_time, self.sampling_time, rtol=SAME_SAMPLING_TIME):
+        if not np.isclose(record.sampling_time, self.sampling_time, rtol=numerics.SAME_SAMPLING_TIME):
             raise DataError(
                 f"experiment {experiment.name!r} is sampled every {record.sampling_time:.6g} s, but {self.label} of"
                 f" {self.output!r} was identified at {self.sampling_time:.6g} s and is valid only there; resample the record"
@@ -540,7 +534,7 @@ def count_rows_of_memory(model: PolynomialModel, rows: int, *through: np.ndarray
     if slowest >= 1:
         return rows
     # Half as long again, for roots of several filters that meet.
-    return int(min(rows, longest + 10 + 1.5 * np.log(FADED_RESPONSE) / np.log(slowest)))
+    return int(min(rows, longest + 10 + 1.5 * np.log(numerics.FADED_RESPONSE) / np.log(slowest)))
 
 
 def compute_initial_responses(
@@ -584,7 +578,7 @@ def estimate_initial_state(
     memory = len(free)
     target = measured[:memory] - run[:memory]
     # Responses of an unstable predictor grow beyond what least squares can tell apart.
-    bounded = np.all(np.abs(free) < FREE_RESPONSE_GROWTH, axis=1)
+    bounded = np.all(np.abs(free) < numerics.FREE_RESPONSE_GROWTH, axis=1)
     usable = np.isfinite(target) & bounded
     if initial == "measured":
         first = usable & (np.cumsum(usable) <= free.shape[1])
@@ -600,7 +594,7 @@ def estimate_initial_state(
     triangle = np.linalg.qr(free[bounded], mode="r") / np.sqrt(len(measured) - np.count_nonzero(~bounded))
     # Fewer rows than responses, where these grow fast, tell of as many directions alone.
     _, size, right = np.linalg.svd(triangle, full_matrices=False)
-    significant = size > NEGLIGIBLE_SINGULAR_VALUE * size[0]
+    significant = size > numerics.NEGLIGIBLE_SINGULAR_VALUE * size[0]
     back = right[significant].T / size[significant]
     u, s, v = np.linalg.svd(free[usable] @ back / np.sqrt(count), full_matrices=False)
     # Coordinates of unit size over the whole record: a small singular value on the first rows is what the rest would

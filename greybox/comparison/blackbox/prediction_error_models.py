@@ -9,20 +9,10 @@ from typing import Any
 import numpy as np
 
 from greybox.base.errors import DataError
+from greybox.comparison.blackbox import prediction_error
 from greybox.comparison.blackbox.arx import find_weak_excitation
 from greybox.comparison.blackbox.linear_regression import SampledData, to_orders, to_sampled_data
 from greybox.comparison.blackbox.polynomial import PolynomialModel, PolynomialStructure, to_order
-from greybox.comparison.blackbox.prediction_error import (
-    DEFAULT_SEARCH,
-    HistoryTreatment,
-    PredictionErrorPolicy,
-    Starts,
-    check_history,
-    estimate_armax_starts,
-    estimate_box_jenkins_starts,
-    estimate_output_error_starts,
-    fit_prediction_error,
-)
 from greybox.data.experiment import Experiment
 
 
@@ -35,10 +25,10 @@ def armax(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: HistoryTreatment = "estimated",
+    history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``A(q) y(k) = sum_i B_i(q) u_i(k) + C(q) e(k)`` by minimising the mean square of the one-step error ``e``.
 
@@ -95,10 +85,10 @@ def output_error(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: HistoryTreatment = "estimated",
+    history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + e(k)`` by minimising the mean square of the free-run error ``e``.
 
@@ -155,10 +145,10 @@ def box_jenkins(
     nk: int | Sequence[int] = 1,
     output: str | None = None,
     inputs: Sequence[str] | str | None = None,
-    history: HistoryTreatment = "estimated",
+    history: prediction_error.HistoryTreatment = "estimated",
     offset: bool = False,
     units: Mapping[str, str] | None = None,
-    policy: PredictionErrorPolicy = DEFAULT_SEARCH,
+    policy: prediction_error.PredictionErrorPolicy = prediction_error.DEFAULT_SEARCH,
 ) -> PolynomialModel:
     """Fit ``y(k) = sum_i B_i(q) / F_i(q) u_i(k) + C(q) / D(q) e(k)`` by minimising the mean square of the one-step error ``e``.
 
@@ -223,10 +213,10 @@ def box_jenkins(
 
 
 # Where the search of each kind starts.
-STARTS: Mapping[str, Starts] = {
-    "armax": estimate_armax_starts,
-    "output error": estimate_output_error_starts,
-    "box-jenkins": estimate_box_jenkins_starts,
+STARTS: Mapping[str, prediction_error.Starts] = {
+    "armax": prediction_error.estimate_armax_starts,
+    "output error": prediction_error.estimate_output_error_starts,
+    "box-jenkins": prediction_error.estimate_box_jenkins_starts,
 }
 
 
@@ -235,15 +225,15 @@ def _fit(
     experiments: Experiment | Sequence[Experiment],
     output: str | None,
     inputs: Sequence[str] | str | None,
-    history: HistoryTreatment,
+    history: prediction_error.HistoryTreatment,
     units: Mapping[str, str] | None,
-    policy: PredictionErrorPolicy,
+    policy: prediction_error.PredictionErrorPolicy,
     **orders: Any,
 ) -> PolynomialModel:
-    check_history(history)
+    prediction_error.check_history(history)
     data = to_sampled_data(experiments, output, inputs)
     structure = make_structure(kind, data, **orders)
-    model = fit_prediction_error(structure, data, STARTS[kind], history, units, policy)
+    model = prediction_error.fit_prediction_error(structure, data, STARTS[kind], history, units, policy)
     # An input has to be exciting for its own coefficients, numerator and poles.
     needed = [nb + nf for nb, nf in zip(structure.orders.nb, structure.nf, strict=True)]
     weak = find_weak_excitation(data, structure.orders.na + sum(needed), needed)

@@ -14,6 +14,7 @@ import numpy as np
 
 from greybox.base import DataError, ModelError, nearest
 from greybox.data.experiment import Experiment, as_records
+from greybox.data.noise import repeats as repetition
 from greybox.data.noise.growing import GrowingNoise
 from greybox.data.noise.noise_model import (
     NOISE_POLICY,
@@ -26,13 +27,6 @@ from greybox.data.noise.noise_model import (
     NoiseSource,
     fit_autoregression,
     join_series,
-)
-from greybox.data.noise.repeats import (
-    deviations_between_periods,
-    deviations_between_repeats,
-    estimate_resolution,
-    estimate_written_step,
-    find_flat_pieces,
 )
 from greybox.data.noise.spectrum import (
     ABOUT_RATIO,
@@ -262,7 +256,7 @@ def _estimate_level(
     columns = [e.outputs[name] for e in measured]
     movement = _measure_movement(columns)
     # An error of rounding is uniform over a step: its standard deviation is step / sqrt(12).
-    rounding = (estimate_resolution(columns) or estimate_written_step(columns)) / np.sqrt(12)
+    rounding = (repetition.estimate_resolution(columns) or repetition.estimate_written_step(columns)) / np.sqrt(12)
     level = (
         _repeated_level(experiments, name, inputs, robust, alike, policy)
         or _level_of_records(measured, name, inputs, rounding, robust, policy)
@@ -309,8 +303,8 @@ def _repeated_level(
     experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, alike: bool, policy: NoisePolicy
 ) -> _Level | None:
     """The noise from periods of a periodic input, or from experiments with the same input."""
-    periods = [d for e in experiments if (d := deviations_between_periods(e, name, inputs))]
-    repeats = deviations_between_repeats(experiments, name, inputs) if alike else []
+    periods = [d for e in experiments if (d := repetition.deviations_between_periods(e, name, inputs))]
+    repeats = repetition.deviations_between_repeats(experiments, name, inputs) if alike else []
     for source, sets in (NoiseSource.REPEATED_PERIODS, periods), (NoiseSource.REPEATED_EXPERIMENTS, repeats):
         if sets and estimate_spread(series := join_series([d for each in sets for d in each])) > 0:
             # K repeats less their mean hold the information of K - 1.
@@ -329,7 +323,7 @@ def _flat_level(
     experiments: Sequence[Experiment], name: str, inputs: Sequence[str], robust: bool, policy: NoisePolicy
 ) -> _Level | None:
     """The noise from the flat pieces of the records, no larger than what their spectra allow."""
-    flat = find_flat_pieces(experiments, name, inputs)
+    flat = repetition.find_flat_pieces(experiments, name, inputs)
     if flat is None:
         return None
     series = join_series(flat.pieces)

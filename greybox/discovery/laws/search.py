@@ -19,18 +19,7 @@ from greybox.discovery.decision import Grade, make_check
 from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import HoldoutScores, validate_candidate
-from greybox.discovery.laws.screening import (
-    COMPLEXITY_COST,
-    LAW_INTENSITIES,
-    SETTLED_DECREASE,
-    ObservedModel,
-    TermStart,
-    choose_terms,
-    fit_in_observer,
-    observe_terms,
-    observe_variants,
-    rank_everywhere,
-)
+from greybox.discovery.laws import screening
 from greybox.discovery.laws.terms import (
     LAW,
     LawTerm,
@@ -62,7 +51,7 @@ class FittedLaw:
 
     def criterion(self) -> float:
         """Schwarz's criterion with a cost for complexity."""
-        return self.candidate.criterion + COMPLEXITY_COST * self.complexity
+        return self.candidate.criterion + screening.COMPLEXITY_COST * self.complexity
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,23 +186,26 @@ class _LawSelection:
 
     # Terms beside a model
 
-    def find_terms(self, observed: ObservedModel, terms: tuple[LawTerm, ...], most: int) -> None:
+    def find_terms(self, observed: screening.ObservedModel, terms: tuple[LawTerm, ...], most: int) -> None:
         """The laws that have one term more than the observed model: the leading ones refitted, more of them while none is clean."""
         name = LAW if not terms else f"{LAW}_{len(terms) + 1}"
         # Beside a law whose constants the records have settled there is one variant.
-        variants = [observed] if terms else observe_variants(self.problem, observed, self.nominal)
-        ranked = rank_everywhere(variants)
+        variants = [observed] if terms else screening.observe_variants(self.problem, observed, self.nominal)
+        ranked = screening.rank_everywhere(variants)
         self.tried += len(ranked)
-        chosen = choose_terms(ranked, sum(OBSERVED_TERMS))
+        chosen = screening.choose_terms(ranked, sum(OBSERVED_TERMS))
         first = 0
         for count in OBSERVED_TERMS[: 1 if terms else None]:
-            batch = observe_terms(self.problem, self.nominal, chosen[first : first + count], name)
+            batch = screening.observe_terms(self.problem, self.nominal, chosen[first : first + count], name)
             first += count
             if self._refit_leading(terms, batch, most) or self.problem.executor.is_late:
                 return
 
     def _refit_leading(
-        self, terms: tuple[LawTerm, ...], batch: Sequence[tuple[TermStart, ObservedModel]], most: int
+        self,
+        terms: tuple[LawTerm, ...],
+        batch: Sequence[tuple[screening.TermStart, screening.ObservedModel]],
+        most: int,
     ) -> bool:
         """Refits by simulation, best first; whether one of them leaves only noise."""
         is_any_clean = False
@@ -258,7 +250,7 @@ class _LawSelection:
         if any(len(law.terms) == 1 and self.is_clean_everywhere(law.candidate) for law in self.fits):
             self.fits = [law for law in self.fits if len(law.terms) == 1]
 
-    def refit(self, observed: ObservedModel, iterations: int) -> FittedCandidate | None:
+    def refit(self, observed: screening.ObservedModel, iterations: int) -> FittedCandidate | None:
         job = RefitJob(observed.model, (observed.values,), 1, iterations, observed.initial)
         return self.problem.refit_all([job])[0]
 
@@ -276,7 +268,7 @@ class _LawSelection:
         finished = []
         for law in leading:
             fit = law.candidate
-            if fit.promised_decrease > SETTLED_DECREASE:
+            if fit.promised_decrease > screening.SETTLED_DECREASE:
                 again = self.problem.refit_best(fit.model, [fit.model.values], 1, FINISH_ITERATIONS, like=fit)
                 fit = again if again is not None and again.cost < fit.cost else fit
             finished.append(replace(law, candidate=fit, score=self.judge(fit)))
@@ -338,23 +330,23 @@ def search_laws(
 OBSERVER_STEPS = 4
 
 
-def _observe_plain(search: _LawSelection, baseline: FittedCandidate) -> ObservedModel | None:
+def _observe_plain(search: _LawSelection, baseline: FittedCandidate) -> screening.ObservedModel | None:
     """The plain model in the observer, from the constants that it came with: those of its fit have swallowed the missing term."""
     # An effect that the model has already keeps its fitted constants.
     values = {**baseline.model.values, **search.nominal}
     fit = partial(
-        fit_in_observer,
+        screening.fit_in_observer,
         search.problem,
         baseline.model.start(**values),
         search.nominal,
         {},
-        LAW_INTENSITIES,
+        screening.LAW_INTENSITIES,
         OBSERVER_STEPS,
     )
     return search.problem.failures.attempt(SearchStage.SCREENING, baseline.effects, fit, None)
 
 
-def _observe_law(search: _LawSelection, law: FittedLaw) -> ObservedModel | None:
+def _observe_law(search: _LawSelection, law: FittedLaw) -> screening.ObservedModel | None:
     fit = law.candidate
     columns = fit.variables.initial.guess.T.tolist()
     initial = dict(zip(fit.model.system.state_names, map(tuple, columns), strict=True))
@@ -362,12 +354,12 @@ def _observe_law(search: _LawSelection, law: FittedLaw) -> ObservedModel | None:
         SearchStage.SCREENING,
         fit.effects,
         partial(
-            fit_in_observer,
+            screening.fit_in_observer,
             search.problem,
             fit.model,
             search.nominal,
             initial,
-            LAW_INTENSITIES,
+            screening.LAW_INTENSITIES,
             OBSERVER_STEPS,
         ),
         None,

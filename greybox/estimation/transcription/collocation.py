@@ -19,6 +19,7 @@ from greybox.base import AT_BOUND, ModelError, nearest
 from greybox.estimation.optim.ipopt import solve_sparse
 from greybox.estimation.optim.minimisation import MinimisationResult
 from greybox.estimation.options import FitOptions, Hessian
+from greybox.estimation.transcription import single_shooting
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.eliminated_states import compute_state_slopes
 from greybox.estimation.transcription.problem import (
@@ -32,12 +33,6 @@ from greybox.estimation.transcription.problem import (
 from greybox.estimation.transcription.segments import cut_by_growth, initialise_without_continuity, measure_state_ranges
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.shooting_cost import Evaluation, add_prior_penalty
-from greybox.estimation.transcription.single_shooting import (
-    Refinement,
-    compute_change_over_noise,
-    is_too_coarse,
-    solve_with_refined_steps,
-)
 from greybox.simulation.kernel.record import Record
 
 SCHEMES = ("radau", "legendre")
@@ -60,7 +55,7 @@ def solve_collocation(
     search = _CollocationSearch(choice, options, report)
     policy = options.policy.step_refinement
     # The first solution has halved them once already.
-    solution = solve_with_refined_steps(
+    solution = single_shooting.solve_with_refined_steps(
         choice.problem, search.solve, search.refine, replace(policy, halvings=policy.halvings - 1)
     )
     problem, elements = solution.problem, search.elements
@@ -103,7 +98,7 @@ class _CollocationSearch:
             self.is_over = not finer.outcome.status.success or bool(self.options.substeps)
             if finer.outcome.status.success:
                 before, after = self.at.problem.variables, finer.problem.variables
-                self.error = compute_change_over_noise(problem, self.at.simulate(), finer.simulate())
+                self.error = single_shooting.compute_change_over_noise(problem, self.at.simulate(), finer.simulate())
                 self.shift = (after.base - before.base) / after.spans
             if not self.is_over:
                 self.at, self.elements = finer, 2 * self.elements
@@ -125,10 +120,12 @@ class _CollocationSearch:
             solver=outcome.solver,
         )
 
-    def refine(self, solution: Solution) -> Refinement:
+    def refine(self, solution: Solution) -> single_shooting.Refinement:
         """The same problem, if shorter elements are needed."""
         substeps = _POINTS * self.elements
-        is_coarse = not self.is_over and is_too_coarse(self.error, solution.problem, solution.evaluation, substeps)
+        is_coarse = not self.is_over and single_shooting.is_too_coarse(
+            self.error, solution.problem, solution.evaluation, substeps
+        )
         return solution.problem if is_coarse else None, self.error
 
     def join(self) -> SegmentedRun:

@@ -30,7 +30,7 @@ from greybox.estimation.optim.methods import minimise
 from greybox.estimation.optim.minimisation import MinimisationResult, Termination, TerminationPolicy, TerminationStatus
 from greybox.estimation.optim.quadratic_model import QuadraticModel
 from greybox.estimation.options import FitOptions, Transcription
-from greybox.estimation.transcription import eliminated_states
+from greybox.estimation.transcription import eliminated_states, single_shooting
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
     EstimationProblem,
@@ -50,13 +50,6 @@ from greybox.estimation.transcription.segments import (
 )
 from greybox.estimation.transcription.select import TranscriptionChoice
 from greybox.estimation.transcription.shooting_cost import Evaluation, SingleShooting, compute_gauss_newton_step
-from greybox.estimation.transcription.single_shooting import (
-    CONVERGENCE,
-    Refinement,
-    refine_step,
-    solve_single_shooting,
-    solve_with_refined_steps,
-)
 from greybox.simulation.integrators.step import Step
 from greybox.simulation.kernel.make_kernel import make_kernel
 from greybox.simulation.kernel.record import Record
@@ -82,7 +75,9 @@ def solve_multiple_shooting(
         )
     cuts = cut_by_growth(choice.problem) if continuity else cut_in_seconds(choice.problem, length)
     search = _SegmentSearch(SegmentedProblem.of(choice.problem, cuts), continuity, options, report)
-    solution = solve_with_refined_steps(choice.problem, search.solve, search.refine, options.policy.step_refinement)
+    solution = single_shooting.solve_with_refined_steps(
+        choice.problem, search.solve, search.refine, options.policy.step_refinement
+    )
     count, is_whole = sum(len(places) - 1 for places in cuts), all(len(places) == 2 for places in cuts)
     values = {"segments": count} if continuity else {"arcs": count, "arc_length": length, "whole": is_whole}
     solution = replace(solution, transcription=str(choice.transcription), strategy=choice.to_strategy(**values))
@@ -148,9 +143,11 @@ class _SegmentSearch:
         self.segmented = self.result.segmented
         return self.result
 
-    def refine(self, solution: Solution) -> Refinement:
+    def refine(self, solution: Solution) -> single_shooting.Refinement:
         """A smaller step if need be."""
-        return refine_step(solution, self.options, lambda problem: self.segmented.with_step_of(problem).simulate())
+        return single_shooting.refine_step(
+            solution, self.options, lambda problem: self.segmented.with_step_of(problem).simulate()
+        )
 
     def join(self) -> SegmentedRun:
         """The run of the segments at the optimum, and what half the step does to the constants."""
@@ -250,7 +247,7 @@ class MultipleShooting:
                     f"arcs of {options.arc_length:g} s: {len(self.segmented.starts_record)} of them have {pieces.variables.size} unknowns"
                     f" together; with coloured noise, robust loss or priors at most {MOST_UNKNOWNS} are possible: take longer arcs"
                 )
-            solution = solve_single_shooting(pieces, replace(options, progressive=False), report)
+            solution = single_shooting.solve_single_shooting(pieces, replace(options, progressive=False), report)
             segmented = self.segmented.with_step_of(solution.problem).at(solution.variables)
             return self._end_apart(segmented, solution.evaluation, solution)
         projected = eliminated_states.ProjectedShooting(pieces.shooting())
@@ -267,7 +264,7 @@ class MultipleShooting:
             value_at_start=first,
             tolerance=options.tolerance,
             iterations=options.iterations,
-            termination_test=Termination(CONVERGENCE, low, high, first.count).test,
+            termination_test=Termination(single_shooting.CONVERGENCE, low, high, first.count).test,
             thorough=options.thorough,
             progress=ProgressMonitor(pieces, report),
             policy=options.policy.minimisation,

@@ -6,13 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from greybox.shell.inputs import (
-    check_skip,
-    load_fit_with_model,
-    print_record_notes,
-    refuse_repeated_records,
-    result_folder,
-)
+from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
 from greybox.shell.study import SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
 from greybox.shell.study_values import Switch
@@ -54,8 +48,8 @@ def changed(study: ChangeStudy) -> Answer:
 
     Exit code 0: there is a verdict. 2: bad input, nothing was written.
     """
-    known = load_fit_with_model(Path(study.source), study.model)
-    folder = result_folder(study, known.model.name)
+    known = inputs.load_fit_with_model(Path(study.source), study.model)
+    folder = inputs.result_folder(study, known.model.name)
     result = (_survey if study.population else _chart if study.chart else _detect)(known, study)
     saved = result.save(folder / "changed.json")
     return Answer(
@@ -74,10 +68,10 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
     files = list_record_files(study.estimation)
     records = read_like(known, files, study.sampling_time)
-    refuse_repeated_records(files, records)
+    inputs.refuse_repeated_records(files, records)
     validation = read_like(known, study.validation, study.sampling_time) if study.validation else ()
-    check_skip(study, validation)
-    print_record_notes(records, validation)
+    inputs.check_skip(study, validation)
+    inputs.print_record_notes(records, validation)
     with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
         return detect_changes(
             known,
@@ -99,8 +93,8 @@ def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
     machines = {
         str(path): read_like(known, list_record_files([path]), study.sampling_time) for path in study.estimation
     }
-    refuse_repeated_records(study.estimation, (record for records in machines.values() for record in records))
-    print_record_notes(*machines.values())
+    inputs.refuse_repeated_records(study.estimation, (record for records in machines.values() for record in records))
+    inputs.print_record_notes(*machines.values())
     return survey_population(known, machines)
 
 
@@ -110,8 +104,8 @@ def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
 
     files = list_record_files(study.estimation)
     records = read_like(known, files, study.sampling_time)
-    refuse_repeated_records(files, records)
-    print_record_notes(records)
+    inputs.refuse_repeated_records(files, records)
+    inputs.print_record_notes(records)
     return chart_changes(known, records)
 
 

@@ -4,19 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from greybox.base.document import (
-    REMARK,
-    Block,
-    BulletList,
-    Document,
-    Facts,
-    FigureBlock,
-    Later,
-    Paragraphs,
-    Section,
-    TableBlock,
-    Tone,
-)
+from greybox.base import document as doc
 from greybox.base.findings import Severity
 from greybox.extensions.changes.figures import plot_changes, plot_course, plot_population
 from greybox.extensions.changes.result import ChangeDetection, ChangeVerdict, ConstantChange, MachineConstant
@@ -34,42 +22,44 @@ from greybox.show.sentences.wording import (
 )
 
 TONES = {
-    ChangeVerdict.UNCHANGED: Tone.GOOD,
-    ChangeVerdict.CHANGED: Tone.BAD,
-    ChangeVerdict.CANNOT_TELL: Tone.CAUTION,
+    ChangeVerdict.UNCHANGED: doc.Tone.GOOD,
+    ChangeVerdict.CHANGED: doc.Tone.BAD,
+    ChangeVerdict.CANNOT_TELL: doc.Tone.CAUTION,
 }
 
 
-def describe_changed(change: ChangeDetection, *, command: str = "") -> Document:
+def describe_changed(change: ChangeDetection, *, command: str = "") -> doc.Document:
     """What is said of a change detection; ``command`` is what was typed."""
     findings = merge_not_seen(change.findings)
     title = f"{change.reference.model.title}: {change.verdict}"
     first = [f for f in findings if f.severity is not Severity.NOTE]
-    return Document(
+    return doc.Document(
         title,
         [
-            Paragraphs([title]),
-            Paragraphs([f"  {sentence(f)}" for f in change.conclusion]),
+            doc.Paragraphs([title]),
+            doc.Paragraphs([f"  {sentence(f)}" for f in change.conclusion]),
             *change_tables(change),
-            Facts([(str(f.severity), f) for f in findings]),
+            doc.Facts([(str(f.severity), f) for f in findings]),
         ],
         _ask(change),
-        Paragraphs([*change.conclusion, *first], TONES[change.verdict]),
-        Later(_sections, change, command),
+        doc.Paragraphs([*change.conclusion, *first], TONES[change.verdict]),
+        doc.Later(_sections, change, command),
         "changed",
     )
 
 
-def _sections(change: ChangeDetection, command: str) -> Iterator[Section]:
+def _sections(change: ChangeDetection, command: str) -> Iterator[doc.Section]:
     """The figures that convince, then their numbers."""
     figures = (plot_changes(change), plot_population(change), plot_course(change))
-    blocks: list[Block] = [FigureBlock(figure) for figure in figures if figure is not None]
+    blocks: list[doc.Block] = [doc.FigureBlock(figure) for figure in figures if figure is not None]
     notes = [f for f in merge_not_seen(change.findings) if f.severity is Severity.NOTE]
-    yield Section("changes", "What changed", [*blocks, *change_tables(change), *([BulletList(notes)] if notes else [])])
+    yield doc.Section(
+        "changes", "What changed", [*blocks, *change_tables(change), *([doc.BulletList(notes)] if notes else [])]
+    )
     if change.checks:
-        yield Section("checks", "Checks", [BulletList([str(check) for check in change.checks])])
+        yield doc.Section("checks", "Checks", [doc.BulletList([str(check) for check in change.checks])])
     if change.today is not None:
-        yield Section("today", "Records and model of today", list(_today(change)))
+        yield doc.Section("today", "Records and model of today", list(_today(change)))
         yield records_section(change.today)
     yield provenance_section(command)
 
@@ -83,13 +73,13 @@ def _ask(change: ChangeDetection) -> str:
     return f"Is {title} what it was when it was fitted to {count_noun(len(change.reference.traces), 'record')}?"
 
 
-def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
+def change_tables(change: ChangeDetection) -> Iterator[doc.TableBlock]:
     """Each constant before and after; what machines have in common and each of them; where constants jump."""
     if change.constants:
-        head = ["parameter", "before", "today", "change", "95 % interval", "p", REMARK]
+        head = ["parameter", "before", "today", "change", "95 % interval", "p", doc.REMARK]
         note = "The intervals are those of the change and hold together; p is corrected for looking at all constants."
         rows = [constant_row(name, c) for name, c in change.constants.items()]
-        yield TableBlock("The constants in the fit and today", head, rows, note)
+        yield doc.TableBlock("The constants in the fit and today", head, rows, note)
     if change.population:
         head, rows = ["parameter", "mean", "95 % interval", "from machine to machine"], []
         for name, p in change.population.items():
@@ -97,7 +87,7 @@ def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
             write = make_formatter(p.mean, (p.interval[1] - p.interval[0]) / 4)
             interval = " to ".join(map(write, p.interval))
             rows.append([name, with_unit(write(p.mean), p.unit), interval, spread_text(p.spread, p.unit, p.relative)])
-        yield TableBlock("What the machines have in common", head, rows)
+        yield doc.TableBlock("What the machines have in common", head, rows)
     if change.machines:
         units = [f"{name} [{c.unit}]" if c.unit else name for name, c in change.population.items()]
         rows = [
@@ -105,7 +95,7 @@ def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
             for m in change.machines
         ]
         caption = "The machines, each with the standard deviation that its records leave"
-        yield TableBlock(caption, ["machine", *units, "falls out in"], rows)
+        yield doc.TableBlock(caption, ["machine", *units, "falls out in"], rows)
     if change.change_points:
         head = ["parameter", "number", "first record after it", "before", "after", "p"]
         rows = [
@@ -118,7 +108,7 @@ def change_tables(change: ChangeDetection) -> Iterator[TableBlock]:
             ]
             for c in change.change_points
         ]
-        yield TableBlock("Where constants jump; p is corrected for all constants", head, rows)
+        yield doc.TableBlock("Where constants jump; p is corrected for all constants", head, rows)
 
 
 def constant_row(name: str, change: ConstantChange) -> list[str]:
@@ -154,15 +144,15 @@ def _signed(change: float, before: float, unit: str, width: float) -> str:
     return ("+" if change > 0 else "-") + share_of(change, before, unit, width)
 
 
-def _today(change: ChangeDetection) -> Iterator[Block]:
+def _today(change: ChangeDetection) -> Iterator[doc.Block]:
     """Today's records and the model that was fitted to them."""
     fit = change.today
     if fit is None:
         return
     units = signal_units(fit.model)
     for k, trace in enumerate(fit.traces):
-        yield FigureBlock(plot_run(trace, units, f"run{k}"), group=f"record{k}")
-        yield FigureBlock(plot_residual(trace, units, fit.noise.levels, f"residual{k}"), group=f"record{k}")
+        yield doc.FigureBlock(plot_run(trace, units, f"run{k}"), group=f"record{k}")
+        yield doc.FigureBlock(plot_residual(trace, units, fit.noise.levels, f"residual{k}"), group=f"record{k}")
 
 
 DOCUMENTS = {"ChangeDetection": describe_changed}

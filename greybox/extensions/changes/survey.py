@@ -23,14 +23,8 @@ from greybox.base.findings import Finding, Severity
 from greybox.base.numerics import BISECTIONS, MEDIAN_OF_RANGE, NEARLY_NORMAL, TINY
 from greybox.data.experiment import Experiment
 from greybox.estimation.result import Fit
+from greybox.extensions.changes import detect
 from greybox.extensions.changes.constants import FittedConstants, read_constants, read_residual
-from greybox.extensions.changes.detect import (
-    ADEQUATE_RATIO,
-    CHANGE_TEST_FALSE_ALARM_RATE,
-    LARGEST_HIDDEN_CHANGE,
-    check_reference,
-    refit,
-)
 from greybox.extensions.changes.result import (
     ChangeCode,
     ChangeDetection,
@@ -90,22 +84,24 @@ def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment
     >>> gb.change_detection.survey_population(fit, {"A": [a], "B": [b], "C": [c], "D": [d]}).machines  # doctest: +SKIP
     """
     began = time.perf_counter()
-    check_reference(reference)
+    detect.check_reference(reference)
     noun = "machine" if len(machines) == 1 else "machines"
     if len(machines) < LEAST_MACHINES:
         raise DataError(
             f"{len(machines)} {noun}: a population needs {LEAST_MACHINES} at least; give more, or leave out --population"
         )
-    fits = {name: refit(reference, records) for name, records in machines.items()}
+    fits = {name: detect.refit(reference, records) for name, records in machines.items()}
     estimates = {
-        name: read_constants(fit, read_residual(fit, ADEQUATE_RATIO)) for name, fit in fits.items() if fit.success
+        name: read_constants(fit, read_residual(fit, detect.ADEQUATE_RATIO))
+        for name, fit in fits.items()
+        if fit.success
     }
     findings = [
         Finding(ChangeCode.MACHINE_NOT_FITTED, Severity.WARNING, name, {"status": fit.solver.status_message})
         for name, fit in fits.items()
         if not fit.success
     ]
-    names = read_constants(reference, read_residual(reference, ADEQUATE_RATIO)).names
+    names = read_constants(reference, read_residual(reference, detect.ADEQUATE_RATIO)).names
     surveys = {
         name: survey
         for name in names
@@ -116,7 +112,7 @@ def survey_population(reference: Fit, machines: Mapping[str, Sequence[Experiment
             ChangeCode.CONSTANT_NOT_SEEN,
             Severity.NOTE,
             n,
-            {"share": None, "limit": LARGEST_HIDDEN_CHANGE},
+            {"share": None, "limit": detect.LARGEST_HIDDEN_CHANGE},
         )
         for n in names
         if n not in surveys
@@ -185,7 +181,7 @@ def _survey_constant(name: str, estimates: Mapping[str, FittedConstants], compar
         return None
     machines = list(known)
     values, variances, positive, unit = _to_one_scale(list(known.values()), name)
-    level = CHANGE_TEST_FALSE_ALARM_RATE / comparisons
+    level = detect.CHANGE_TEST_FALSE_ALARM_RATE / comparisons
     # Those that fall out are no part of what the kind has in common.
     outside = find_outliers(values, variances, level, LARGEST_OUTLYING_SHARE)
     inside = np.setdiff1d(np.arange(len(values)), outside)
@@ -316,15 +312,15 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
     'day 12'
     """
     began = time.perf_counter()
-    check_reference(reference)
+    detect.check_reference(reference)
     noun = "record" if len(records) == 1 else "records"
     if len(records) < LEAST_RECORDS:
         raise DataError(
             f"{len(records)} {noun}: a chart needs {LEAST_RECORDS} at least; give more, or leave out --chart"
         )
     labels = ["the fit", *(record.name for record in records)]
-    fits = [reference, *(refit(reference, [record]) for record in records)]
-    points = [read_constants(f, read_residual(f, ADEQUATE_RATIO)) if f.success else None for f in fits]
+    fits = [reference, *(detect.refit(reference, [record]) for record in records)]
+    points = [read_constants(f, read_residual(f, detect.ADEQUATE_RATIO)) if f.success else None for f in fits]
     assert points[0] is not None
     names = points[0].names
     changes, unseen = [], []
@@ -345,7 +341,7 @@ def chart_changes(reference: Fit, records: Sequence[Experiment]) -> ChangeDetect
         )
         for c in changes
     ] or [Finding(ChangeCode.NO_CHANGE_POINT, values={"records": len(records)})]
-    values = {"share": None, "limit": LARGEST_HIDDEN_CHANGE}
+    values = {"share": None, "limit": detect.LARGEST_HIDDEN_CHANGE}
     findings = [Finding(ChangeCode.CONSTANT_NOT_SEEN, Severity.WARNING, name, values) for name in unseen]
     findings += [
         Finding(ChangeCode.RECORD_NOT_FITTED, Severity.WARNING, label, {"status": f.solver.status_message})
@@ -446,7 +442,7 @@ def _find_jumps(
     known = [c for t in places if (c := points[t]) is not None]
     values, variances, positive, unit = _to_one_scale(known, name)
     # The rate of false alarms is shared by the constants.
-    jumps = find_change_points(values, variances, CHANGE_TEST_FALSE_ALARM_RATE / comparisons)
+    jumps = find_change_points(values, variances, detect.CHANGE_TEST_FALSE_ALARM_RATE / comparisons)
     edges = [0, *(place for place, _ in jumps), len(values)]
     back = math.exp if positive else float
     # Between two jumps the mean of the records, each weighed by its information.

@@ -13,29 +13,10 @@ from greybox.discovery.findings import DiscoveryCode
 from greybox.estimation.result import Fit
 from greybox.show.documents import tables
 from greybox.show.documents.fit import OPEN_RECORDS
-from greybox.show.figures.discovery import (
-    errors_to_judge,
-    explained_share,
-    plot_candidates,
-    plot_effect_signal,
-    plot_holdout_error,
-    plot_misfit_windows,
-    plot_surrogate,
-    plot_unexplained_signal,
-)
+from greybox.show.figures import discovery as search_figures
 from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
-from greybox.show.sentences.discovery import (
-    GRADES,
-    claim_text,
-    constant_text,
-    false_names_text,
-    name_text,
-    probability_text,
-    refinement_text,
-    rival_text,
-    surrogate_title,
-)
+from greybox.show.sentences import discovery as words
 from greybox.show.sentences.registry import sentences
 from greybox.show.sentences.wording import capitalise, count_noun, record_text
 
@@ -56,7 +37,7 @@ def describe_discovery(discovery: Discovery, *, command: str = "") -> doc.Docume
         discovery_verdict(discovery),
         doc.Later(_sections, discovery, command),
         "discovery",
-        doc.Later(lambda: [doc.FigureBlock(plot_holdout_error(discovery))]),
+        doc.Later(lambda: [doc.FigureBlock(search_figures.plot_holdout_error(discovery))]),
     )
 
 
@@ -68,7 +49,7 @@ FAILED_CODES = (DiscoveryCode.CANDIDATE_FAILED, DiscoveryCode.CANDIDATE_NOT_SIMU
 
 def _brief(d: Discovery) -> Iterator[doc.Block]:
     """The answer, the effects with what speaks for them, the errors, the claims, the candidates, and what to do next."""
-    further = [refinement_text(d.refinement)] if d.refinement is not None and d.refinement.steps else []
+    further = [words.refinement_text(d.refinement)] if d.refinement is not None and d.refinement.steps else []
     yield doc.Paragraphs([d.story, *further])
     where = str(d.localisation).splitlines() if d.localisation.is_missing else []
     yield doc.BulletList(
@@ -82,7 +63,7 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
     if d.claims and d.verdict is not Verdict.NAMED:
         yield _claims(d)
     if d.false_names:
-        yield doc.Paragraphs([false_names_text(rate) for rate in d.false_names])
+        yield doc.Paragraphs([words.false_names_text(rate) for rate in d.false_names])
     if d.ranking:
         yield _candidates_table(d, LISTED_CANDIDATES)
     failed = {name: finding for name, finding in d.not_tried.items() if finding.code in FAILED_CODES}
@@ -98,12 +79,14 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
 def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str], str] = str) -> Iterator[str]:
     """Each effect with where it acts and its constants, and what speaks for it."""
     for effect in discovery.effects:
-        constants = [constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()]
+        constants = [
+            words.constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()
+        ]
         equation = f"{effect['equation']}, " if "equation" in effect else ""
         yield f"{effect['name']} -> {effect['site']}: {equation}{', '.join(constants)}"
         claim = name_claim(discovery.claims, effect["name"])
         if claim is not None:
-            yield f"{indent}{name_text(claim)}"
+            yield f"{indent}{words.name_text(claim)}"
 
 
 def holdout_lines(discovery: Discovery) -> list[str]:
@@ -132,15 +115,19 @@ def discovery_verdict(discovery: Discovery) -> doc.Paragraphs:
 
 def discovery_sections(discovery: Discovery, *, beside_verdict: bool = False) -> Iterator[doc.Section]:
     """The error before and after (its figure may stand ``beside_verdict`` already), the missing signal, where and when, the candidates."""
-    figure = [] if beside_verdict else [doc.FigureBlock(plot_holdout_error(discovery))]
+    figure = [] if beside_verdict else [doc.FigureBlock(search_figures.plot_holdout_error(discovery))]
     yield doc.Section("gap", "Error before and after", [*figure, *_holdout(discovery)])
     if discovery.claims:
         yield doc.Section("claims", "Claims", [_claims(discovery), *_false_names(discovery)])
     signals: list[doc.Block] = [
-        doc.FigureBlock(plot_effect_signal(signal, f"missing-{k}")) for k, signal in enumerate(discovery.effect_signals)
+        doc.FigureBlock(search_figures.plot_effect_signal(signal, f"missing-{k}"))
+        for k, signal in enumerate(discovery.effect_signals)
     ]
     if discovery.surrogate is not None:
-        signals += [doc.Paragraphs([str(discovery.surrogate)]), doc.FigureBlock(plot_surrogate(discovery.surrogate))]
+        signals += [
+            doc.Paragraphs([str(discovery.surrogate)]),
+            doc.FigureBlock(search_figures.plot_surrogate(discovery.surrogate)),
+        ]
     if signals:
         yield doc.Section("missing", "The missing signal", signals)
     if discovery.refinement is not None:
@@ -166,10 +153,10 @@ def _claims(discovery: Discovery) -> doc.TableBlock:
     rows = [
         [
             DEPTHS[claim.depth],
-            f"{GRADES[claim.grade]} ({probability_text(claim.probability)})",
+            f"{words.GRADES[claim.grade]} ({words.probability_text(claim.probability)})",
             f"{100 * claim.share:.0f} % in {claim.output}",
-            rival_text(claim.rival) or "none",
-            capitalise(claim_text(to_values(claim))),
+            words.rival_text(claim.rival) or "none",
+            capitalise(words.claim_text(to_values(claim))),
         ]
         for claim in discovery.claims
     ]
@@ -227,7 +214,7 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
 
 
 def _explained(error: HoldoutError) -> str:
-    share = explained_share(error)
+    share = search_figures.explained_share(error)
     if share is None:
         return "only noise"
     return f"{100 * share:.0f} %" if share >= 0 else "error grew"
@@ -253,7 +240,7 @@ def extended_model(discovery: Discovery) -> tuple[str, Fit, Mapping[str, Holdout
     """What stands beside the plain model: its name, its fit and its errors; where no effect came near, the surrogate."""
     surrogate = discovery.surrogate
     if surrogate is not None and not discovery.best.model.effects:
-        return f"with {surrogate_title(surrogate)}", surrogate.fit, errors_to_judge(discovery)
+        return f"with {words.surrogate_title(surrogate)}", surrogate.fit, search_figures.errors_to_judge(discovery)
     return extended_name(discovery), discovery.best, discovery.holdout
 
 
@@ -266,7 +253,7 @@ def extended_name(discovery: Discovery) -> str:
 
 def _refinement(refinement: Refinement) -> Iterator[doc.Block]:
     """The effects beyond the answer, and what they leave."""
-    yield doc.Paragraphs([refinement_text(refinement)])
+    yield doc.Paragraphs([words.refinement_text(refinement)])
     if not refinement.steps:
         return
     rows = [
@@ -290,7 +277,7 @@ def _percent(share: float) -> str:
 def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
     localisation = discovery.localisation
     yield doc.BulletList([line.strip() for line in str(localisation).splitlines()])
-    unexplained = plot_unexplained_signal(localisation)
+    unexplained = search_figures.plot_unexplained_signal(localisation)
     if unexplained is not None:
         yield doc.FigureBlock(unexplained)
     sets = {name: k + 1 for k, group in enumerate(localisation.sets) for name in group}
@@ -306,13 +293,13 @@ def _localisation(discovery: Discovery) -> Iterator[doc.Block]:
             rows,
             "These sensors cannot distinguish the sites of one set. Gain: how much the signal raises the log-likelihood.",
         )
-    windows = plot_misfit_windows(localisation)
+    windows = search_figures.plot_misfit_windows(localisation)
     if windows is not None:
         yield doc.FigureBlock(windows)
 
 
 def _candidates(discovery: Discovery) -> Iterator[doc.Block]:
-    figure = plot_candidates(discovery)
+    figure = search_figures.plot_candidates(discovery)
     if figure is not None:
         yield doc.FigureBlock(figure)
     if discovery.alternatives:

@@ -13,15 +13,8 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.show.documents import tables
+from greybox.show.figures import fit as figures
 from greybox.show.figures.figure import stretches_on_page
-from greybox.show.figures.fit import (
-    plot_correlation,
-    plot_intervals,
-    plot_residual_tests,
-    relative_half_width,
-    relative_half_widths,
-    strongly_correlated_pairs,
-)
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.registry import sentences
@@ -170,7 +163,7 @@ def _determined(fit: Fit, undetermined: list[str]) -> str:
         return "No parameter was fitted."
     if undetermined:
         return f"The records do not determine {join_names(undetermined)}: the 95 % interval exceeds half the value."
-    widths = [half for name in free if (half := relative_half_width(fit.parameters[name])) is not None]
+    widths = [half for name in free if (half := figures.relative_half_width(fit.parameters[name])) is not None]
     reaches = f" 95 % interval reaches {max(widths):.2g} % to either side" if widths else ""
     if len(free) == 1:
         return f"{free[0]} is determined{reaches and f'; its{reaches}'}."
@@ -228,12 +221,14 @@ def _parameters(fit: Fit, further: Iterable[tuple[str, doc.Block]]) -> Iterator[
     if recommendations:
         yield doc.Subheading("How to determine the other parameters")
         yield doc.BulletList(list(dict.fromkeys(sentences(recommendations))))
-    intervals = plot_intervals(relative_half_widths(fit), "Half width of each 95 % interval: smaller is better.")
+    intervals = figures.plot_intervals(
+        figures.relative_half_widths(fit), "Half width of each 95 % interval: smaller is better."
+    )
     if intervals is not None:
         yield doc.FigureBlock(intervals)
-    correlation = plot_correlation(fit)
+    correlation = figures.plot_correlation(fit)
     if correlation is not None:
-        pairs = strongly_correlated_pairs(fit)
+        pairs = figures.strongly_correlated_pairs(fit)
         if pairs:
             yield doc.BulletList(pairs)
         yield doc.Details("Correlation of the fitted parameters", [doc.FigureBlock(correlation)])
@@ -373,4 +368,4 @@ def _residual(fit: Fit, tests: ResidualTests | None) -> Iterator[doc.Block]:
     if not tests.tests:
         return
     for output in tests.residuals:
-        yield doc.FigureBlock(plot_residual_tests(tests, output, f"tests-{output}"))
+        yield doc.FigureBlock(figures.plot_residual_tests(tests, output, f"tests-{output}"))

@@ -15,26 +15,11 @@ from greybox.comparison.result import Comparison
 from greybox.estimation import Fit, Misfit, Trace
 from greybox.estimation.errors import compute_record_misfits
 from greybox.estimation.residuals import ResidualTests
+from greybox.show.figures import discovery as search_figures
+from greybox.show.figures import records as record_figures
 from greybox.show.figures.comparison import judging_records, plot_model_errors, plot_model_residuals, plot_model_runs
-from greybox.show.figures.discovery import (
-    describe_candidates,
-    errors_to_judge,
-    explained_share,
-    plot_average_spectra,
-    plot_candidates,
-    plot_effect_signal,
-    plot_holdout_error,
-    plot_surrogate,
-)
 from greybox.show.figures.figure import draw_sizes
 from greybox.show.figures.fit import plot_residual_tests
-from greybox.show.figures.records import (
-    liveliest_window,
-    plot_residual,
-    plot_residuals_before_after,
-    plot_run,
-    plot_runs_before_after,
-)
 from greybox.show.figures.sheet import Cell, Sheet
 from greybox.show.sentences.discovery import surrogate_title
 from greybox.show.sentences.wording import record_text
@@ -149,9 +134,12 @@ def fit_sheets(fit: Fit, skip: int = 0) -> list[Sheet]:
 
 def _fit_sheet(fit: Fit, trace: Trace, kind: str, skip: int) -> Sheet:
     units = {o.name: o.unit for o in fit.model.outputs}
-    run, residual = plot_run(trace, units, "run"), plot_residual(trace, units, fit.noise.levels, "residual")
+    run, residual = (
+        record_figures.plot_run(trace, units, "run"),
+        record_figures.plot_residual(trace, units, fit.noise.levels, "residual"),
+    )
     misfit = compute_record_misfits(fit, trace, skip)
-    window = liveliest_window(trace.time, next(iter(trace.measured.values())))
+    window = record_figures.liveliest_window(trace.time, next(iter(trace.measured.values())))
     cells = []
     for k, (top, bottom) in enumerate(zip(run.panels, residual.panels, strict=True)):
         bottom = _named_by_title(bottom, "residual")
@@ -202,7 +190,7 @@ def comparison_sheet(comparison: Comparison, record: str) -> Sheet:
     cells = []
     for k, (run, residual) in enumerate(zip(runs.panels, residuals.panels, strict=True)):
         measured = run.series[0]
-        window = liveliest_window(measured.x, measured.y) if isinstance(measured, Curve) else None
+        window = record_figures.liveliest_window(measured.x, measured.y) if isinstance(measured, Curve) else None
         title = "detail" if window else "free run"
         cells += [
             Cell(run, 2 * k, window=window, titles=(title,)),
@@ -223,14 +211,14 @@ def discovery_sheets(discovery: Discovery) -> list[Sheet]:
     """All sheets of a discovery."""
     sheets = [_effect_signal_sheet(signal) for signal in discovery.effect_signals]
     if discovery.surrogate is not None:
-        figure = plot_surrogate(discovery.surrogate)
+        figure = search_figures.plot_surrogate(discovery.surrogate)
         shape, share = surrogate_title(discovery.surrogate), min(discovery.surrogate.share, 1.0)
         heading = f"Unknown effect: a {shape.removeprefix('a ')} takes {100 * share:.0f} % of the error"
         sheets.append(Sheet("missing-unknown", (Cell(figure.panels[0], 0),), heading, (7.0, 4.2)))
     sheets.append(_before_after_sheet(discovery))
-    candidates = plot_candidates(discovery)
+    candidates = search_figures.plot_candidates(discovery)
     if candidates is not None:
-        heading = f"Candidates ({discovery.verdict}). {describe_candidates(discovery)}"
+        heading = f"Candidates ({discovery.verdict}). {search_figures.describe_candidates(discovery)}"
         height = 1.5 + 0.3 * len(candidates.panels[0].categories)
         sheets.append(Sheet("candidates", (Cell(candidates.panels[0], 0),), heading, (8.5, height)))
     return [*sheets, _holdout_error_sheet(discovery)]
@@ -241,7 +229,7 @@ SIGNAL_IN_TIME = 150
 
 
 def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
-    against, in_time = plot_effect_signal(signal, "missing").panels
+    against, in_time = search_figures.plot_effect_signal(signal, "missing").panels
     shown = min(len(signal.time), SIGNAL_IN_TIME)
     window = (float(signal.time[0]), float(signal.time[shown - 1]))
     heading = f"{signal.effect} explains {100 * signal.explained:.1f} % of the missing signal in {signal.record}"
@@ -251,13 +239,13 @@ def _effect_signal_sheet(signal: EffectSignal) -> Sheet:
 
 def _before_after_sheet(discovery: Discovery) -> Sheet:
     """The error on the first validation record that has each output, and the averaged spectra of all of them."""
-    base, extended, spectra = discovery.base, discovery.extended, plot_average_spectra(discovery)
+    base, extended, spectra = discovery.base, discovery.extended, search_figures.plot_average_spectra(discovery)
     units = {output: error.unit for output, error in discovery.holdout.items()}
     cells = []
     for k, output in enumerate(discovery.holdout):
         before = next(t for t in base.validation.traces if output in t.measured)
         after = next(t for t in extended.validation.traces if output in t.measured)
-        run = plot_residuals_before_after(
+        run = record_figures.plot_residuals_before_after(
             _only(before, output), _only(after, output), units, base.noise.levels, "residuals", "extended model"
         )
         cells += [Cell(run[output], k), Cell(spectra[output], k, 1)]
@@ -267,11 +255,11 @@ def _before_after_sheet(discovery: Discovery) -> Sheet:
 
 
 def _holdout_error_sheet(discovery: Discovery) -> Sheet:
-    figure = plot_holdout_error(discovery)
+    figure = search_figures.plot_holdout_error(discovery)
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
     titles = {}
-    for output, error in errors_to_judge(discovery).items():
-        share = explained_share(error)
+    for output, error in search_figures.errors_to_judge(discovery).items():
+        share = search_figures.explained_share(error)
         taken = (
             "the residual of the plain model is noise"
             if share is None
@@ -295,8 +283,8 @@ def gap_sheet(
 ) -> Sheet:
     """The free run and the residual of two models, and the misfit of all that are compared."""
     pair, units = (_only(before, output), _only(after, output)), {output: unit}
-    run = plot_runs_before_after(*pair, units, "run", names)[output]
-    residual = plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
+    run = record_figures.plot_runs_before_after(*pair, units, "run", names)[output]
+    residual = record_figures.plot_residuals_before_after(*pair, units, {output: noise}, "residual", names[1])[output]
     cells = (
         Cell(run, 0, titles=(f"{output}: free run on a record not used for the fit",), above_another=True),
         Cell(_without_labels(residual), 1, titles=("residual",)),
