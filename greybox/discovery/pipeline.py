@@ -1,7 +1,7 @@
 """`discover`: a model, estimation and validation records in; a verdict with its claims out.
 
 Baseline, noise, screening and selection are here, and the run over the validation records; what that comes to is in
-`greybox.discovery.conclusion`.
+`greybox.discovery.conclusion`. Several records are witnesses as well: which constants of the answer follow which of their conditions.
 """
 
 from __future__ import annotations
@@ -36,11 +36,13 @@ from greybox.discovery.localisation import localise_residual
 from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
-from greybox.discovery.record_conditions import follow_conditions
 from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
-from greybox.estimation import FitOptions
+from greybox.estimation import Fit, FitOptions
+from greybox.estimation.findings import EstimationCode
+from greybox.estimation.fit import fit as estimate
+from greybox.estimation.record_trends import shared_conditions
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, applicable_effects
 from greybox.simulation.plant import Plant, PlantModel, as_model
@@ -387,3 +389,41 @@ def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[E
 
 def _as_tuple(records: Records) -> tuple[Experiment, ...]:
     return name_records(records)
+
+
+# Several records as witnesses: a load, a temperature, a voltage that constants follow.
+
+
+def follow_conditions(fit: Fit, records: Sequence[Experiment], options: FitOptions) -> tuple[Finding, ...]:
+    """What the constants of a model have in common over records that differ in a condition, one finding each.
+
+    Parameters
+    ----------
+    fit
+        The answer of a search.
+    records
+        Those that were fitted, and those that judged: for this question each is a witness.
+    options
+        How a fit is made.
+
+    Returns
+    -------
+    tuple of Finding
+        `EstimationCode.VALUES_BY_RECORD` for each constant; empty where the records have no condition in common that differs.
+    """
+    if len(records) < 2 or not shared_conditions(records):
+        return ()
+    # Shapes (a velocity, a time constant) stay common to all: one record alone seldom tells them, and the amplitude would take their place.
+    shapes = {
+        bound.model_names[q.name]
+        for bound in fit.model.bound_effects
+        for q in bound.effect.parameters
+        if q.name not in bound.effect.amplitudes
+    }
+    given = {name for record in records for name in record.conditions}
+    amplitudes = [q.name for q in fit.model.free_parameters if q.name not in shapes | given]
+    if not amplitudes:
+        return ()
+    near = replace(options, progressive=False, other_starts=False, per_experiment=())
+    each = estimate(fit.model, records, noise=fit.noise.given, per_experiment=amplitudes, options=near)
+    return tuple(f for f in each.findings if f.code == EstimationCode.VALUES_BY_RECORD) if each.success else ()

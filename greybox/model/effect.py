@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
 from greybox.base import ModelError, nearest
 from greybox.model.balance import Balance
@@ -19,6 +21,30 @@ EVERY_BALANCE = "*"
 Equation = Callable[[NamedValues, NamedValues, NamedValues], Expression]
 Terms = Callable[[NamedValues, NamedValues, NamedValues], "Expression | Mapping[str, Expression]"]
 Transform = Callable[[Expression, NamedValues, NamedValues, NamedValues], Expression]
+
+# Parameters of effects: amplitudes, absent until fitted, and the constants that give an effect its shape.
+
+ABSENT = "amplitude, absent until fitted"
+ROUGH = "rough, until the data say better"
+
+
+def amplitude_parameter(
+    name: str, unit: str, description: str, low: float = -math.inf, high: float = math.inf
+) -> Parameter:
+    """A parameter that is zero where the effect is absent, of either sign unless ``low`` says otherwise."""
+    return Parameter(name, unit, 0.0, (low, high), source=ABSENT, description=description)
+
+
+def shape_parameter(
+    name: str, unit: str, value: float, bounds: tuple[float, float], description: str, source: str = ROUGH
+) -> Parameter:
+    """A parameter that gives an effect its shape, or an amplitude whose neutral value is not zero."""
+    return Parameter(name, unit, value, bounds, source=source, description=description)
+
+
+def geometric_grid(low: float, high: float, count: int) -> list[float]:
+    """``count`` values from ``low`` to ``high`` with equal ratios."""
+    return [float(value) for value in np.geomspace(low, high, count)]
 
 
 @dataclass(frozen=True)

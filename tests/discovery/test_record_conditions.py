@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
-from greybox.discovery.record_conditions import follow_conditions
+from greybox.discovery.pipeline import follow_conditions
 from greybox.estimation.options import FitOptions
 from greybox.model.effects.catalogue import effect
 

@@ -8,8 +8,7 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect
-from greybox.model.effects.parameters import amplitude_parameter, geometric_grid, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, geometric_grid, shape_parameter
 from greybox.model.effects.scales import Scales
 from greybox.model.signals import Expression, NamedValues, State
 

@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import Effect
-from greybox.model.effects.parameters import amplitude_parameter, shape_parameter
+from greybox.model.effect import Effect, amplitude_parameter, shape_parameter
 from greybox.model.effects.scales import Scales
 from greybox.model.signals import State
 

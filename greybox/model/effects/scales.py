@@ -11,9 +11,11 @@ import numpy as np
 from greybox.base import INTEGRATING_POLE, DataError
 from greybox.model.algebraic import eliminate
 from greybox.model.effect import Effect
-from greybox.model.effects.parameters import UNTAILORED_DELAY
 from greybox.model.model import Model
 from greybox.model.sites import PlaceKind, Site, find_sites
+
+# Bounds of a delay (s) before a record says how it is sampled.
+UNTAILORED_DELAY = (0.0, 5e-3)
 
 
 @dataclass(frozen=True)

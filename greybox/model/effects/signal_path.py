@@ -8,10 +8,9 @@ from dataclasses import replace
 import casadi as ca
 
 from greybox.model.balance import Balance
-from greybox.model.effect import EVERY_BALANCE, Effect
+from greybox.model.effect import EVERY_BALANCE, Effect, amplitude_parameter, shape_parameter
 from greybox.model.effects.flow import OUT_OF_REACH
-from greybox.model.effects.parameters import UNTAILORED_DELAY, amplitude_parameter, shape_parameter
-from greybox.model.effects.scales import LONGEST_DELAY, Scales
+from greybox.model.effects.scales import LONGEST_DELAY, UNTAILORED_DELAY, Scales
 from greybox.model.signals import State
 
 # Difference of the gain by sign that a search starts from beside a constant load, as a share.
