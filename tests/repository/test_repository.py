@@ -8,6 +8,7 @@ import subprocess
 import tomllib
 import zipfile
 from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -100,14 +101,19 @@ def public(body: list[ast.stmt], prefix: str = "") -> Iterator[tuple[str, Functi
                 yield from public(node.body, f"{node.name}.")
 
 
-def public_surface() -> Iterator[tuple[str, Function | ast.ClassDef]]:
+@cache
+def public_surface() -> list[tuple[str, Function | ast.ClassDef]]:
     """Where each public function, class and method stands; a method that a base class in the same file describes is left out."""
+    surface = []
     for path in sorted((ROOT / "greybox").rglob("*.py")):
         module = ast.parse(path.read_text(encoding="utf-8"))
         described = inherited(module)
-        for name, node in public(module.body):
-            if name not in described:
-                yield f"{path.relative_to(ROOT)}:{node.lineno}: {name}", node
+        surface += [
+            (f"{path.relative_to(ROOT)}:{node.lineno}: {name}", node)
+            for name, node in public(module.body)
+            if name not in described
+        ]
+    return surface
 
 
 def inherited(module: ast.Module) -> set[str]:
