@@ -151,7 +151,7 @@ ORDINARY = ((micro_actuator, "coulomb_friction"), (pneumatic_cylinder, "valve_la
     ids=lambda v: getattr(v, "name", v if isinstance(v, str) else ""),
 )
 def test_a_single_effect_is_named_out_of_the_whole_catalogue(rig, name, constants, noise):
-    d = discover_hidden(rig, {name: constants}, noise)
+    d = discover_hidden(rig, {name: constants}, noise, rows=700)
     assert d.verdict is Verdict.NAMED, str(d)
     (named,) = d.effects
     assert named["name"] == name
