@@ -59,14 +59,16 @@ class Pendulum:
         if damping > 8.0:
             raise PlantRunError("the bearing is stuck")
 
-        time, torque = record.time - record.time[0], record.inputs["T"] / length**2
-        step = time[1]
+        time = record.time - record.time[0]
+        # Numbers of Python: an element of an array takes three times as long, and a fit asks for some hundred thousand.
+        torque, step, last = (record.inputs["T"] / length**2).tolist(), float(time[1]), len(time) - 2
 
         def rates(t, x):
+            angle, speed = x.tolist()
             # Straight between the rows of the record, which lie evenly.
-            k = min(int(t / step), len(time) - 2)
+            k = min(int(t / step), last)
             push = torque[k] + (torque[k + 1] - torque[k]) * (t / step - k)
-            return (x[1], -9.81 / length * sin(x[0]) - damping * x[1] + push)
+            return (speed, -9.81 / length * sin(angle) - damping * speed + push)
 
         run = odeint(rates, (values["angle0"], 0.0), time, rtol=1e-9, atol=1e-10, hmax=step, tfirst=True)
         return {"angle": run[:, 0]}
