@@ -22,6 +22,10 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+# A file that is written waits for the disk, some milliseconds each, against a loss of power that no test brings about: here it only
+# looks whether the file is open. The programs that tests start, and kill, wait.
+os.fsync = os.fstat  # type: ignore[assignment]
+
 # The same examples in every run; HYPOTHESIS_PROFILE=default searches at random and for longer.
 settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
