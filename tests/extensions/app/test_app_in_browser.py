@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from greybox.base.files import locked
+from greybox.extensions.app.workbench import JOURNAL
 from tests.support.browser import collect_faults, wait_until
 from tests.support.hostile import ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
@@ -50,30 +51,15 @@ def served(server) -> tuple[str, Path]:
     return json.loads("".join(process.stdout.readline() for _ in range(4)))["address"], folder
 
 
-def signal_jobs(process: subprocess.Popen[str], number: int) -> bool:
-    """Send a signal to the processes that the server has started; whether there were some."""
-    jobs = []
-    for children in Path(f"/proc/{process.pid}/task").glob("*/children"):
-        jobs += map(int, children.read_text(encoding="utf-8").split())
-    for job in jobs:
-        with suppress(ProcessLookupError):  # it has ended meanwhile
-            os.kill(job, number)
-    return bool(jobs)
-
-
-def hold_a_search(page, process: subprocess.Popen[str]) -> None:
-    """Begin a search and hold its processes, so that it cannot have ended when *Stop* is pressed; one that was too fast is begun again."""
-    for _ in range(20):
+@contextmanager
+def held_search(page, folder: Path) -> Iterator[Callable[[], None]]:
+    """Begin a search that cannot go on, let alone end, before it is let go: its journal is locked, which it has to read first."""
+    folder.mkdir(exist_ok=True)
+    with ExitStack() as hold:
+        file = hold.enter_context(open(folder / JOURNAL, "ab"))
+        hold.enter_context(locked(file))
         page.click("#discover")
-        # The text stays when the search has ended.
-        until(page, "document.getElementById('stage').textContent.includes('refit')")
-        if signal_jobs(process, signal.SIGSTOP):
-            page.wait_for_timeout(500)  # news of an end that came before
-            if page.is_disabled("#discover"):
-                return
-        signal_jobs(process, signal.SIGCONT)
-        until(page, "!document.getElementById('discover').disabled")
-    pytest.fail("no search could be held")
+        yield hold.close
 
 
 @pytest.fixture(scope="module")
@@ -112,13 +98,6 @@ def load(page, selector: str, file: Path, count: int) -> None:
 def settled(page) -> None:
     """Wait until the page has looked where the residual lives."""
     until(page, "!['', '…'].includes(document.getElementById('where').textContent)")
-
-
-def answer_late(route) -> None:
-    """Let an answer of the server come after the news of what it led to."""
-    answer = route.fetch()
-    time.sleep(LATE)
-    route.fulfill(response=answer)
 
 
 def test_a_person_loads_records(page, rig: Path, tmp_path: Path) -> None:
@@ -192,17 +171,24 @@ def test_friction_is_added_with_a_click_and_fitted(page) -> None:
     settled(page)
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="the processes of the search are found in /proc")
-def test_discover_can_be_stopped_and_finds_the_friction(page, server) -> None:
-    process, _ = server
+@pytest.mark.skipif(sys.platform == "win32", reason="the lock that holds the search is one of POSIX")
+def test_discover_can_be_stopped_and_finds_the_friction(page, served) -> None:
+    _, folder = served
     page.click("button[aria-label='Remove coulomb_friction']")
     page.wait_for_selector(".constant[data-name=Fc]", state="detached")
     settled(page)
-    hold_a_search(page, process)
-    page.route("**/do/stop", answer_late)
-    page.click("#stop")
-    signal_jobs(process, signal.SIGCONT)
-    page.wait_for_selector("#message.good:not([hidden])")
+    with held_search(page, folder) as let_go:
+
+        def answer_late(route) -> None:
+            """Let the answer of the server come after the news of what it led to."""
+            answer = route.fetch()  # the search has been asked to stop
+            let_go()
+            time.sleep(LATE)
+            route.fulfill(response=answer)
+
+        page.route("**/do/stop", answer_late)
+        page.click("#stop")
+        page.wait_for_selector("#message.good:not([hidden])")
     page.wait_for_timeout(1000 * LATE)  # by then the answer has come, and tells of a time before the news
     page.unroute("**/do/stop")
     assert page.is_visible("#message.good") and page.is_enabled("#discover")
