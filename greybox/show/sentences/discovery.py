@@ -585,7 +585,7 @@ register(
         DiscoveryCode.LAW_RANGE: _law_range,
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the estimation records do not show the effect: it was identified from the first half of"
         " the validation records",
-        DiscoveryCode.TIME_OVER: "the search ended after {seconds:.3g} s, as asked, before it was finished: this is the best answer so far,"
+        DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
             f"{f.subject} is run from outside: effects at its inputs were seen through a linear response that follows"

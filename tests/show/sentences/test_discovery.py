@@ -169,7 +169,7 @@ FINDINGS = [
     (
         Code.TIME_OVER,
         *("", {"seconds": 60.0, "skipped": 12}),
-        "the search ended after 60 s, as asked, before it was finished: this is the best answer so far, and no effect of it is"
+        "from 60 s on, as asked, the search began no further fit: this is the best answer so far, and no effect of it is"
         " established; repeat the command to continue with its finished refits, or give it more time",
     ),
     (Code.NOT_REACHED, *("cubic_stiffness", {}), "the time was over before it was tried"),
