@@ -56,6 +56,8 @@ from greybox.model.signals import Expression, Input, NamedValues, Parameter
 CONTESTS = 20
 # Signals of a contest at most, of which the one that promises most takes part: as many as effects were candidates.
 MOST_SIGNALS = 40
+# Values of signals that are screened side by side: 24 MB.
+SCREENED_VALUES = 3e6
 # A shift by less than so many correlation lengths leaves some of the meaning in.
 LEAST_SHIFT = 3.0
 # ...but a signal that remembers itself for long is shifted by this share of it: more is hardly possible on a circle.
@@ -259,15 +261,20 @@ def _screen(
     records = candidate.problem.experiments
     lines = [linearise_run(candidate, e, 0, record.rows) for e, record in enumerate(records[: slopes.fitted])]
     cost = sum(float((r**2).sum()) for r in slopes.residuals[: slopes.fitted])
+    # Side by side, as the model is stepped along the records once for all of them.
+    at_once = max(int(SCREENED_VALUES // (among * sum(line.rows for line in lines))), 1)
     starts = []
-    for _ in range(CONTESTS):
-        drawn = [_draw_signals(signal, record.time, among, rng) for record in records]
+    for first in range(0, CONTESTS, at_once):
+        count = min(at_once, CONTESTS - first)
+        drawn = [[_draw_signals(signal, record.time, among, rng) for record in records] for _ in range(count)]
         responses = [
-            respond(line, site, w) / candidate.problem.noise.std[:, None] for line, w in zip(lines, drawn, strict=False)
+            respond(line, site, np.concatenate(courses, axis=1)) / candidate.problem.noise.std[:, None]
+            for line, courses in zip(lines, zip(*drawn, strict=True), strict=False)
         ]
-        promised = _promised_decrease(slopes, responses)
-        best = int(np.argmax(promised))
-        starts.append(_Start([w[:, best] for w in drawn], float(promised[best]) / max(cost, TINY)))
+        promised = _promised_decrease(slopes, responses).reshape(count, -1)
+        for courses, each in zip(drawn, promised, strict=True):
+            best = int(np.argmax(each))
+            starts.append(_Start([w[:, best] for w in courses], float(each[best]) / max(cost, TINY)))
     return starts
 
 
