@@ -275,12 +275,14 @@ def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
     base, doubts = _finish(judged, judged.base)
     best, more = (base, ()) if judged.best is judged.base else _finish(judged, judged.best)
     judged = replace(judged, base=base, best=best, holdout=compare_holdout_errors(base, best))
+    words = (*doubts, *more)
     return replace(
         answer,
         judged=judged,
         final=replace(answer.final, fit=best),
         refinement=None if answer.refinement is None else replace(answer.refinement, fit=best),
-        findings=(*answer.findings, *doubts, *more),
+        # What the time limit left open is told once, of the model that is handed over.
+        findings=(*answer.findings, *(word for word in words if word is words[-1] or not word.values["is_late"])),
     )
 
 
