@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from greybox.base import Check, Printable
+from greybox.base.json_shape import Unbounded
 from greybox.base.linear_algebra import eliminate
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.data.experiment import Experiment, as_records
@@ -199,7 +200,7 @@ class HoldoutError(Printable):
     Parameters
     ----------
     before, after
-        Error of the plain and of the extended model, in ``unit``.
+        Error of the plain and of the extended model, in ``unit``; infinite where the run goes astray.
     floor
         Standard deviation of the noise: the error of a perfect model.
     unit
@@ -209,8 +210,8 @@ class HoldoutError(Printable):
         selection uses.
     """
 
-    before: float
-    after: float
+    before: Unbounded
+    after: Unbounded
     floor: float
     unit: str
     is_floor_known: bool = True
@@ -230,14 +231,20 @@ class HoldoutError(Printable):
     @property
     def explained_fraction(self) -> float:
         """Share of the gap between ``before`` and ``floor`` that the extended model removes; negative where it is worse."""
+        if math.isinf(self.before):
+            return float(math.isfinite(self.after))
         return (self.before - self.after) / max(self.before - self.floor, 1e-12 * self.before)
 
 
 def compare_holdout_errors(base: Fit, best: Fit) -> dict[str, HoldoutError]:
     """By output, from two fits that were validated on the same records."""
-    after = best.validation.misfit
+    before, after = (
+        # A model whose run goes astray is infinitely wrong.
+        {name: m.rmse if math.isfinite(m.rmse) else math.inf for name, m in fit.validation.misfit.items()}
+        for fit in (base, best)
+    )
     return {
-        name: HoldoutError(m.rmse, after[name].rmse, m.rmse / m.noise_ratio, m.unit, is_floor_known(base, name))
+        name: HoldoutError(before[name], after[name], base.noise.std[name], m.unit, is_floor_known(base, name))
         for name, m in base.validation.misfit.items()
     }
 
@@ -314,7 +321,7 @@ def compare_with_refit(fit: Fit, again: Fit) -> RefitComparison:
         {"records": records, "output": name, "before": before[name].rmse, "after": m.rmse, "unit": m.unit}
         for records, before, after in pairs
         for name, m in after.items()
-        if name in before and not abs(m.rmse - before[name].rmse) <= MOVED_SHARE * m.rmse
+        if name in before and math.isfinite(m.rmse) and not abs(m.rmse - before[name].rmse) <= MOVED_SHARE * m.rmse
     )
     moves = {
         name: abs(each.value - fit.model.values[name]) / each.std for name, each in again.parameters.items() if each.std

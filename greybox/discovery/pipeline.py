@@ -14,6 +14,8 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from greybox.base import DataError, Finding, ModelError, Severity
 from greybox.data.experiment import Experiment, name_records
 from greybox.data.noise.growing import GrowingNoise
@@ -54,6 +56,8 @@ Records = Experiment | Sequence[Experiment]
 SEARCH_SHARE = 0.6
 
 
+# A plain model, or a candidate, whose run goes astray has errors beyond all numbers: whoever weighs them looks whether they are finite.
+@np.errstate(over="ignore")
 def discover(
     model: Model | Plant,
     estimation: Records,

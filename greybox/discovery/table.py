@@ -370,9 +370,7 @@ class LinearisedSet:
                 curvature[np.ix_(np.arange(residual.shape[1]), columns, columns)] = np.einsum(
                     "noi,noj->oij", jacobian[part], jacobian[part], optimize=True
                 )
-                # A run that goes astray has no finite sum, and no place on the table.
-                with np.errstate(over="ignore"):
-                    square = (residual[part] ** 2).sum(axis=0)
+                square = (residual[part] ** 2).sum(axis=0)
                 parts.append((square, self.present[e][part].sum(axis=0), slopes, curvature, is_judging))
         square, count, gradient, curvature, judges = (np.array(each) for each in zip(*parts, strict=True))
         low, high = variables.bounds()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -359,6 +360,10 @@ def _error_reduced(finding: Finding) -> str:
     effects = join_names([effect_title(name) for name in v["effects"]])
     if not v["share"] > 0:
         return f"The error in {finding.subject} on the validation records does not fall with {effects}."
+    # Result files write what is infinite as null.
+    if v["before"] is None or math.isinf(v["before"]):
+        left = quantity_text(v["after"], v["unit"])
+        return f"On the validation records the run of the plain model goes astray; with {effects} the error in {finding.subject} is {left}."
     return (
         f"The error in {finding.subject} on the validation records falls from {change_text(v['before'], v['after'], v['unit'])}"
         f" ({_percent(v['share'], 2)} less) with {effects}."

@@ -9,6 +9,8 @@ import sympy
 from scipy.integrate import solve_ivp
 
 import greybox as gb
+from fits.law_study import run_case
+from fits.law_systems import SYSTEMS
 from greybox import Balance, Experiment, Model, Output, Parameter, State
 from greybox.discovery.laws import search
 from greybox.discovery.result import load_discovery
@@ -115,3 +117,10 @@ def test_a_law_that_takes_next_to_nothing_of_the_error_is_none(found, monkeypatc
     )
     assert answer.verdict == "unknown" and answer.laws == ()
     assert answer.holdout["a"].after == answer.holdout["a"].before
+
+
+def test_a_plain_model_whose_run_goes_astray_is_infinitely_wrong():
+    """The brusselator without the reaction that ends it: its concentrations pass all numbers, and the law is the answer."""
+    brusselator = next(system for system in SYSTEMS if system.name == "brusselator")
+    case = run_case(brusselator, "dropped", "1")
+    assert case["right"] and case["grade"] == "established" and case["share"] == 1.0
