@@ -421,7 +421,7 @@ FINDINGS = [
     (
         Code.ERROR_REDUCED,
         *("y", {"before": None, "after": 0.31e-3, "unit": "V", "share": 1.0, "effects": ["coulomb_friction"]}),
-        "On the validation records the run of the plain model goes astray; with Coulomb friction the error in y is 0.31 mV.",
+        "On the validation records the run of the plain model goes astray; with coulomb friction the error in y is 310 µV.",
     ),
     (
         Code.ERROR_REDUCED,
