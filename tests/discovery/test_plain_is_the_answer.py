@@ -28,7 +28,8 @@ def validated(**residuals):
     rows = len(next(iter(residuals.values())))
     zeros = dict.fromkeys(residuals, np.zeros(rows))
     trace = Trace("record", "", np.arange(rows), residuals, zeros, {})
-    return SimpleNamespace(validation=Validation(misfit, (trace,)), noise=SimpleNamespace(bound=lambda _: None))
+    noise = SimpleNamespace(bound=lambda _: None, std=dict.fromkeys(residuals, 0.1))
+    return SimpleNamespace(validation=Validation(misfit, (trace,)), noise=noise)
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,10 @@ def validated(**residuals):
 def test_an_answer_is_better_than_the_plain_model_beyond_chance(change, is_better):
     decision = judge_against_plain(validated(x=SQUARES), validated(x=change * SQUARES), 0)
     assert decision.passed is is_better
+
+
+def test_whatever_runs_is_better_than_a_plain_model_that_ran_away():
+    assert judge_against_plain(validated(x=np.full(400, np.nan)), validated(x=SQUARES), 0).passed is True
 
 
 def test_all_outputs_count_by_their_noise_and_the_first_rows_do_not():
