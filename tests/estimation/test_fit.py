@@ -7,6 +7,7 @@ import casadi as ca
 import cloudpickle
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from greybox.base.errors import DataError, FitError, ModelError
 from greybox.base.findings import Finding
@@ -21,6 +22,7 @@ from greybox.model.balance import Balance
 from greybox.model.effects.catalogue import effect
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
+from greybox.simulation.simulate import simulate
 from models.emps import emps
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -275,6 +277,29 @@ def test_a_wrong_model_says_so_beside_its_status():
     assert (ratio.code, ratio.subject) == (EstimationCode.MISFIT_RATIO, "q")
     assert ratio.values["ratio"] == bad.misfit["q"].noise_ratio
     assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= codes(bad.findings)
+
+
+def test_a_true_model_of_a_filtered_record_lacks_nothing():
+    def balances(x, u, p):
+        return [
+            Balance("pos", "m/s", 1, "x", v=x.v),
+            Balance("force", "N", p.M, "v", drive=u.F, spring=-p.K * x.x, damping=-p.B * x.v),
+        ]
+
+    states = [State("x", "m"), State("v", "m/s")]
+    outputs = [Output("x", "m"), Output("v", "m/s", lambda x, u, p: x.v)]
+    parameters = [Parameter("M", "kg", 1.0, fixed=True), Parameter("B", "N*s/m", 2.0), Parameter("K", "N/m", 20.0)]
+    model = Model("spring", states, [Input("F", "N")], outputs, parameters, balances)
+    rng = np.random.default_rng(3)
+    record = Experiment("r", 0.002 * np.arange(6000), {"F": np.repeat(rng.normal(size=30), 200)}, {})
+    run = simulate(model, record).outputs
+    # A filter of 5 Hz, far below half the sampling rate, over signal and noise.
+    filtered = sosfiltfilt(butter(4, 5, fs=500, output="sos"), run["x"] + 5e-3 * rng.normal(size=6000))
+    record = record.with_outputs({"x": filtered, "v": run["v"] + 0.02 * rng.normal(size=6000)})
+    found = fit(model.start(B=1.0, K=15.0), record, options=FitOptions(at_rest=True))
+    assert found.misfit_at_least["x"] < 1.3
+    wrong = {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE}
+    assert not (wrong | {EstimationCode.PARAMETER_NOT_CONSTANT}) & codes(found.findings)
 
 
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():

@@ -253,16 +253,36 @@ FEWEST_ON_GRID = 20
 OFF_GRID = 0.01
 
 
+# Most significant digits that are told from the digits a number has in memory.
+MOST_DIGITS = 12
+
+
 def estimate_written_step(columns: Sequence[np.ndarray]) -> float:
-    """The last digit with which readings were written, or the codes of a sensor, where all lie on one grid; 0 where they do not."""
+    """The last digit with which readings were written, or the codes of a sensor, where all lie on one grid; 0 where they do not.
+
+    Of readings that were written with so many significant digits it is the root mean square of each one's last digit.
+    """
     values = np.concatenate([c[np.isfinite(c)] for c in columns]) if columns else np.zeros(0)
-    steps = np.diff(np.unique(values))
+    different = np.unique(values)
+    steps = np.diff(different)
     # One reading computed in two ways differs in its last bits.
     steps = steps[steps > 4 * np.spacing(np.abs(values).max(initial=0.0))]
     if len(steps) < FEWEST_ON_GRID:
         return 0.0
-    in_steps = steps / steps.min()
-    return float(steps.min()) if np.abs(in_steps - np.round(in_steps)).max() <= OFF_GRID else 0.0
+    if _is_whole(steps / steps.min()):
+        return float(steps.min())
+    written = different[different != 0]
+    leading = np.floor(np.log10(np.abs(written)))
+    for digits in range(1, MOST_DIGITS + 1):
+        last = 10.0 ** (leading - digits + 1)
+        if _is_whole(written / last):
+            return float(np.sqrt(np.mean(last**2)))
+    return 0.0
+
+
+def _is_whole(in_steps: np.ndarray) -> bool:
+    """Whether all numbers are whole ones."""
+    return bool(np.abs(in_steps - np.round(in_steps)).max() <= OFF_GRID)
 
 
 # Fewest rows of the settled end of a stretch with the input at rest.

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import chdtri, fdtr
+from scipy.special import chdtri, expit, fdtr
 
 from greybox.base.numerics import MAD_TO_STD, TINY
 from greybox.data.noise.noise_model import AutoRegression
@@ -125,7 +125,7 @@ def leftover_spectrum(inputs: np.ndarray, output: np.ndarray) -> LeftoverSpectru
         freedom.append(2 * free)
         measured.append(float(np.mean(np.abs(y[start:end]) ** 2)))
     columns = (np.array(each, float) for each in (position, power, freedom, measured))
-    return _join_bands(LeftoverSpectrum(*columns), MOST_BANDS)
+    return LeftoverSpectrum(*columns)
 
 
 # Shares of half the sampling rate above which a band without signal is looked for, the widest first.
@@ -137,15 +137,14 @@ SIGNAL_SHARE = 4.0
 
 def spectral_level(spectra: list[LeftoverSpectrum], rounding: float = 0.0) -> SpectralLevel:
     """The noise of a sensor from what is left of its records, whose numbers have an error of rounding of this standard deviation."""
-    frequency, power, freedom, measured = (
-        np.concatenate([getattr(s, name) for s in spectra]) for name in ("frequency", "power", "freedom", "measured")
-    )
+    frequency, power, freedom, measured = _concatenate([_join_bands(s, MOST_BANDS) for s in spectra])
     is_filtered = _is_filtered(frequency, power, freedom, rounding)
     without_signal = measured <= SIGNAL_SHARE * power
     most = _most_of_a_sensor(frequency, power, freedom)
     for begin in NOISE_BAND_BEGINS:
         if begin and is_filtered:  # the upper bands alone show what a filter left there
-            most = _most_of_a_filter(frequency, power, freedom)
+            # a filter may act far below half the sampling rate: its pass band is seen in bands as narrow as they come
+            most = _most_of_a_filter(*_concatenate(spectra)[:3], rounding)
             break
         band = frequency >= begin * np.pi
         level = _fit_sensor(frequency[band], power[band], freedom[band])
@@ -184,6 +183,14 @@ def _is_filtered(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, 
         # Two mean powers of the same noise have a ratio of Fisher's distribution.
         chances.append(fdtr(freedom[upper].sum(), freedom[lower].sum(), high / low) if low > 0 else 1.0)
     return max(chances) <= FALL_CHANCE
+
+
+def _concatenate(spectra: list[LeftoverSpectrum]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Frequency, power, freedom and measured power of all bands."""
+    frequency, power, freedom, measured = (
+        np.concatenate([getattr(s, name) for s in spectra]) for name in ("frequency", "power", "freedom", "measured")
+    )
+    return frequency, power, freedom, measured
 
 
 def _join_bands(spectrum: LeftoverSpectrum, most: int) -> LeftoverSpectrum:
@@ -250,33 +257,58 @@ def _fit_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -
 LOWEST_BAND_CHANCE = 0.2
 
 
+def _allow_for_chance(power: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """The power of each band that its measured power hardly ever falls short of: the lowest of many bands is low by chance."""
+    return power * freedom / chdtri(freedom, 1 - LOWEST_BAND_CHANCE / len(power))
+
+
 def _most_of_a_sensor(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -> float:
     """The largest standard deviation of a sensor whose spectrum nowhere exceeds what is left."""
-    # The lowest of many bands is low by chance: each counts as what one of them hardly ever falls short of.
-    power = power * freedom / chdtri(freedom, 1 - LOWEST_BAND_CHANCE / len(power))
+    power = _allow_for_chance(power, freedom)
     correlations = np.linspace(0.0, NOISE_LONGEST_CORRELATION, CORRELATION_STEPS)
     most = max(float(np.min(power / sensor_shape(frequency, c))) for c in correlations)
     return float(np.sqrt(most))
 
 
-# Lowest corner of a filter, as a share of half the sampling rate: its noise remembers twenty samples, as the longest of a sensor does.
-LOWEST_CORNER = 0.05
+# Corners of the filters that are tried in each octave.
+CORNERS_AN_OCTAVE = 12
 # Orders of the filters that are tried: from the gentlest to one that is as good as a cut.
 FILTER_ORDERS: tuple[int, ...] = (1, 2, 4, 8, 32)
+# Lowest corner, as a share of half the sampling rate, that is tried of any filter: its noise remembers twenty samples, as the longest of a
+# sensor does.
+LOWEST_CORNER = 0.05
+# Order of the steepest fall that motion leaves: a force that jumps moves a mass by its reciprocal over the cube of the frequency. What
+# falls more steeply is the flank of a filter, whose pass band lies lower.
+MOTION_ORDER = 3
 
 
-def _most_of_a_filter(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray) -> float:
-    """The largest standard deviation of white noise behind a filter whose spectrum nowhere exceeds what is left."""
-    corners = np.geomspace(LOWEST_CORNER, 1.0, CORRELATION_STEPS, endpoint=False)
-    most = 0.0
-    for corner in corners:
+def _most_of_a_filter(frequency: np.ndarray, power: np.ndarray, freedom: np.ndarray, rounding: float) -> float:
+    """The largest standard deviation of white noise behind a filter whose spectrum nowhere exceeds what is left.
+
+    The lower the corner, the more noise a flank allows: corners are tried down to `LOWEST_CORNER`, and on as long as what is left shows
+    the rounding of the numbers or the flank of a filter. Where this goes on to the lowest band the noise is at most all that is left.
+    """
+    left = float(np.average(power, weights=freedom))
+    power = _allow_for_chance(power, freedom)
+    # prewarped frequencies of the bilinear transform
+    warped = np.log(np.tan(frequency / 2))
+    # variance that noise with a corner has at most; on a flank of order n it grows by 2^(2 n) / 2 in an octave
+    steepest = 2.0 ** (2 * MOTION_ORDER - 1)
+    most: list[float] = []
+    corner = np.pi
+    while (corner := corner * 2 ** (-1 / CORNERS_AN_OCTAVE)) > frequency.min():
+        variance = 0.0
         for order in FILTER_ORDERS:
-            # Butterworth's, sampled by the bilinear transform
-            above = np.tan(frequency / 2) / np.tan(np.pi * corner / 2)
-            shape = 1 / (1 + above ** (2 * order))
+            # Butterworth's filter, |H|^2 = 1 / (1 + (w / wc)^(2 n))
+            shape = expit(-2 * order * (warped - np.log(np.tan(corner / 2))))
             passed = float(np.average(shape, weights=freedom))
-            most = max(most, passed * float(np.min(power / np.maximum(shape, TINY))))
-    return float(np.sqrt(most))
+            variance = max(variance, passed * float(np.min(power / np.maximum(shape, TINY))))
+        most.append(variance)
+        before, octave = max(most[:-CORNERS_AN_OCTAVE][-1:], default=0.0), max(most[-CORNERS_AN_OCTAVE:])
+        is_flank = octave > steepest * before or octave <= (ROUNDING_FLOOR * rounding) ** 2
+        if corner <= LOWEST_CORNER * np.pi and not is_flank:
+            return float(np.sqrt(min(max(most), left)))
+    return float(np.sqrt(left))
 
 
 # The noise level of a sensor from the record itself, where it is not given.

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, lfilter, sosfiltfilt
 
 from greybox import Balance, Input, Model, Output, Parameter, State
 from greybox.data.experiment import Experiment
@@ -159,6 +159,30 @@ def test_what_a_filter_took_away_says_nothing_of_what_it_let_through(plant, kind
     assert estimate_noise(model(), [record], {}).bound("y").ceiling > 0.008
 
 
+@pytest.mark.parametrize(("kind", "written"), [("steps", None), ("steps", "%.8g"), ("slow multisine", "%.8g")])
+@pytest.mark.parametrize("corner", [0.01, 0.02, 0.05])
+def test_a_filter_far_below_half_the_sampling_rate_hides_no_noise_of_its_pass_band(corner, kind, written):
+    rng = np.random.default_rng(17)
+    sections = butter(4, corner, output="sos")
+    make, _ = SIGNALS[kind]
+    u = make(rng, 0.002 if kind == "steps" else 0.01)
+    noise = sosfiltfilt(sections, rng.normal(size=ROWS + 2000))[1000:-1000]
+    y = sosfiltfilt(sections, resonance(u, 0.05, 0.3))
+    y = y / y.std() + 0.01 * noise / noise.std()
+    bound = bound_of(u, y if written is None else np.array([float(written % value) for value in y]))
+    assert bound.direction is BoundDirection.AT_MOST and bound.level > 0.008
+
+
+def test_a_pass_band_that_is_resolved_bounds_the_noise_closely():
+    rng = np.random.default_rng(18)
+    sections = butter(4, 0.02, output="sos")
+    u = rng.normal(size=40000)
+    noise = sosfiltfilt(sections, rng.normal(size=len(u) + 2000))[1000:-1000]
+    y = sosfiltfilt(sections, resonance(u, 0.05, 0.3))
+    bound = bound_of(u, y / y.std() + 0.01 * noise / noise.std())
+    assert 0.008 < bound.level < 0.02
+
+
 def test_a_filtered_output_does_not_outweigh_an_unfiltered_one():
     rng = np.random.default_rng(10)
     u = multisine(rng, 0.05)
@@ -184,6 +208,10 @@ def test_written_digits_are_a_grid():
     rng = np.random.default_rng(12)
     assert estimate_written_step([np.round(rng.normal(size=500), 4)]) == pytest.approx(1e-4)
     assert estimate_written_step([rng.normal(size=500)]) == 0.0
+    # Six significant digits: of 0.1 to 1 the sixth is 1e-6.
+    written = [np.array([float(f"{value:.6g}") for value in rng.uniform(low, 10 * low, 500)]) for low in (0.1, 0.01)]
+    assert estimate_written_step(written[:1]) == pytest.approx(1e-6)
+    assert estimate_written_step(written) == pytest.approx(np.sqrt((1e-12 + 1e-14) / 2))
     assert estimate_written_step([np.array([0.0, 1.0])]) == 0.0
 
 
