@@ -188,16 +188,21 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
         ratios = compute_noise_ratios(optimum.problem, misfit)
     if not ratios:
         return ()
-    worst = max(ratios, key=lambda name: ratios[name])
     if isinstance(optimum, PredictionOptimum):
+        worst = max(ratios, key=lambda name: ratios[name])
         both = {"one_step": ratios[worst], "free_run": misfit[worst].noise_ratio}
         return (Finding(EstimationCode.PREDICTION_RATIO, Severity.NOTE, worst, both),)
+    noise = optimum.problem.noise
+    # A level that is the residual's own is its ceiling already: the bound is of before the fit.
+    ceilings = {
+        name: 1.0 if noise.sources.get(name) is NoiseSource.RESIDUAL else noise.ceiling_ratio(name) for name in ratios
+    }
+    # The worst output is the one with the largest ratio that is told: at least so many times a noise that has no more than a ceiling.
+    worst = max(ratios, key=lambda name: ratios[name] / ceilings[name])
     values: dict[str, Any] = {"ratio": ratios[worst], "without_outliers": bool(optimum.problem.loss)}
-    noise, bound = optimum.problem.noise, optimum.problem.noise.bound(worst)
+    bound = noise.bound(worst)
     if bound is not None and bound.direction is BoundDirection.AT_MOST:
-        # A level that is the residual's own is its ceiling already: the bound is of before the fit.
-        ceiling = 1.0 if noise.sources.get(worst) is NoiseSource.RESIDUAL else noise.ceiling_ratio(worst)
-        values["least_ratio"] = ratios[worst] / ceiling
+        values["least_ratio"] = ratios[worst] / ceilings[worst]
     return (Finding(EstimationCode.MISFIT_RATIO, Severity.NOTE, worst, values),)
 
 

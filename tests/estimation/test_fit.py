@@ -13,6 +13,7 @@ from greybox.base.errors import DataError, FitError, ModelError
 from greybox.base.findings import Finding
 from greybox.data.experiment import Experiment
 from greybox.data.findings import RecordCode
+from greybox.data.noise.noise_model import WHITE, BoundDirection, NoiseBound, NoiseModel, NoiseSource
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
@@ -279,7 +280,9 @@ def test_a_wrong_model_says_so_beside_its_status():
     assert {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.RESIDUAL_CORRELATED} <= codes(bad.findings)
 
 
-def test_a_true_model_of_a_filtered_record_lacks_nothing():
+def sprung_mass():
+    """A mass on a spring and damper whose displacement and speed are measured, and 12 s of steps of force."""
+
     def balances(x, u, p):
         return [
             Balance("pos", "m/s", 1, "x", v=x.v),
@@ -289,17 +292,34 @@ def test_a_true_model_of_a_filtered_record_lacks_nothing():
     states = [State("x", "m"), State("v", "m/s")]
     outputs = [Output("x", "m"), Output("v", "m/s", lambda x, u, p: x.v)]
     parameters = [Parameter("M", "kg", 1.0, fixed=True), Parameter("B", "N*s/m", 2.0), Parameter("K", "N/m", 20.0)]
-    model = Model("spring", states, [Input("F", "N")], outputs, parameters, balances)
+    model = Model("sprung_mass", states, [Input("F", "N")], outputs, parameters, balances)
     rng = np.random.default_rng(3)
     record = Experiment("r", 0.002 * np.arange(6000), {"F": np.repeat(rng.normal(size=30), 200)}, {})
-    run = simulate(model, record).outputs
+    return model, record.with_outputs(simulate(model, record).outputs), rng
+
+
+def test_a_true_model_of_a_filtered_record_lacks_nothing():
+    model, clean, rng = sprung_mass()
     # A filter of 5 Hz, far below half the sampling rate, over signal and noise.
-    filtered = sosfiltfilt(butter(4, 5, fs=500, output="sos"), run["x"] + 5e-3 * rng.normal(size=6000))
-    record = record.with_outputs({"x": filtered, "v": run["v"] + 0.02 * rng.normal(size=6000)})
+    filtered = sosfiltfilt(butter(4, 5, fs=500, output="sos"), clean.outputs["x"] + 5e-3 * rng.normal(size=6000))
+    record = clean.with_outputs({"x": filtered, "v": clean.outputs["v"] + 0.02 * rng.normal(size=6000)})
     found = fit(model.start(B=1.0, K=15.0), record, options=FitOptions(at_rest=True))
     assert found.misfit_at_least["x"] < 1.3
     wrong = {EstimationCode.MISFIT_ABOVE_NOISE, EstimationCode.MISFIT_ABOVE_DIFFERENCE_NOISE}
     assert not (wrong | {EstimationCode.PARAMETER_NOT_CONSTANT}) & codes(found.findings)
+
+
+def test_the_worst_output_is_the_one_with_the_largest_ratio_that_is_told():
+    model, clean, rng = sprung_mass()
+    noisy = {name: clean.outputs[name] + std * rng.normal(size=6000) for name, std in {"x": 0.01, "v": 0.02}.items()}
+    # Of x no more than a ceiling is known: it is weighed with a fifth of its noise, which is 0.8 of the ceiling.
+    bounds = {"x": NoiseBound(0.0125, BoundDirection.AT_MOST, NoiseSource.SPECTRUM)}
+    sources = {"x": NoiseSource.SPECTRUM, "v": NoiseSource.FLAT_PIECES}
+    noise = NoiseModel(("x", "v"), np.array([0.002, 0.022]), sources, (WHITE, WHITE), False, bounds)
+    found = fit(model, clean.with_outputs(noisy), noise=noise, options=FitOptions(at_rest=True))
+    (ratio,) = found.solver.details
+    assert ratio.subject == "v" and ratio.values["ratio"] == pytest.approx(0.909, rel=0.05)
+    assert found.misfit_at_least["x"] == pytest.approx(0.8, rel=0.05) and found.misfit["x"].noise_ratio > 4
 
 
 def test_a_column_in_another_unit_or_of_the_other_sign_is_no_plant_of_this_model():

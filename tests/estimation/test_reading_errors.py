@@ -94,6 +94,15 @@ def test_a_residual_of_stamps_with_jitter_tells_how_far_they_are_off():
     assert EstimationCode.RESIDUAL_OF_JITTER not in codes(gb.fit(MASS, record(force, states[:, 0], 1e-3)))
 
 
+def test_what_looks_like_stamps_that_are_off_by_more_than_a_step_is_no_jitter():
+    force, states = pushed()
+    off = np.random.default_rng(2).normal(size=ROWS)
+    for steps, is_jitter in (0.5, True), (1.5, False):
+        late = states[:, 0] + states[:, 1] * steps * PERIOD * off
+        found = gb.fit(MASS, record(force, late, 2e-4), noise={"x": 1e-3})
+        assert (EstimationCode.RESIDUAL_OF_JITTER in codes(found)) == is_jitter
+
+
 def test_noise_that_is_constant_or_grows_with_the_reading_is_no_jitter():
     _, states = pushed()
     position, speed = states.T

@@ -208,7 +208,7 @@ def analyse_problem(
     constants = _estimate_precision(problem, information, samples)
     findings: list[Finding] = []
     if structure and total < structure.rank:
-        figures = {"structure": structure.rank, "records": total}
+        figures = {"structure": structure.rank, "records": total, "driven": bool(problem.model.inputs)}
         findings.append(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, Severity.WARNING, values=figures))
     if averaged:
         figures = {"averaged": averaged, "total": total}

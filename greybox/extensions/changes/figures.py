@@ -10,7 +10,7 @@ from greybox.base.figure import Axis, Band, Curve, Figure, Height, Panel, Points
 from greybox.extensions.changes.result import ChangeDetection
 from greybox.extensions.changes.sentences import is_determined
 from greybox.show.figures.figure import typeset_unit
-from greybox.show.sentences.wording import join_names
+from greybox.show.sentences.wording import join_names, percent_text
 
 
 def plot_changes(change: ChangeDetection) -> Figure | None:
@@ -31,7 +31,7 @@ def plot_changes(change: ChangeDetection) -> Figure | None:
     panel = Panel(
         "changes", tuple(series), Axis(scale=Scale.CATEGORY), Axis("change since the fit", "%"), height=Height.MEDIUM
     )
-    description = "; ".join(f"{name} {size:+.3g} %" for name, size in percent.items())
+    description = "; ".join(f"{name} {'+' * (size > 0)}{percent_text(size / 100)}" for name, size in percent.items())
     missing = [n for n in change.constants if n not in shown]
     return Figure(
         "changes",

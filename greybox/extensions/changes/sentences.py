@@ -16,6 +16,7 @@ from greybox.show.sentences.wording import (
     count_noun,
     join_names,
     make_formatter,
+    percent_text,
     record_text,
     spread_text,
     value_with_unit,
@@ -31,8 +32,7 @@ def share_of(change: float, before: float, unit: str, beside: float = math.inf) 
     if not before:
         return value_with_unit(abs(change), unit, 2)
     percent, apart = 100 * abs(change / before), 100 * abs(beside / before)
-    fine = make_formatter(percent, apart)(percent) if 0 < apart < percent else f"{percent:.2g}"
-    return f"{fine} %"
+    return f"{make_formatter(percent, apart)(percent)} %" if 0 < apart < percent else percent_text(percent / 100, 2)
 
 
 def _nothing_changed(finding: Finding) -> str:

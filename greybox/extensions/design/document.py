@@ -21,6 +21,7 @@ from greybox.show.sentences.wording import (
     join_names,
     limit_text,
     make_formatter,
+    percent_text,
     quantity_text,
     value_with_unit,
     with_unit,
@@ -91,7 +92,7 @@ def _brings(design: Design) -> Iterator[str]:
         size = f"{sizes[0]:.2g}" if len(sizes) == 1 else f"{sizes[0]:.2g} to {sizes[-1]:.2g}"
         yield f"With it, the intervals of {join_names(list(shares))} shrink to {size} of what they are."
     elif least:
-        known_to = f"With it, every constant is known to {100 * relative[least]:.2g} % or better"
+        known_to = f"With it, every constant is known to {percent_text(relative[least], 2)} or better"
         yield f"{known_to} (standard deviation); {least} is the least certain."
 
 
@@ -209,7 +210,7 @@ def _experiments(campaign: Campaign) -> TableBlock:
         row.append(name_explanation(step.effects) if known else "not measured")
         row.append(", ".join(map(name_explanation, step.alternatives)) or "none")
         row.append(f"{step.misfit:.3g} x noise" if known else "")
-        row.append(("open" if isinf(width) else f"{100 * width:.2g} %") if known else "")
+        row.append(("open" if isinf(width) else percent_text(width, 2)) if known else "")
         rows.append(row)
     head = ["experiment", "for", "input", "verdict", "explanation", "others left", "misfit", "widest interval"]
     return TableBlock("The experiments, in their order", head, rows)
@@ -223,7 +224,7 @@ def _widths(campaign: Campaign) -> Iterator[TableBlock]:
     rows: list[list[str]] = []
     for name in names:
         widths = [step.widths.get(name) for step in measured]
-        shares = ("-" if w is None else "open" if isinf(w) else f"{100 * w:.2g} %" for w in widths)
+        shares = ("-" if w is None else "open" if isinf(w) else percent_text(w, 2) for w in widths)
         rows.append([name, *shares, values.get(name, "")])
     head = ["parameter", *(f"experiment {step.number}" for step in measured), "value"]
     caption = (

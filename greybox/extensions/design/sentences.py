@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from greybox.base import Finding
 from greybox.extensions.design.problem import CampaignCode, DesignCode
 from greybox.show.sentences.registry import register
-from greybox.show.sentences.wording import join_names
+from greybox.show.sentences.wording import join_names, percent_text
 
 
 def _not_determined(finding: Finding) -> str:
@@ -24,7 +24,7 @@ def name_explanation(effects: Sequence[str]) -> str:
 
 def _one_left(finding: Finding) -> str:
     width = finding.values["width"]
-    intervals = f"; its widest 95 % interval is {100 * width:.2g} % to each side" if width is not None else ""
+    intervals = f"; its widest 95 % interval is {percent_text(width, 2)} to each side" if width is not None else ""
     return f"one explanation is left: {name_explanation(finding.values['effects'])}{intervals}"
 
 

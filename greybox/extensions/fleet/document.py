@@ -18,6 +18,7 @@ from greybox.show.sentences.wording import (
     format_number,
     format_with_std,
     make_formatter,
+    percent_text,
     spread_text,
     with_unit,
 )
@@ -108,7 +109,7 @@ def _distribution_row(name: str, constant: ConstantDistribution) -> list[str]:
         return [name, "", "", "", "", records]
     unit = "" if constant.unit == "1" else constant.unit
     write = make_formatter(constant.median, (constant.high - constant.low) / 10)
-    left_open = f"{100 * constant.std / constant.median:.2g} %" if constant.relative else f"{constant.std:.2g}"
+    left_open = percent_text(constant.std / constant.median, 2) if constant.relative else f"{constant.std:.2g}"
     return [
         name,
         with_unit(write(constant.median), unit),

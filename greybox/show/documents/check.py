@@ -18,7 +18,7 @@ from greybox.show.figures.fit import plot_intervals
 from greybox.show.figures.records import plot_inputs, plot_outputs
 from greybox.show.sentences.identifiability import describe_inputs, describe_verdict
 from greybox.show.sentences.model import write_places
-from greybox.show.sentences.wording import capitalise, format_number, join_names, record_text
+from greybox.show.sentences.wording import capitalise, format_number, join_names, percent_text, record_text
 
 
 def describe_check(check: ModelCheck, *, command: str = "") -> doc.Document:
@@ -166,7 +166,7 @@ def _precision_table(check: ModelCheck) -> doc.TableBlock:
 def _expected(c: ExpectedPrecision) -> list[str]:
     if c.std is None:
         return [format_number(c.value), "", c.unit, "not determined"]
-    share = f" ({100 * c.std / abs(c.value):.2g} %)" if c.value else ""
+    share = f" ({percent_text(c.std / abs(c.value), 2)})" if c.value else ""
     remark = "not determined" if not c.determined else "only by averaging" if c.averaged else ""
     return [format_number(c.value), f"{format_number(c.std, 2)}{share}", c.unit, remark]
 
@@ -179,7 +179,7 @@ def _combinations(check: ModelCheck) -> Iterator[doc.Facts]:
         ("only by averaging the noise", _formulas(practical.by_averaging)),
         (
             "least precise combination",
-            f"{', '.join(practical.weakest)} ({100 * practical.weakest_std:.2g} %)" if practical.weakest else "",
+            f"{', '.join(practical.weakest)} ({percent_text(practical.weakest_std, 2)})" if practical.weakest else "",
         ),
     ]
     if not check.complete and any(text for _, text in facts):
@@ -189,7 +189,7 @@ def _combinations(check: ModelCheck) -> Iterator[doc.Facts]:
 
 
 def _formulas(combinations: Mapping[str, float]) -> str:
-    return ", ".join(f"{text} ({100 * std:.2g} %)" for text, std in combinations.items())
+    return ", ".join(f"{text} ({percent_text(std, 2)})" for text, std in combinations.items())
 
 
 def _structure(check: ModelCheck) -> Iterator[doc.Block]:

@@ -18,7 +18,14 @@ from greybox.show.figures.figure import stretches_on_page
 from greybox.show.figures.records import SIGNAL_ON_PAGE, plot_inputs, plot_residual, plot_run, plot_spectrum
 from greybox.show.sentences.estimation import list_tests_not_made, residual_tests_tables
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import count_noun, format_number, format_with_std, join_names, record_text
+from greybox.show.sentences.wording import (
+    count_noun,
+    format_number,
+    format_with_std,
+    join_names,
+    percent_text,
+    record_text,
+)
 
 
 def describe_fit(
@@ -164,7 +171,7 @@ def _determined(fit: Fit, undetermined: list[str]) -> str:
     if undetermined:
         return f"The records do not determine {join_names(undetermined)}: the 95 % interval exceeds half the value."
     widths = [half for name in free if (half := figures.relative_half_width(fit.parameters[name])) is not None]
-    reaches = f" 95 % interval reaches {max(widths):.2g} % to either side" if widths else ""
+    reaches = f" 95 % interval reaches {percent_text(max(widths) / 100, 2)} to either side" if widths else ""
     if len(free) == 1:
         return f"{free[0]} is determined{reaches and f'; its{reaches}'}."
     return f"All {len(free)} fitted parameters are determined{reaches and f'; the widest{reaches}'}."
@@ -240,7 +247,7 @@ def _priors(fit: Fit) -> Iterator[doc.TableBlock]:
     for name, c in fit.constraints.priors.items():
         conflict = "" if c.conflict is None else f"{format_number(abs(c.conflict), 2)} std"
         factor = "" if c.factor is None or c.factor_std is None else format_with_std(c.factor, c.factor_std)
-        reduction = f"{100 * c.variance_reduction:.3g} %"
+        reduction = percent_text(c.variance_reduction, 3)
         rows.append(
             [name, format_with_std(c.mean, c.std), f"{format_number(c.shift, 2)} std", reduction, conflict, factor]
         )

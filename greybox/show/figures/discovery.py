@@ -27,7 +27,7 @@ from greybox.discovery.localisation import ResidualLocalisation, estimate_residu
 from greybox.show.figures.figure import draw_sizes, scale_to_prefix, size_axis, typeset_exponents
 from greybox.show.figures.records import FREQUENCY, TIME
 from greybox.show.sentences.discovery import surrogate_title
-from greybox.show.sentences.wording import capitalise, change_text, value_with_unit
+from greybox.show.sentences.wording import capitalise, change_text, percent_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.discovery import Dependence, Discovery, EffectSignal, HoldoutError, Surrogate
@@ -88,7 +88,7 @@ def _error_text(size: float, error: HoldoutError) -> str:
     """An error beside its bar: over the noise where that is known, else its share of the plain model's error."""
     if error.is_floor_known:
         return typeset_exponents(f"{size / error.floor:.3g} × noise")
-    return f"{100 * size / error.before:.3g} %"
+    return percent_text(size / error.before, 3)
 
 
 def plot_effect_signal(signal: EffectSignal, name: str) -> Figure:

@@ -17,6 +17,7 @@ from greybox.estimation import Estimate, Fit
 from greybox.estimation.residuals import ResidualSeries, ResidualTest, ResidualTestKind, ResidualTests, measure_mean
 from greybox.show.figures.figure import choose_evenly, draw_over_time
 from greybox.show.sentences.estimation import name_test
+from greybox.show.sentences.wording import percent_text
 
 
 def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> fig.Figure:
@@ -238,14 +239,17 @@ def plot_intervals(percent: Mapping[str, float], caption: str) -> fig.Figure | N
         return None
     ranked = dict(sorted(percent.items(), key=lambda item: item[1]))
     sizes = np.array(list(ranked.values()))
-    marks = fig.Points(sizes, list(ranked), fig.Role.RESIDUAL, size=11, texts=[f"{p:.2g} %" for p in sizes])
+    marks = fig.Points(sizes, list(ranked), fig.Role.RESIDUAL, size=11, texts=[percent_text(p / 100, 2) for p in sizes])
     limits = 10 ** (math.log10(sizes[0]) - 0.3), 10 ** (math.log10(sizes[-1]) + 0.7)
     x = fig.Axis("half width of the 95 % interval", "% of the value", fig.Scale.LOG, limits)
     panel = fig.Panel(
         "intervals", (marks,), x, fig.Axis(scale=fig.Scale.CATEGORY, reversed=True), height=fig.Height.PER_CATEGORY
     )
     return fig.Figure(
-        "intervals", (panel,), caption, ("; ".join(f"{name} {width:.3g} %" for name, width in ranked.items()),)
+        "intervals",
+        (panel,),
+        caption,
+        ("; ".join(f"{name} {percent_text(width / 100)}" for name, width in ranked.items()),),
     )
 
 

@@ -12,7 +12,7 @@ from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences.registry import register, renders, sentences
-from greybox.show.sentences.wording import count_noun
+from greybox.show.sentences.wording import count_noun, percent_text
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -105,8 +105,8 @@ _SOURCES = {"column": "mean of its column", "comment": "from a comment of the fi
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
     RecordCode.INPUT_FOLLOWS_OUTPUT: lambda f: (
-        f"input {f.subject!r} follows output {f.values['output']!r}: past readings tell {100 * f.values['share']:.2g} % of what its own"
-        " past leaves open, as in a closed loop; a disturbance that nobody measured then acts on the input too, and what is said of the"
+        f"input {f.subject!r} follows output {f.values['output']!r}: past readings tell {percent_text(f.values['share'], 2)} of what its"
+        " own past leaves open, as in a closed loop; a disturbance that nobody measured then acts on the input too, and what is said of the"
         " input may be the disturbance's"
     ),
     RecordCode.OUTPUT_CONSTANT: "{kind} '{subject}' is constant at {value:g}: a constant signal carries no information; leave"

@@ -22,6 +22,7 @@ from greybox.show.sentences.wording import (
     change_text,
     count_noun,
     join_names,
+    percent_text,
     quantity_text,
     value_with_unit,
     with_unit,
@@ -31,12 +32,6 @@ if TYPE_CHECKING:
     from greybox.discovery import Claim, Dependence, EffectTest, HoldoutError, Refinement, RefinementStep, Surrogate
     from greybox.discovery.false_names import FalseNameRate
     from greybox.discovery.localisation import MisfitTiming, ResidualLocalisation
-
-
-def _percent(share: float, digits: int = 3) -> str:
-    """A share in percent with so many digits, more where the whole percents need them: never as a power of ten."""
-    whole = len(f"{abs(100 * share):.0f}")
-    return f"{100 * share:.{max(digits, whole)}g} %"
 
 
 # Shapes and dependences
@@ -157,7 +152,7 @@ def _surrogate_title(values: Mapping[str, Any]) -> str:
 
 def explained_share_text(share: float) -> str:
     """``takes away 98.8 % of the error``; a model with a larger error than the plain one takes nothing."""
-    return f"takes away {_percent(share)} of the error" if share > 0 else "takes away none of the error"
+    return f"takes away {percent_text(share)} of the error" if share > 0 else "takes away none of the error"
 
 
 @renders("Surrogate")
@@ -199,7 +194,7 @@ def _effect_test(test: EffectTest) -> str:
     decision = "keep it: the records require it" if test.is_needed else "omit it: the records do not require it"
     lines = [f"{test.name}: {decision}"]
     lines += [f"  {sentence(check)}" for check in test.checks]
-    lines.append(f"  explains {_percent(test.explained_fraction)} of the misfit above the noise")
+    lines.append(f"  explains {percent_text(test.explained_fraction)} of the misfit above the noise")
     names = test.larger.model.names_of(test.name)
     for name, in_model in names.items():
         estimate = test.larger.parameters.get(in_model)
@@ -335,8 +330,8 @@ def _claim_established(finding: Finding) -> str:
 def _within_sensor_class(finding: Finding) -> str:
     v = finding.values
     return (
-        f"It may be a sensor that is off: what is missing is {100 * v['size']:.2g} % of the range of {finding.subject}, and a sensor is"
-        f" commonly off by up to {100 * v['limit']:g} %."
+        f"It may be a sensor that is off: what is missing is {percent_text(v['size'], 2)} of the range of {finding.subject}, and a sensor"
+        f" is commonly off by up to {100 * v['limit']:g} %."
     )
 
 
@@ -366,7 +361,7 @@ def _error_reduced(finding: Finding) -> str:
         return f"On the validation records the run of the plain model goes astray; with {effects} the error in {finding.subject} is {left}."
     return (
         f"The error in {finding.subject} on the validation records falls from {change_text(v['before'], v['after'], v['unit'])}"
-        f" ({_percent(v['share'], 2)} less) with {effects}."
+        f" ({percent_text(v['share'], 2)} less) with {effects}."
     )
 
 
@@ -594,7 +589,7 @@ register(
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
             f"{f.subject} is run from outside: effects at its inputs were seen through a linear response that follows"
-            f" {100 * f.values['share']:.3g} % of its own, and those that were found are fitted with the plant itself"
+            f" {percent_text(f.values['share'], 3)} of its own, and those that were found are fitted with the plant itself"
         ),
         DiscoveryCode.NO_INPUT_RESPONSE: "no effect at an input of {subject} was tried: no linear response to its inputs could be found",
         DiscoveryCode.PLANT_DISAGREES: lambda f: (
@@ -610,11 +605,11 @@ register(
             f"the family of the effect is certain, but its shape differs from {f.subject}: {' + '.join(f.values['correction'])} corrects it"
         ),
         DiscoveryCode.DISCRIMINATING_EXPERIMENT: lambda f: (
-            f"{_INPUTS[f.values['experiment']]}, with {' and '.join(f.values['measured'])} measured, would separate {f.subject} (expected"
-            f" chi-square {f.values['cost']:.3g})"
+            f"{_INPUTS[f.values['experiment']]}, with {' and '.join(f.values['measured'])} measured, would separate {f.subject} from the"
+            f" selected model (expected chi-square {f.values['cost']:.3g})"
         ),
-        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} with these"
-        " sensors (chi-square {cost:.2g} at best)",
+        DiscoveryCode.NO_DISCRIMINATING_EXPERIMENT: "no simulated experiment would separate {subject} from the selected model"
+        " with these sensors (chi-square {cost:.2g} at best)",
         DiscoveryCode.DETECTION_LIMIT: _detection_limit,
         # Why an effect was not tried.
         DiscoveryCode.NO_PLACE: "the model has no place for it: {reason}",
@@ -660,8 +655,9 @@ register(
         DiscoveryCode.SUSPECT_MEMORY: "record the same motion slowly and fast, and at two amplitudes: no function of one variable"
         " explains the missing signal, so the effect may have memory (play, hysteresis, creep, a part with its own motion)",
         DiscoveryCode.LOOK_AT_STRETCH: lambda f: (
-            f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}: {_percent(f.values['share'], 2)}"
-            f" of the misfit lies in {_percent(f.values['time_share'], 2)} of the time, so something acts then that the model does not have"
+            f"look at what happens from {f.values['start']:.4g} to {f.values['end']:.4g} s of {f.subject}:"
+            f" {percent_text(f.values['share'], 2)} of the misfit lies in {percent_text(f.values['time_share'], 2)} of the time, so"
+            " something acts then that the model does not have"
         ),
         DiscoveryCode.TRACE_LOOP: lambda f: (
             f"record {f.subject} up and down over its range, once slowly and once fast: the missing signal differs between the way up and"
@@ -669,7 +665,7 @@ register(
         ),
         DiscoveryCode.TRACE_CURVE: lambda f: (
             f"record {f.subject} slowly over its whole range: the missing signal is a function of it (explains"
-            f" {_percent(f.values['share'], 2)}), and there its curve shows by itself"
+            f" {percent_text(f.values['share'], 2)}), and there its curve shows by itself"
         ),
         DiscoveryCode.SUSPECT_PERIODIC_PART: "look for magnets, teeth, a thread or a bearing with a period of {period:.3g} {unit}: the"
         " missing signal is periodic in {subject}",
@@ -681,7 +677,7 @@ register(
         " and the rest depends on more than {subject}",
         DiscoveryCode.VARY_OTHER_VARIABLE: lambda f: (
             f"record the same range of {f.subject} at several levels of {f.values['other']}: the curve over {f.subject} explains a part,"
-            f" and the missing signal depends on {f.values['other']} too (explains {_percent(f.values['share'], 2)})"
+            f" and the missing signal depends on {f.values['other']} too (explains {percent_text(f.values['share'], 2)})"
         ),
         DiscoveryCode.MEASURE_MORE: lambda f: (
             f"measure {' and '.join(f.values['outputs'])} as well, to narrow down the site"

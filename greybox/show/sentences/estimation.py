@@ -126,7 +126,9 @@ def _write_point(finding: Finding) -> str:
 
 
 def _write_other_plant(finding: Finding) -> str:
-    listed = ", ".join(f"{percent:.2g} % of {name}" for name, percent in finding.values["best_fit"].items())
+    listed = ", ".join(
+        f"{wording.percent_text(percent / 100, 2)} of {name}" for name, percent in finding.values["best_fit"].items()
+    )
     return (
         f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters; check the units and signs"
         " of the columns, the fixed parameters, and whether this is the right model"
@@ -289,13 +291,18 @@ def _write_process_noise(finding: Finding) -> str:
 
 
 def _write_starts(finding: Finding) -> str:
-    """``18 of 20 starts ended at the best optimum (misfit 1.00 x noise), 2 at a worse one (3.4 x)``."""
+    """``18 of 20 starts ended at the best optimum, 2 at a worse one (misfit 3.4 times as large)``.
+
+    How large the misfit is at the best one stands beside the status.
+    """
     counts, ratios, nowhere = finding.values["counts"], finding.values["ratios"], finding.values["without_result"]
     total = sum(counts) + nowhere
-    parts = [f"{counts[0]} of {total} starts ended at the best optimum (misfit {ratios[0]:.3g} x noise)"]
-    parts += [f"{n} at a worse one ({ratio:.3g} x)" for n, ratio in zip(counts[1:4], ratios[1:4], strict=True)]
+    # over the best one, whose misfit may be as good as none
+    larger = [f"{ratio / ratios[0]:.3g} times as large" if ratios[0] > 0 else "larger" for ratio in ratios]
+    parts = [f"{counts[0]} of {total} starts ended at the best optimum"]
+    parts += [f"{n} at a worse one (misfit {size})" for n, size in zip(counts[1:4], larger[1:4], strict=True)]
     if len(counts) > 4:
-        parts.append(f"{sum(counts[4:])} at still worse ones (from {ratios[4]:.3g} x)")
+        parts.append(f"{sum(counts[4:])} at still worse ones (from {larger[4]})")
     return ", ".join([*parts, f"{nowhere} without a result"] if nowhere else parts)
 
 
@@ -399,13 +406,14 @@ register(
         ),
         EstimationCode.GAIN_IS_UNIT_FACTOR: _write_gain_of_unit,
         EstimationCode.RESIDUAL_OF_STEPS: lambda f: (
-            f"the reading {f.subject} has steps of {f.values['step']:.3g}, which by themselves make {100 * f.values['share']:.2g} % of"
-            " the mean square of its residual: no model does much better"
+            f"the reading {f.subject} has steps of {f.values['step']:.3g}, which by themselves make"
+            f" {wording.percent_text(f.values['share'], 2)} of the mean square of its residual: no model does much better"
         ),
         EstimationCode.RESIDUAL_OF_JITTER: lambda f: (
             f"the residual of {f.subject} grows with the rate at which it moves, as with time stamps that are off by"
-            f" {f.values['jitter']:.2g} s (standard deviation, {100 * f.values['jitter'] / f.values['usual_step']:.2g} % of the step): that"
-            f" makes {100 * f.values['share']:.2g} % of its mean square"
+            f" {f.values['jitter']:.2g} s (standard deviation,"
+            f" {wording.percent_text(f.values['jitter'] / f.values['usual_step'], 2)} of the step): that makes"
+            f" {wording.percent_text(f.values['share'], 2)} of its mean square"
         ),
         EstimationCode.PRIOR_CONFLICT: _write_prior_conflict,
         EstimationCode.PRIORS_OFF_ALIKE: _write_priors_off_alike,
@@ -512,7 +520,7 @@ def _write_growth(noise: FitNoise, output: str) -> str:
     if growth.logarithmic:
         return f"{growth.share:.3g} in log({output}) ({origin.replace('share ', '')})"
     parts = [f"{growth.floor:.3g} {noise.units.get(output, '')}".rstrip()] if growth.floor else []
-    parts += [f"{100 * (growth.share or 0.0):.3g} % of the reading"] if growth.share else []
+    parts += [f"{wording.percent_text((growth.share or 0.0), 3)} of the reading"] if growth.share else []
     return f"{' + '.join(parts)} ({origin})"
 
 
@@ -558,7 +566,7 @@ def _write_strategy(finding: Finding) -> str:
 
 def _write_transcription(name: str, v: Mapping[str, Any]) -> str:
     if name == "single":
-        parts = ", ".join(f"{100 * share:.3g} %" for share in (*(s for s in v["shares"] if s < 1), 1.0))
+        parts = ", ".join(wording.percent_text(share, 3) for share in (*(s for s in v["shares"] if s < 1), 1.0))
         growing = any(share < 1 for share in v["shares"])
         return f"single shooting on a growing record ({parts})" if growing else "single shooting on the whole record"
     if name == "multiple":

@@ -86,8 +86,10 @@ register(
         ),
         IdentifiabilityCode.EXCITATION_BAND_NARROW: "the input excites up to {band:.3g} rad/s, but the fastest mode of the model is"
         " at {fastest:.3g} rad/s; excite up to that frequency",
-        IdentifiabilityCode.RECORDS_SHOW_FEWER: "any record can determine {structure} combinations, these records only {records}: use"
-        " another input or reduce the noise; another sensor does not help",
+        IdentifiabilityCode.RECORDS_SHOW_FEWER: lambda f: (
+            f"any record can determine {f.values['structure']} combinations, these records only {f.values['records']}: use another"
+            f" {'input' if f.values.get('driven', True) else 'initial state'} or reduce the noise; another sensor does not help"
+        ),
         IdentifiabilityCode.AVERAGING_ONLY: "{averaged} of {total} combinations are determined only by averaging the noise, which requires"
         " white noise and a model error far below the noise: do not rely on them",
         IdentifiabilityCode.NO_FREE_CONSTANT: "no parameter is free: nothing to determine",

@@ -12,7 +12,7 @@ from greybox.base.numerics import VANISHED_POLE
 from greybox.estimation.linear.exported_model import ExportFinding
 from greybox.show.sentences.estimation import status_text
 from greybox.show.sentences.registry import register, renders
-from greybox.show.sentences.wording import value_with_unit
+from greybox.show.sentences.wording import percent_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.estimation.linear.model_family import ModelFamily
@@ -176,7 +176,7 @@ def model_family_blocks(family: ModelFamily) -> list[Block]:
             if np.isfinite(bandwidth):
                 largest = family.relative_error(bandwidth * np.geomspace(1e-3, 1, 200))[:, row, column].max()
                 errors.append(
-                    f"response {name} -> {output} up to {bandwidth:.6g} rad/s: within {100 * largest:.3g} % of the nominal one"
+                    f"response {name} -> {output} up to {bandwidth:.6g} rad/s: within {percent_text(largest, 3)} of the nominal one"
                 )
     drawn = ", ".join(family.distribution.names)
     head = f"{len(family.members)} models drawn from the covariance of {drawn} (seed {family.seed})"

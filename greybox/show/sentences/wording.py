@@ -21,11 +21,17 @@ def value_with_unit(value: float, unit: str, digits: int = 3) -> str:
     return with_unit(f"{value:.{digits}g}", unit)
 
 
+def percent_text(share: float, digits: int = 3) -> str:
+    """A share in percent with so many digits, more where the whole percents need them: ``582 %``, never as a power of ten."""
+    whole = len(f"{abs(100 * share):.0f}")
+    return f"{100 * share:.{max(digits, whole)}g} %"
+
+
 def spread_text(spread: float, unit: str, relative: bool) -> str:
     """A standard deviation as ``2.1 %``, or in the unit; one of zero is one that the records do not show."""
     if not spread:
         return "not visible"
-    return f"{100 * spread:.2g} %" if relative else value_with_unit(spread, unit, 2)
+    return percent_text(spread, 2) if relative else value_with_unit(spread, unit, 2)
 
 
 def range_with_unit(low: float, high: float, unit: str) -> str:

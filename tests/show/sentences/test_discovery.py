@@ -11,7 +11,6 @@ from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import MisfitTiming
 from greybox.discovery.refinement import RefinementStep
 from greybox.show.sentences.discovery import (
-    _percent,
     dependence_text,
     explained_share_text,
     false_names_text,
@@ -20,6 +19,7 @@ from greybox.show.sentences.discovery import (
     surrogate_text,
     timing_text,
 )
+from greybox.show.sentences.wording import percent_text
 
 STEP = {
     "variable": "v",
@@ -230,12 +230,12 @@ FINDINGS = [
     (
         Code.DISCRIMINATING_EXPERIMENT,
         *("constant_load", {"experiment": "steps", "measured": ["x", "i"], "cost": 4321.0}),
-        "steps up and down, with x and i measured, would separate constant_load (expected chi-square 4.32e+03)",
+        "steps up and down, with x and i measured, would separate constant_load from the selected model (expected chi-square 4.32e+03)",
     ),
     (
         Code.NO_DISCRIMINATING_EXPERIMENT,
         *("constant_load", {"experiment": "steps", "measured": ["x"], "cost": 0.0123}),
-        "no simulated experiment would separate constant_load with these sensors (chi-square 0.012 at best)",
+        "no simulated experiment would separate constant_load from the selected model with these sensors (chi-square 0.012 at best)",
     ),
     (
         Code.DETECTION_LIMIT,
@@ -671,4 +671,4 @@ def test_errors_and_steps_fit_on_a_line():
     ("share", "text"), [(0.123, "12 %"), (0.9951, "99.5 %"), (0.996, "99.6 %"), (1.0, "100 %"), (12.345, "1234 %")]
 )
 def test_a_share_is_never_written_as_a_power_of_ten(share: float, text: str) -> None:
-    assert _percent(share, 2) == text
+    assert percent_text(share, 2) == text

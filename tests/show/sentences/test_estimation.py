@@ -428,14 +428,15 @@ GOLDEN = [
         "starts",
         "",
         {"counts": [3, 2, 1], "ratios": [1.0, 3.4, 9.0], "without_result": 1},
-        "3 of 7 starts ended at the best optimum (misfit 1 x noise), 2 at a worse one (3.4 x), 1 at a worse one (9 x), 1 without a result",
+        "3 of 7 starts ended at the best optimum, 2 at a worse one (misfit 3.4 times as large), 1 at a worse one (misfit 9 times as large),"
+        " 1 without a result",
     ),
     (
         "starts",
         "",
         {"counts": [1] * 6, "ratios": [1.0, 2.0, 3.0, 4.0, 5.0, 6.0], "without_result": 0},
-        "1 of 6 starts ended at the best optimum (misfit 1 x noise), 1 at a worse one (2 x), 1 at a worse one (3 x), 1 at a worse one"
-        " (4 x), 2 at still worse ones (from 5 x)",
+        "1 of 6 starts ended at the best optimum, 1 at a worse one (misfit 2 times as large), 1 at a worse one (misfit 3 times as large),"
+        " 1 at a worse one (misfit 4 times as large), 2 at still worse ones (from 5 times as large)",
     ),
 ]
 

@@ -76,6 +76,12 @@ def test_each_code_has_its_sentence(code):
     assert sentence(Finding(code, subject=subject, values=values)) == text
 
 
+def test_a_model_without_an_input_is_not_told_to_use_another_one():
+    values = {"structure": 2, "records": 1, "driven": False}
+    text = sentence(Finding(IdentifiabilityCode.RECORDS_SHOW_FEWER, values=values))
+    assert "use another initial state or reduce the noise" in text and "input" not in text
+
+
 @pytest.mark.parametrize(
     ("closing", "text"),
     [
