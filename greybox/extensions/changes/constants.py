@@ -15,6 +15,7 @@ from greybox.base.linear_algebra import decompose_symmetric, pseudo_inverse
 from greybox.base.numerics import NEARLY_NORMAL
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, join_series
+from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit
 from greybox.estimation.optimum import restore_noise
 from greybox.estimation.options import FitOptions
@@ -35,13 +36,19 @@ class FittedConstants:
     values : array (k,)
         Estimates in their units.
     covariance : array (k, k)
-        On the scale of the comparison; infinite on the diagonal where the records leave a constant open, NaN at a bound.
+        On the scale of the comparison; infinite on the diagonal where the records leave a constant open, NaN at a bound. Constants at
+        their bounds count as free in the variances of the others.
     positive : array (k,)
         Which of them are compared by their logarithm.
     at_bound
         Names of those that were stopped by a bound.
     degrees
         Degrees of freedom of the variance behind the covariance.
+    narrowed
+        Names of those whose intervals rest on others being exactly at their bounds: how far each is known with these free is in its
+        variance, how they then go together is not known.
+    undetermined
+        Names of those whose interval reaches further than half of the value, and of the ``narrowed``.
     """
 
     names: tuple[str, ...]
@@ -51,6 +58,8 @@ class FittedConstants:
     positive: np.ndarray
     at_bound: tuple[str, ...]
     degrees: float
+    narrowed: tuple[str, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     def index(self, names: Sequence[str]) -> list[int]:
         """Positions of these constants."""
@@ -111,13 +120,26 @@ def read_constants(fit: Fit, residual: FittedResidual) -> FittedConstants:
     # A colour that a short record shows by chance may make an interval narrower than a white residual would: not here.
     inflation = np.array([fit.uncertainty.inflation.get(name, 1.0) for name in names])
     slopes /= np.where(inflation > 0, np.minimum(inflation, 1.0), 1.0)
+    # A constant at its bound counts as known in the covariance of the fit; another fit may have it elsewhere.
+    growth = _read_growth(fit)
+    slopes *= np.array([growth.get(name) or 1.0 for name in names])
     covariance = fit.uncertainty.covariance[np.ix_(places, places)] * np.outer(slopes, slopes)
     units = tuple(fit.parameters[name].unit for name in names)
     at_bound = tuple(name for name in names if fit.parameters[name].at_bound)
     # A constant that the records leave open has any value; one at a bound has a covariance that is NaN already.
-    open_ones = [k for k, name in enumerate(names) if fit.parameters[name].std is None and name not in at_bound]
+    is_open = [fit.parameters[name].std is None or growth.get(name, 1.0) is None for name in names]
+    open_ones = [k for k, name in enumerate(names) if is_open[k] and name not in at_bound]
     covariance[open_ones, open_ones] = np.inf
-    return FittedConstants(names, units, values, covariance, positive, at_bound, _degrees(fit, residual))
+    narrowed = tuple(name for name in names if name in growth)
+    undetermined = tuple(name for name in names if name in growth or not fit.parameters[name].determined)
+    degrees = _degrees(fit, residual)
+    return FittedConstants(names, units, values, covariance, positive, at_bound, degrees, narrowed, undetermined)
+
+
+def _read_growth(fit: Fit) -> dict[str, float | None]:
+    """By how much the standard deviation of each narrowed constant grows with those at their bounds free; None where it is open then."""
+    narrowed = [f for f in fit.findings if f.code == EstimationCode.NARROWED_BY_BOUND]
+    return {name: growth for finding in narrowed for name, growth in finding.values["growth"].items()}
 
 
 # Lags at most over which the residual's autocorrelation is summed (Ljung and Box) ...
@@ -219,9 +241,9 @@ class MeasuredScatter:
         Joined from whole records; those of the fits where pieces were measured. Of pairs the scatter of the change alone is known, and
         stands with the second.
     factors : array (k,)
-        By which the standard deviations of single records or pieces are wrong.
+        By which the standard deviations of single records or pieces are wrong; infinite where too few determine the constant.
     degrees
-        Degrees of freedom of the factors.
+        Degrees of freedom of the factors, of the constant that has the fewest.
     yardstick
         What they were measured over.
     """
@@ -344,14 +366,19 @@ def _scatter_by(
     fitted: FittedConstants, covariance: np.ndarray, spread: _Spread, *, values: np.ndarray | None = None
 ) -> FittedConstants:
     """The constants, as uncertain as the covariance widened by the measured factors; with other ``values``, on their scale, if given."""
-    widened = covariance * np.outer(spread.factors, spread.factors)
+    is_measured = np.isfinite(spread.factors)
+    factors = np.where(is_measured, spread.factors, 1.0)
+    widened = covariance * np.outer(factors, factors)
+    # How far it scatters is not known: no change of it can be told from that.
+    widened[~is_measured, ~is_measured] = np.inf
     if values is None:
-        # A constant that the whole record leaves open, or that a bound has stopped, is known no better from its pieces.
-        unknown = np.flatnonzero(~np.isfinite(fitted.variances))
-        widened[unknown, unknown] = fitted.variances[unknown]
+        # A constant that the whole record does not determine, or that a bound has stopped, is known no better from its pieces.
+        unknown = fitted.index(fitted.undetermined)
+        by_pieces, by_whole = np.diag(widened)[unknown], fitted.variances[unknown]
+        widened[unknown, unknown] = np.where(by_whole < by_pieces, by_pieces, by_whole)
         return replace(fitted, covariance=widened, degrees=float(spread.degrees))
     back = np.where(fitted.positive, np.exp(np.where(fitted.positive, values, 0.0)), values)
-    return replace(fitted, values=back, covariance=widened, at_bound=(), degrees=float(spread.degrees))
+    return replace(fitted, values=back, covariance=widened, at_bound=(), degrees=float(spread.degrees), narrowed=())
 
 
 def _estimate_each(
@@ -370,12 +397,15 @@ def _estimate_each(
         if read is None or not (same and (read.positive == constants.positive).all()):
             estimates.append(None)
         else:
+            # What holds only with another constant at its bound is no estimate of this one: the next piece has that off its bound.
+            narrowed = read.index(read.narrowed)
+            read.covariance[narrowed, narrowed] = np.inf
             estimates.append(ConstantsEstimate.of(read.scaled, read.covariance))
     return estimates
 
 
 class _Spread(NamedTuple):
-    """Factors (k,) by which standard deviations are wrong, their degrees of freedom, and the p-value of so wide a spread."""
+    """Factors (k,) by which standard deviations are wrong, their fewest degrees of freedom, and the p-value of so wide a spread."""
 
     factors: np.ndarray
     degrees: int
@@ -387,8 +417,7 @@ def _measure(
 ) -> _Spread | None:
     """The spread of the estimates of each constant about the mean of each group; None with fewer degrees of freedom."""
     known = [group for group in map(_known, groups) if group]
-    degrees = sum(len(group) - 1 for group in known)
-    if degrees < least_degrees or len(known) < len(groups):
+    if len(known) < len(groups):
         return None
     means = [join_estimates(group).values for group in known]
     rows = [(e.values - mean, e) for group, mean in zip(known, means, strict=True) for e in group]
@@ -399,13 +428,16 @@ def _measure(
         is_known = np.isfinite(variance) & (variance > 0)
         squares[is_known] += deviation[is_known] ** 2 / variance[is_known]
         counts[is_known] += 1
-    enough = counts - len(known) >= least_degrees
+    # A mean of each group is taken off.
+    degrees = np.maximum(counts - len(known), 0)
+    enough = degrees >= least_degrees
+    if not enough.any():
+        return None
     # By itself: root of the mean square of deviations over their promised standard deviations.
-    factors = np.where(enough, np.sqrt(squares / np.maximum(counts - len(known), 1)), 1.0)
+    factors = np.where(enough, np.maximum(np.sqrt(squares / np.maximum(degrees, 1)), least_factor), np.inf)
     # Of all together: sum of d' M d, a chi-square where the covariances are right.
-    all_squares, all_degrees = sum(float(d @ e.information @ d) for d, e in rows), degrees * max(int(enough.sum()), 1)
-    p = float(chdtrc(all_degrees, all_squares))
-    return _Spread(np.maximum(factors, least_factor), degrees, p)
+    p = float(chdtrc(degrees.sum(), sum(float(d @ e.information @ d) for d, e in rows)))
+    return _Spread(factors, int(degrees[enough].min()), p)
 
 
 # Pieces of each side's records at least: their variance is known to half of itself.
@@ -507,7 +539,7 @@ def compare_constants(
     """The test whether ``names`` are the same in both fits, at the ``level`` of false alarms.
 
     ``scatter_degrees``: degrees of freedom of a scatter that was measured over both sides together. It says how far each constant
-    wanders, and not how far a combination does: then only each by itself is tested.
+    wanders, and not how far a combination does: then only each by itself is tested, as it is beside a constant at its bound.
     """
     i, j = before.index(names), after.index(names)
     common = before.positive[i] & after.positive[j]
@@ -522,6 +554,7 @@ def compare_constants(
     null = _NullDistribution.draw(correlation, degrees, is_own=bool(np.isfinite(scatter_degrees)))
     p, critical = null.step_down(np.abs(z)), null.quantile(1 - level)
     wide = null.quantile(INTERVAL_LEVEL)
+    joint = np.isinf(scatter_degrees) and not {*before.narrowed, *after.narrowed}.intersection(names)
     # The gradient of z' R^-1 z: the combination that stands out most.
     direction = null.inverse @ z
     largest = np.abs(direction).max(initial=0.0)
@@ -530,7 +563,7 @@ def compare_constants(
         difference,
         std,
         p,
-        null.joint_p_value(z) if np.isinf(scatter_degrees) else float(p.min(initial=1.0)),
+        null.joint_p_value(z) if joint else float(p.min(initial=1.0)),
         wide * std,
         (critical + stdtrit(degrees, power)) * std,
         direction / largest if largest else direction,

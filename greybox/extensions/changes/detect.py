@@ -304,9 +304,13 @@ def detect_changes(
         if scatter is not None:
             # From here on the constants are as uncertain as they scatter.
             before, after = scatter.before, scatter.after
-            largest = int(np.argmax(scatter.factors))
-            allowed = {"factor": float(scatter.factors[largest]), "degrees": scatter.degrees, "over": scatter.yardstick}
-            findings = (*findings, Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed))
+            known_ones = before.index(list_comparable(before, after))
+            if known_ones:
+                largest = max(known_ones, key=lambda k: scatter.factors[k])
+                factor = float(scatter.factors[largest])
+                allowed = {"factor": factor, "degrees": scatter.degrees, "over": scatter.yardstick}
+                note = Finding(ChangeCode.SCATTER_ALLOWED, Severity.NOTE, before.names[largest], allowed)
+                findings = (*findings, note)
     comparable = residuals[0].adequate or (scatter is not None and scatter.yardstick.is_trusted)
     constants, test = compare_fits(before, after, level_of_constants, scatter.degrees if scatter else math.inf)
     checks = of_residual

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, wishart
 
 import greybox as gb
 from fits.change_study import QUICK, coast_down, coasting
+from fits.measured_rigs import rotor
 from greybox.extensions.changes import constants
 from greybox.extensions.changes.constants import (
     SCATTER_PIECES,
@@ -17,10 +20,14 @@ from greybox.extensions.changes.constants import (
     compare_constants,
     cut_records,
     join_estimates,
+    measure_scatter,
+    read_constants,
+    read_residual,
 )
 from greybox.extensions.changes.detect import is_alike, match_repeats
 from greybox.extensions.changes.result import ChangeCode, ChangeVerdict
 from tests.support.first_order import first_order
+from tests.support.linear_regression import LINE, REST
 
 
 def test_estimates_are_joined_by_their_information() -> None:
@@ -185,3 +192,76 @@ def test_days_that_differ_are_no_noise_that_has_grown(noise: float) -> None:
     assert (change.verdict is ChangeVerdict.CHANGED) == bool(grown) == (noise > 0.01)
     # By what each day leaves alone, and not with what the days differ by: that is about as much again.
     assert [f.values["ratio"] for f in grown] == pytest.approx([2.0] * len(grown), rel=0.1)
+
+
+def line_fit(curved: float, seed: int) -> tuple[np.ndarray, gb.Fit]:
+    """The design of a line that is measured to one side of zero, and its fit; a negative curvature is stopped at zero."""
+    u = np.random.default_rng(3).uniform(1.0, 2.0, 60)
+    design = np.column_stack([u, u**2, np.ones(60)])
+    y = design @ [1.2, curved, 0.7] + 0.01 * np.random.default_rng(seed).normal(size=60)
+    record = gb.Experiment(f"line {seed}", 0.1 * np.arange(60), {"u": u}, {"y": y})
+    return design, gb.fit(LINE.start(b=0.1).bound(b=(0.0, 10.0)), record, noise={"y": 0.01}, options=REST)
+
+
+def test_a_constant_is_known_no_better_than_with_others_off_their_bounds() -> None:
+    design, found = line_fit(-0.4, 4)
+    read = read_constants(found, read_residual(found, 1.1))
+    assert read.at_bound == ("b",) and set(read.narrowed) == {"a", "c"}
+    # The normal equations with the curvature free; the misfit of the line that has none widens them.
+    free = np.diag(np.linalg.inv(design.T @ design))
+    held = np.diag(np.linalg.inv(design[:, [0, 2]].T @ design[:, [0, 2]]))
+    stds = [found.parameters[name].std for name in "ac"]
+    scale = np.where(read.positive, read.values, 1.0)[read.index("ac")]
+    expected = np.array(stds) * np.sqrt(free[[0, 2]] / held) / scale
+    assert np.sqrt(read.variances[read.index("ac")]) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_curvature_at_its_bound_in_one_of_two_fits_moves_no_other_constant() -> None:
+    # The same line both times: noise alone takes the small curvature to its bound in some records and off it in others.
+    fits = [line_fit(0.01, seed)[1] for seed in range(8)]
+    held = [f for f in fits if f.parameters["b"].at_bound]
+    free = [f for f in fits if not f.parameters["b"].at_bound]
+    assert held and free
+    for one in held:
+        for other in free:
+            change = gb.detect_changes(one, [t.experiment for t in other.traces], search_effects=False)
+            assert change.verdict is not ChangeVerdict.CHANGED
+
+
+def test_a_constant_that_the_whole_record_does_not_determine_is_known_no_better_from_its_pieces(monkeypatch) -> None:
+    names, units = ("known", "wide", "seldom"), ("", "", "")
+    whole = FittedConstants(
+        names, units, np.ones(3), np.diag([0.01, 1.0, 0.01]), np.zeros(3, bool), (), np.inf, undetermined=("wide",)
+    )
+    generator = np.random.default_rng(1)
+
+    def estimate(fit, pieces, of):
+        # Pieces that agree far better than the interval of any of them says; of one constant nearly all say nothing.
+        each = [np.diag([0.1, 0.1, 0.1 if k < 2 else np.inf]) for k in range(len(pieces))]
+        return [ConstantsEstimate.of(1 + 0.01 * generator.standard_normal(3), covariance) for covariance in each]
+
+    monkeypatch.setattr(constants, "_estimate_each", estimate)
+    records = coast(1), coast(2)
+    fits = [gb.fit(coasting(), record, options=QUICK) for record in records]
+    scatter = measure_scatter(*fits, whole, replace(whole), [match_repeats([records[0]], [records[1]]).pairs[0]])
+    assert scatter.yardstick is Yardstick.PAIRED_PIECES and scatter.degrees == SCATTER_PIECES - 1
+    variance = scatter.before.variances + scatter.after.variances
+    assert variance[0] < 1e-3 and variance[1] >= 2.0 and np.isinf(variance[2])
+
+
+# Cases of a right model, nothing changed and coloured noise that nobody told, of which a constant was called changed.
+@pytest.mark.parametrize("seed", [3, 4])
+def test_pieces_in_which_a_constant_stands_at_its_bound_do_not_narrow_the_others(seed: int) -> None:
+    generator, records = np.random.default_rng(seed), []
+    for k in range(2):
+        t, u = 0.014 * np.arange(300), 26 + np.repeat(0.6 * generator.normal(size=12), 25)
+        run = gb.simulate(rotor().start(kt=15.0, b=0.5, c=375.0), {"time": t, "u": u}, initial={"w": 30.0})
+        noise = np.zeros(300)
+        for i in range(1, 300):
+            noise[i] = 0.9 * noise[i - 1] + 0.3 * generator.normal()
+        records.append(gb.Experiment(f"run {k}", t, {"u": u}, {"w": run.outputs["w"] + noise}))
+    change = gb.detect_changes(gb.fit(rotor(), records[0]), records[1], search_effects=False)
+    assert change.verdict is ChangeVerdict.CANNOT_TELL and not change.moved
+    # What is said of the scatter is of a constant that was compared.
+    for finding in change.findings:
+        assert finding.code != ChangeCode.SCATTER_ALLOWED or change.constants[finding.subject].interval
