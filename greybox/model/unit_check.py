@@ -8,7 +8,7 @@ from functools import cached_property
 import casadi as ca
 
 from greybox.base.errors import ModelError, UnitError, nearest
-from greybox.base.units import ONE, SECOND, Unit, format_unit, parse_unit, unit_name
+from greybox.base.units import ONE, Unit, format_unit, parse_unit, unit_name
 from greybox.model.algebraic import stores_nothing
 from greybox.model.balance import Balance
 from greybox.model.expressions.operations import UnitMismatchError
@@ -26,7 +26,8 @@ def check_units(statement: Statement, system: System) -> None:
 
     Checked are each term of each balance, the dimension of ``storage * state / s``, dry friction, outputs, starts, process noise, and what
     effects put in the place of inputs, outputs and parameters. A literal number has no unit, except 0 and infinity, which fit
-    anything. In a model of plain numbers, in which nothing has a unit, time is a number too, in the unit of its records.
+    anything. In a model of plain numbers, in which nothing has a unit, time is a number too, in the unit of its records, and so it is in
+    the units of the effects that are added to it.
     """
     check = _UnitCheck(statement, system)
     # Transforms before equations, each on its own: a wrong one would hide behind every term that it makes wrong.
@@ -44,9 +45,28 @@ class _UnitCheck:
     def __init__(self, statement: Statement, system: System) -> None:
         self.statement, self.system = statement, system
         self.parameters = (*statement.parameters, *(q for placed in system.effects for q in placed.parameters))
-        relations = tuple(a.state for a in system.algebraic)
-        items: tuple[Item, ...] = (*system.states, *relations, *statement.inputs, *self.parameters)
-        self.units = {item.name: item.unit for item in items}
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether nothing that the user states has a unit; effects, which are added, have no say in it."""
+        statement = self.statement
+        added = {state.name for placed in self.system.effects for state in placed.states}
+        items: tuple[Item, ...] = (*statement.states, *statement.inputs, *statement.parameters)
+        balances = (b for b in self.system.stated_balances if b.state not in added)
+        units = {*(i.unit for i in items), *(o.unit for o in statement.outputs), *(b.unit for b in balances)}
+        return all(parse_unit(unit) == ONE for unit in units)
+
+    @cached_property
+    def units(self) -> dict[str, str]:
+        """The unit of each state, input and parameter by name, as they are checked."""
+        relations = tuple(a.state for a in self.system.algebraic)
+        items: tuple[Item, ...] = (*self.system.states, *relations, *self.statement.inputs, *self.parameters)
+        return {item.name: self._as_checked(item.unit) for item in items}
+
+    def _as_checked(self, unit: str) -> str:
+        """``unit``; without its power of time in a model of plain numbers, where a second is a number as all others are."""
+        power = dict(parse_unit(unit).dimensions).get("s") if self.is_plain else None
+        return f"({unit})*s^({-power})" if power else unit
 
     @cached_property
     def symbols(self) -> tuple[NamedValues, NamedValues, NamedValues]:
@@ -59,13 +79,6 @@ class _UnitCheck:
         u = NamedValues("input", _by_name(s.input_names, s.u), names_by_role(inputs))
         p = NamedValues("parameter", _by_name(s.parameter_names, s.p), roles)
         return x, u, apply_ties(self.statement.ties, p)
-
-    @cached_property
-    def time(self) -> Unit:
-        """The unit of time: none in a model of plain numbers."""
-        outputs, balances = self.statement.outputs, self.system.stated_balances
-        units = {*self.units.values(), *(o.unit for o in outputs), *(b.unit for b in balances)}
-        return ONE if all(parse_unit(unit) == ONE for unit in units) else SECOND
 
     def declarations(self) -> Iterator[str]:
         """Units that cannot be read."""
@@ -157,9 +170,9 @@ class _UnitCheck:
         except UnitMismatchError as mismatch:
             yield f"{subject}: {mismatch}"
             return
-        rate = stored * parse_unit(self.units[balance.state]) / self.time
+        rate = stored * parse_unit(self.units[balance.state]) / parse_unit(self._as_checked("s"))
         # Another scale of the same dimension is no mistake: the system is written out in it.
-        if rate.dimensions != parse_unit(balance.unit).dimensions:
+        if rate.dimensions != parse_unit(self._as_checked(balance.unit)).dimensions:
             yield f"{subject} has {self._describe(rate)}, expected {format_unit(balance.unit) or '1'}"
 
     def _expect(
@@ -171,7 +184,7 @@ class _UnitCheck:
         except UnitMismatchError as mismatch:
             yield f"{subject.removesuffix(':')}: {mismatch}"
             return
-        if inferred is not None and inferred != parse_unit(unit):
+        if inferred is not None and inferred != parse_unit(self._as_checked(unit)):
             yield f"{subject} has {self._describe(inferred, units)}, expected {format_unit(unit) or '1'}"
 
     def _describe(self, unit: Unit, units: Mapping[str, str] | None = None) -> str:

@@ -12,6 +12,7 @@ import pytest
 from greybox import Balance, DryFriction, Effect, Input, Model, Output, Parameter, State, simulate
 from greybox.base.errors import ModelError, UnitError
 from greybox.extensions.export.python_model import to_python
+from greybox.model.effects import effect as catalogue_effect
 from greybox.shell.project import load_model_file
 
 
@@ -89,6 +90,32 @@ def test_in_a_model_of_plain_numbers_time_is_one_too() -> None:
     assert plain().system.state_names == ("n",)
     with pytest.raises(UnitError, match="growth"):
         plain("1/s")
+
+
+@pytest.mark.parametrize(
+    "name", ["sensor_drift", "sensor_lag", "clock_skew", "drive_lag", "transport_delay", "input_gain"]
+)
+def test_an_effect_with_a_constant_in_seconds_leaves_a_model_of_plain_numbers_one(name: str) -> None:
+    driven = Model(
+        "growth",
+        states=[State("n", "1", 0.1)],
+        inputs=[Input("u", "1")],
+        outputs=[Output("n", "1")],
+        parameters=[Parameter("r", "1", 1.0)],
+        balances=lambda x, u, p: [Balance("growth", "1", 1, "n", growth=p.r * x.n, crowding=-(x.n**2), drive=u.u)],
+    )
+    model = driven + catalogue_effect(name)
+    written = to_python(model, Path(mkdtemp()) / "model.py")
+    again = next(v for v in vars(load_model_file(written)).values() if isinstance(v, Model))
+    assert again.system.parameter_names == model.system.parameter_names
+    # A number and a reading times a second are still no sum for a model with units.
+    with pytest.raises(UnitError, match="growth"):
+        plain("1/s") + catalogue_effect("sensor_drift")
+
+
+def test_an_effect_of_another_dimension_is_refused_by_a_model_of_plain_numbers() -> None:
+    with pytest.raises(UnitError, match="'guess' has unit m, expected 1"):
+        plain() + Effect("guess", "growth", [Parameter("c", "m/s", 1.0)], terms=lambda x, u, p: p.c)
 
 
 @pytest.mark.parametrize(
