@@ -207,11 +207,14 @@ def find_status_details(optimum: Optimum) -> tuple[Finding, ...]:
 
 
 def is_at_noise(optimum: Optimum) -> bool:
-    """Whether nothing but noise is left to explain. A level that is the residual's own says no such thing."""
-    return np.isfinite(optimum.evaluation.cost) and all(
-        m.noise_ratio <= NOISE_RATIO and optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
-        for name, m in optimum.misfit.items()
-    )
+    """Whether nothing but noise is left to explain."""
+    return np.isfinite(optimum.evaluation.cost) and all(is_output_at_noise(optimum, name) for name in optimum.misfit)
+
+
+def is_output_at_noise(optimum: Optimum, name: str) -> bool:
+    """Whether nothing but noise is left to explain of an output. A level that is the residual's own says no such thing."""
+    is_told = optimum.problem.noise.sources.get(name) is not NoiseSource.RESIDUAL
+    return is_told and optimum.misfit[name].noise_ratio <= NOISE_RATIO
 
 
 def _list_parameters(code: str, names: Sequence[str], severity: Severity = Severity.WARNING) -> list[Finding]:
@@ -249,8 +252,8 @@ def find_fit_issues(optimum: Optimum, estimates: Mapping[str, Estimate]) -> tupl
 
     # A model that follows little of an output describes another plant: then its constants mean nothing.
     best_fit = {n: m.best_fit_percent for n, m in free_run.items()}
-    lost = {n: max(best_fit[n], 0.0) for n, m in free_run.items() if m.noise_ratio > FAR_NOISE_RATIO}
-    lost = {n: followed for n, followed in lost.items() if best_fit[n] < FOLLOWED_PERCENT}
+    lost = {n: best_fit[n] for n, m in free_run.items() if m.noise_ratio > FAR_NOISE_RATIO}
+    lost = {n: followed for n, followed in lost.items() if followed < FOLLOWED_PERCENT}
     if lost:
         warn(EstimationCode.MODEL_DOES_NOT_FOLLOW, Severity.ERROR, best_fit=lost)
     # What the data leave open, and what only looks determined.

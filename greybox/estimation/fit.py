@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from functools import reduce
@@ -34,6 +34,7 @@ from greybox.estimation.findings import (
     find_status_details,
     find_validation_issues,
     is_at_noise,
+    is_output_at_noise,
 )
 from greybox.estimation.noise_loop import estimate_by_simulation_error, summarise_outliers
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -60,7 +61,7 @@ from greybox.simulation.plant import Plant, as_model
 from greybox.simulation.plant_kernel import PlantKernel
 from greybox.simulation.records import to_experiments
 
-# Best fit in per cent below which the free run of every output is hardly better than a constant: a tenth of its variance, which a jump at
+# Best fit in per cent below which the free run of an output is hardly better than a constant: a tenth of its variance, which a jump at
 # the beginning or a trend explains already.
 LEAST_BEST_FIT = 5.0
 # Where the model's own start explains nothing, others lie between value / factor and value x factor: three decades, as whoever
@@ -90,9 +91,9 @@ def fit(
     `Experiment.noise` tells it), ``sum ((y - yhat) / noise)^2``, over
     the free parameters and each experiment's initial state, with IPOPT and a Gauss-Newton Hessian. A model with process noise
     (`State`) is fitted by its likelihood through a Kalman filter instead. Priors of parameters (`Model.prior`) are weighed as
-    measurements. The parameters start at the values of ``model`` (`Model.start`); where the search from there explains nothing, others
-    are tried by themselves (`FitOptions.other_starts`), and the result says so. Each record's estimated initial state at the declared
-    values, or at the first readings of an output that is a state.
+    measurements. The parameters start at the values of ``model`` (`Model.start`); where the search from there explains nothing of an
+    output, others are tried by themselves (`FitOptions.other_starts`), and the result says so. Each record's estimated initial state
+    starts at the declared values, or at the first readings of an output that is a state.
 
     Parameters
     ----------
@@ -306,7 +307,7 @@ class SearchTrouble(StrEnum):
     """Why another start may do better than the one that was searched from."""
 
     EXPLAINS_NOTHING = "explains_nothing"
-    """The end is hardly better than a constant output."""
+    """The end is hardly better than a constant for some output."""
 
     STANDS = "stands"
     """The search stands where it began."""
@@ -330,10 +331,17 @@ def find_trouble(begun: SimulationOptimum, problem: EstimationProblem, looks_els
 
 
 def explains_nothing(optimum: SimulationOptimum) -> bool:
-    """Whether there is no run, or one that is hardly better than a constant for every output, and more than noise to explain."""
-    if not np.isfinite(optimum.evaluation.cost):
-        return True
-    return not is_at_noise(optimum) and not any(m.best_fit_percent >= LEAST_BEST_FIT for m in optimum.misfit.values())
+    """Whether there is no run, or one that is hardly better than a constant for an output that has more than noise to explain."""
+    return not np.isfinite(optimum.evaluation.cost) or bool(list_unexplained(optimum))
+
+
+def list_unexplained(optimum: SimulationOptimum) -> dict[str, float]:
+    """Best fit in per cent of the outputs above their noise for which the free run is hardly better than a constant."""
+    return {
+        name: m.best_fit_percent
+        for name, m in optimum.misfit.items()
+        if m.best_fit_percent < LEAST_BEST_FIT and not is_output_at_noise(optimum, name)
+    }
 
 
 def stands_where_it_began(optimum: SimulationOptimum) -> bool:
@@ -377,46 +385,54 @@ def _try_other_starts(
     """The best end of ``first`` and of other starts, where each ended, best first, and what is to be said of it.
 
     Of many starts, drawn far about the model's own, those are searched whose first run fits best: one run tells most of what a search
-    from there is worth, and a search takes dozens.
+    from there is worth, and a search takes dozens. Where the best end explains nothing yet, as many follow about the scales that the
+    records show (`find_scales`).
     """
     model = first.model
-    # Ten draws for each search: a draw takes one run, and a search dozens.
-    drawn = draw_starts(model, 10 * options.other_starts, seed=0, factor=STARTS_FACTOR)
-    costs = []
-    for begin in drawn:
+
+    def compute_cost(begin: Mapping[str, float]) -> float:
         variables = problem.variables.with_values(begin)
-        costs.append(problem.shooting(variables).evaluate(variables.here).cost)
-    order = [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]
-    ends = [({q.name: q.value for q in model.free_parameters}, first)]
-    for k in order:
-        other = prepare_problem(model.start(**drawn[k]), experiments, problem.noise, options)
-        solution = estimate_by_simulation_error(other, options, colour, report)
-        ends.append((drawn[k], SimulationOptimum(model, solution)))
-        if solution.status is TerminationStatus.INTERRUPTED:
-            break
+        return float(problem.shooting(variables).evaluate(variables.here).cost)
+
     # Under the noise that was known before any of them: a level that each learns from its own residual makes all alike.
     std = {o.name: float(s) for o, s in zip(model.outputs, problem.noise.std, strict=True)}
-    ratios = [_compute_ratio(end, std) for _, end in ends]
+    begins, ends, ratios = [{q.name: q.value for q in model.free_parameters}], [first], [_compute_ratio(first, std)]
+    best, drawn = first, 0
+    for seed in range(2 if options.other_starts else 0):
+        about = model.start(**find_scales(model, compute_cost)) if seed else model
+        # Ten draws for each search: a draw takes one run, and a search dozens.
+        near = draw_starts(about, 10 * options.other_starts, seed=seed, factor=STARTS_FACTOR)
+        costs = [compute_cost(begin) for begin in near]
+        drawn += len(near)
+        for k in [k for k in np.argsort(costs) if np.isfinite(costs[k])][: options.other_starts]:
+            other = prepare_problem(model.start(**near[k]), experiments, problem.noise, options)
+            ends.append(SimulationOptimum(model, estimate_by_simulation_error(other, options, colour, report)))
+            begins.append(near[k])
+            ratios.append(_compute_ratio(ends[-1], std))
+            if ends[-1].status is TerminationStatus.INTERRUPTED:
+                break
+        best = ends[int(np.argmin(ratios))]
+        if ends[-1].status is TerminationStatus.INTERRUPTED or not explains_nothing(best):
+            break
     ranked = sorted(range(len(ends)), key=lambda k: ratios[k])
-    best = ends[ranked[0]][1]
     before, after = ({n: m.best_fit_percent for n, m in end.misfit.items()} for end in (first, best))
     starts = tuple(
         result_parts.StartResult(
-            ends[k][0],
-            {q.name: ends[k][1].fitted_model.values[q.name] for q in model.free_parameters}
+            begins[k],
+            {q.name: ends[k].fitted_model.values[q.name] for q in model.free_parameters}
             if np.isfinite(ratios[k])
             else {},
             ratios[k],
-            str(ends[k][1].status),
-            ends[k][1].search.seconds,
+            str(ends[k].status),
+            ends[k].search.seconds,
         )
         for k in ranked
     )
     starts = starts if drawn else ()
-    counts = {"drawn": len(drawn), "searched": len(ends) - 1}
+    counts = {"drawn": drawn, "searched": len(ends) - 1}
     if explains_nothing(best):
         is_run = bool(np.isfinite(ratios[ranked[0]]))
-        values = {**counts, "best_fit": after if is_run else {}}
+        values = {**counts, "best_fit": list_unexplained(best) if is_run else {}}
         # Without a run, and without another start, the status has said it.
         is_news = is_run or bool(drawn)
         return (
@@ -429,10 +445,29 @@ def _try_other_starts(
     values = {
         **counts,
         "trouble": str(trouble),
-        "before": before if np.isfinite(first.evaluation.cost) else {},
+        "before": (list_unexplained(first) or before) if np.isfinite(first.evaluation.cost) else {},
         "after": after,
     }
     return best, starts, (Finding(EstimationCode.OTHER_START_TAKEN, Severity.NOTE, "", values),)
+
+
+# Decades from its own value over which the scale of a constant is looked for: no slip of a unit is farther off.
+SCALE_DECADES = 6
+
+
+def find_scales(model: Model, compute_cost: Callable[[Mapping[str, float]], float]) -> dict[str, float]:
+    """Values of the free constants, each in turn at the decade from its own value, within its bounds, whose run fits best.
+
+    A constant far outside of what the records can show (a rate of 1e-6/h in a record of hours) changes nothing there, and so does all
+    that is drawn about it. Where no decade fits better it stays.
+    """
+    values = {q.name: q.value for q in model.free_parameters}
+    for q in model.free_parameters:
+        decades = (q.value * 10.0**k for k in range(-SCALE_DECADES, SCALE_DECADES + 1) if k and q.value)
+        tried = [q.value, *(value for value in decades if q.bounds[0] < value < q.bounds[1])]
+        costs = [compute_cost({**values, q.name: value}) for value in tried]
+        values[q.name] = tried[int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))]
+    return values
 
 
 def draw_starts(model: Model, starts: int, seed: int = 0, factor: float = 3.0) -> list[dict[str, float]]:

@@ -184,6 +184,7 @@ def multistart(
         Estimation records.
     starts
         How many starts, the model's own included; the others are drawn by `greybox.estimation.multistart.draw_starts`.
+        Where none of them explains anything, `FitOptions.other_starts` follow, and count as well.
     seed
         Seed of the draws.
     factor
@@ -287,8 +288,11 @@ def multistart(
         validation=validation,
         skip=skip,
         beginning=beginning,
-        options=replace(options, other_starts=0),  # they have been tried
+        # Where none of them explains anything the fit begins others; none after the time limit or Ctrl-C.
+        options=replace(options, other_starts=0) if left else options,
     )
+    others = (result for result in best.starts if result.start != start_results[0].values)
+    start_results = sorted([*start_results, *others], key=lambda result: result.noise_ratio)
     # As the caller gave them, the number of starts included.
     best = replace(best, provenance=replace(best.provenance, options=options.to_data()))
     summary = summarise_starts(start_results)

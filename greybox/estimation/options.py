@@ -253,7 +253,8 @@ class FitOptions:
         Outputs whose noise nothing tells have one level in common, which the residual of all of them says: they are weighed alike, as
         a plain sum of squares does. They must have one unit.
     other_starts
-        How many other starts are searched where the fit from the model's own explains nothing; 0 for none.
+        How many other starts are searched where the fit from the model's own explains nothing of an output, and how many more about
+        the scales that the records show where those do not either; 0 for none.
     policy
         The numbers that steer decisions, see `EstimationPolicy`.
 

@@ -411,7 +411,7 @@ def test_a_start_that_cannot_be_simulated_in_any_segment_says_so():
     )
     t = np.arange(100) * 0.1
     data = experiment(model, t, np.ones((100, 1)), 2 + np.cos(t)[:, None])
-    for options in (FitOptions(transcription="multiple"), FitOptions(arc_length=2.0)):
+    for options in (FitOptions(transcription="multiple", other_starts=0), FitOptions(arc_length=2.0, other_starts=0)):
         found = fit(model, data, noise={"x": 0.1}, options=options)
         assert found.status == "no_start" and not found.success
 

@@ -126,8 +126,74 @@ def test_where_no_start_helps_a_warning_says_so():
     record = growth(np.sin(3 * TIME) + noise())
     found = fit(rooney_biegler(), record, noise={"y": 0.05}, options=REST)
     told = find(found.findings, EstimationCode.NO_START_HELPS)
-    assert told.severity is Severity.WARNING and told.values["searched"] == 6
+    assert told.severity is Severity.WARNING and told.values["searched"] == 12
     assert told.values["best_fit"] == {"y": found.misfit["y"].best_fit_percent}
+
+
+HOUR = 3600.0
+
+
+def reactions(first, second=1e-6):
+    """c decays with the rate ``first`` into d, which decays with the rate ``second``; both far from what hours show."""
+    return Model(
+        "decay",
+        [State("c", "g", 1.0), State("d", "g", 0.0)],
+        [],
+        [Output("c", "g"), Output("d", "g")],
+        [Parameter("k", "1/h", first, (1e-8, 1e2)), Parameter("l", "1/h", second, (1e-8, 1e2))],
+        lambda x, u, p: [
+            Balance("c", "g/h", 1, "c", reaction=-p.k * x.c),
+            Balance("d", "g/h", 1, "d", reaction=p.k * x.c, loss=-p.l * x.d),
+        ],
+    )
+
+
+def reactions_record(hours, spread):
+    """Of rates of 0.7/h and 0.05/h; ``spread`` is the noise of each row."""
+    rng = np.random.default_rng(0)
+    c = np.exp(-0.7 * hours)
+    d = 0.7 / (0.05 - 0.7) * (np.exp(-0.7 * hours) - np.exp(-0.05 * hours))
+    readings = {"c": c + spread * rng.normal(size=len(hours)), "d": d + spread * rng.normal(size=len(hours))}
+    return Experiment("reactions", hours * HOUR, {}, readings, noise={"c": spread, "d": spread})
+
+
+SIX_ROWS = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0])
+
+
+@pytest.mark.parametrize("second", [1e-6, 90.0])
+@pytest.mark.parametrize("first", [1e-8, 1e-6, 1e-3, 90.0])
+def test_constants_far_from_the_scales_of_the_record_are_drawn_where_it_shows_them(first, second):
+    record = reactions_record(SIX_ROWS, np.full(6, 0.01))
+    found = fit(reactions(first, second), record, options=REST)
+    assert found.model.values["k"] == pytest.approx(0.7, rel=0.1)
+    assert found.model.values["l"] == pytest.approx(0.05, rel=0.2)
+    assert EstimationCode.NO_START_HELPS not in codes(found.findings)
+
+
+def test_other_starts_are_tried_where_one_of_the_outputs_is_not_explained():
+    """The search runs to both bounds, where c has fallen before its second row: that is a third of what c does, and nothing of d."""
+    record = reactions_record(np.arange(8.0), np.linspace(0.002, 0.05, 8))
+    alone = fit(reactions(1e-3), record, options=replace(REST, other_starts=0))
+    assert alone.misfit["c"].best_fit_percent > 30 and alone.misfit["d"].best_fit_percent < 0
+    told = find(alone.findings, EstimationCode.NO_START_HELPS)
+    assert told.values["best_fit"] == {"d": alone.misfit["d"].best_fit_percent}
+    # The best fit is told as it is, below zero as well.
+    unfollowed = find(alone.findings, EstimationCode.MODEL_DOES_NOT_FOLLOW).values["best_fit"]
+    assert unfollowed == {name: alone.misfit[name].best_fit_percent for name in "cd"}
+    found = fit(reactions(1e-3), record, options=REST)
+    assert found.model.values["k"] == pytest.approx(0.7, rel=0.1)
+    assert find(found.findings, EstimationCode.OTHER_START_TAKEN).values["before"] == told.values["best_fit"]
+
+
+def test_several_starts_that_explain_nothing_are_no_worse_than_one():
+    record = reactions_record(SIX_ROWS, np.full(6, 0.01))
+    one = fit(reactions(1e-3), record, options=REST)
+    several = multistart(reactions(1e-3), record, starts=3, options=REST, workers=1)
+    assert several.best.solver.cost == pytest.approx(one.solver.cost, rel=1e-6)
+    # Those that the last fit began count as well: the three given ones did not end at the best optimum.
+    counts, ratios = several.summary.values["counts"], several.summary.values["ratios"]
+    assert sum(counts) == len(several.start_results) > 3 and counts[0] < len(several.start_results)
+    assert ratios[0] == pytest.approx(np.sqrt(one.solver.cost / 12), rel=0.01)
 
 
 def test_a_start_that_finds_the_way_tries_no_other():

@@ -130,8 +130,8 @@ def _write_other_plant(finding: Finding) -> str:
         f"{wording.percent_text(percent / 100, 2)} of {name}" for name, percent in finding.values["best_fit"].items()
     )
     return (
-        f"the model follows only {listed} (best fit; 100 % is a perfect fit): do not use these parameters; check the units and signs"
-        " of the columns, the fixed parameters, and whether this is the right model"
+        f"the model follows only {listed} (best fit; 100 % is a perfect fit, 0 % a constant): do not use these parameters; check the"
+        " units and signs of the columns, the fixed parameters, and whether this is the right model"
     )
 
 
@@ -322,10 +322,11 @@ def _write_other_start(finding: Finding) -> str:
     v = finding.values
     before = f" (best fit {_write_best_fits(v['before'])})" if v["before"] else ""
     # Files of earlier versions say only whether it stands where it began.
-    outcome = _TROUBLES[v.get("trouble", "stands" if v.get("stands") else "explains_nothing")]
+    trouble = v.get("trouble", "stands" if v.get("stands") else "explains_nothing")
+    of_what = f" of {wording.join_names(list(v['before']))}" if trouble == "explains_nothing" and v["before"] else ""
     return (
-        f"the search from the model's own start values {outcome}{before}; of {v['drawn']} other starts the {v['searched']} most"
-        f" promising were searched, and the best follows {_write_best_fits(v['after'])}"
+        f"the search from the model's own start values {_TROUBLES[trouble]}{of_what}{before}; of {v['drawn']} other starts the"
+        f" {v['searched']} most promising were searched, and the best follows {_write_best_fits(v['after'])}"
     )
 
 
@@ -336,8 +337,8 @@ def _write_no_start_helps(finding: Finding) -> str:
         return f"no start helps: the model cannot be simulated from any of {v['drawn']} other starts either; {remedy}"
     others = f" from the model's own start values and from {v['searched']} others" if v["searched"] else ""
     return (
-        f"the fit explains nothing{others}: its free run is hardly better than a constant output (best fit"
-        f" {_write_best_fits(v['best_fit'])}); {remedy}"
+        f"the fit explains nothing of {wording.join_names(list(v['best_fit']))}{others}: its free run is hardly better than a constant"
+        f" output (best fit {_write_best_fits(v['best_fit'])}); {remedy}"
     )
 
 

@@ -100,9 +100,9 @@ GOLDEN = [
     (
         "model_does_not_follow",
         "",
-        {"best_fit": {"x": 12.0, "i": 0.0}},
-        "the model follows only 12 % of x, 0 % of i (best fit; 100 % is a perfect fit): do not use these parameters; check the"
-        " units and signs of the columns, the fixed parameters, and whether this is the right model",
+        {"best_fit": {"x": 12.0, "i": -45.6}},
+        "the model follows only 12 % of x, -46 % of i (best fit; 100 % is a perfect fit, 0 % a constant): do not use these parameters;"
+        " check the units and signs of the columns, the fixed parameters, and whether this is the right model",
     ),
     (
         "direction_undetermined",
@@ -142,8 +142,8 @@ GOLDEN = [
         "other_start_taken",
         "",
         {"drawn": 60, "searched": 6, "stands": False, "before": {"y": -0.002}, "after": {"y": 98.72}},
-        "the search from the model's own start values explains nothing (best fit -0.00 % of y); of 60 other starts the 6 most promising"
-        " were searched, and the best follows 98.72 % of y",
+        "the search from the model's own start values explains nothing of y (best fit -0.00 % of y); of 60 other starts the 6 most"
+        " promising were searched, and the best follows 98.72 % of y",
     ),
     (
         "other_start_taken",
@@ -163,8 +163,8 @@ GOLDEN = [
         "no_start_helps",
         "",
         {"drawn": 60, "searched": 6, "best_fit": {"y": -0.002}},
-        "the fit explains nothing from the model's own start values and from 6 others: its free run is hardly better than a constant"
-        " output (best fit -0.00 % of y); give start values nearer to physical ones, and check units, signs and bounds",
+        "the fit explains nothing of y from the model's own start values and from 6 others: its free run is hardly better than a"
+        " constant output (best fit -0.00 % of y); give start values nearer to physical ones, and check units, signs and bounds",
     ),
     (
         "no_start_helps",
