@@ -117,7 +117,8 @@ def draw_depths(page: Path) -> Figure:
         print(f"{depth}: {right} established and right, {wrong} wrong")
     axis.set_yticks([-k for k in range(len(rows))], [row[0] for row in rows])
     axis.set_xlabel("established claims on measured rigs")
-    axis.legend()
+    axis.legend(loc="lower right")
+    axis.xaxis.get_major_locator().set_params(integer=True)
     return figure
 
 
