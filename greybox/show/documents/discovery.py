@@ -18,7 +18,7 @@ from greybox.show.figures.figure import stretches_on_page, typeset_unit
 from greybox.show.figures.records import plot_residuals_before_after, plot_spectra_before_after
 from greybox.show.sentences import discovery as words
 from greybox.show.sentences.registry import sentences
-from greybox.show.sentences.wording import capitalise, count_noun, record_text
+from greybox.show.sentences.wording import capitalise, count_noun, record_text, value_with_unit
 
 if TYPE_CHECKING:
     from greybox.discovery import Discovery, HoldoutError, Refinement
@@ -185,8 +185,8 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
     rows = [
         [
             output,
-            *(f"{v:.4g} {typeset_unit(e.unit)}".rstrip() for v in (e.before, e.after)),
-            f"{e.floor:.4g} {typeset_unit(e.unit)}".rstrip() if e.is_floor_known else "not known",
+            *(value_with_unit(v, typeset_unit(e.unit), 4) for v in (e.before, e.after)),
+            value_with_unit(e.floor, typeset_unit(e.unit), 4) if e.is_floor_known else "not known",
             _explained(e),
         ]
         for output, e in errors.items()
