@@ -1,8 +1,8 @@
 """Findings and checks: what a result has to say about itself, as data.
 
 A `Finding` is a fact that a reader should know before trusting a number. A `Check` is one decision: the rule, the value that it was
-applied to, the limit, and the outcome. Code branches on ``code`` and ``rule``, never on a sentence; `greybox.rendering` holds one
-template for each code.
+applied to, the limit, and the outcome. Code branches on ``code`` and ``rule``, never on a sentence; `greybox.show.sentences` holds
+one template for each code.
 """
 
 from __future__ import annotations

@@ -229,6 +229,12 @@ class HoldoutError(Printable):
         return 1 - self.after / self.before if self.before > 0 else 0.0
 
     @property
+    def visible_share(self) -> float | None:
+        """The same; None where the plain model leaves only noise whose level is known."""
+        only_noise = self.is_floor_known and not self.before > VISIBLE_RMS * self.floor
+        return None if only_noise else self.share
+
+    @property
     def explained_fraction(self) -> float:
         """Share of the gap between ``before`` and ``floor`` that the extended model removes; negative where it is worse."""
         if math.isinf(self.before):

@@ -16,7 +16,8 @@ from greybox.base.errors import GreyboxError
 from greybox.data.signals import multisine
 from greybox.shell.commands import COMMANDS
 from greybox.shell.study import Study
-from greybox.shell.study_file import read_study, study_commands, study_script, study_text
+from greybox.shell.study_file import read_study, study_commands, study_text
+from greybox.shell.study_script import study_script
 from greybox.simulation.simulate import simulate, write_csv
 from models.micro_actuator import micro_actuator
 

@@ -19,7 +19,8 @@ from greybox.base import GreyboxError, ModelError
 from greybox.shell import inputs
 from greybox.shell.fit import FIT
 from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study
-from greybox.shell.study_file import study_script, study_text
+from greybox.shell.study_file import study_text
+from greybox.shell.study_script import study_script
 from greybox.shell.study_values import Count, Switch
 
 if TYPE_CHECKING:

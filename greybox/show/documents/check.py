@@ -215,7 +215,7 @@ def _structure_facts(check: ModelCheck) -> doc.Facts:
     return doc.Facts(facts, "What stays open")
 
 
-# The same of a check.
+# Records of a check whose curves are drawn.
 RECORDS_OF_CHECK = 10
 
 

@@ -152,7 +152,7 @@ def _error_table(comparison: Comparison, group: str, output: str) -> doc.TableBl
         f"{output}, {'estimation' if group == 'training' else group} records, {join_names(counts)} rows{unequal}",
         ["model", "box", "free run", "best fit", "one step", *(f"{k} ahead" for k in steps)],
         rows,
-        f"Free run, one step and {'several steps ' * bool(steps)}ahead: rms errors{f' in {unit}' if unit else ''}.",
+        f"Free run and {'one or several steps' if steps else 'one step'} ahead: rms errors{f' in {unit}' if unit else ''}.",
         f"{group}: {output}" + (f" [{unit}]" if unit else ""),
     )
 
@@ -178,7 +178,7 @@ def _error(value: float) -> str:
     return format_number(value, 4) if math.isfinite(value) else "diverges"
 
 
-# The same of a comparison.
+# Records of a comparison whose curves are drawn.
 RECORDS_OF_COMPARISON = 8
 
 

@@ -176,7 +176,7 @@ def _false_names(discovery: Discovery) -> Iterator[doc.Block]:
         yield doc.TableBlock("Signals without meaning, made from these records", head, rows, note)
 
 
-# The same of a discovery, on its validation records.
+# Validation records of a discovery that are drawn; all of them count.
 RECORDS_OF_DISCOVERY = 8
 
 
@@ -214,7 +214,7 @@ def _holdout(discovery: Discovery) -> Iterator[doc.Block]:
 
 
 def _explained(error: HoldoutError) -> str:
-    share = search_figures.explained_share(error)
+    share = error.visible_share
     if share is None:
         return "only noise"
     return f"{100 * share:.0f} %" if share >= 0 else "error grew"

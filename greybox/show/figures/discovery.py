@@ -74,16 +74,6 @@ def errors_to_judge(discovery: Discovery) -> Mapping[str, HoldoutError]:
     return {**discovery.holdout, **surrogate.holdout}
 
 
-# Up to so many times the noise a model leaves nothing to explain.
-NOTHING_MISSING = 1.05
-
-
-def explained_share(error: HoldoutError) -> float | None:
-    """Share of the error that the effects take away; None where the plain model leaves only noise."""
-    only_noise = error.is_floor_known and not error.before > NOTHING_MISSING * error.floor
-    return None if only_noise else error.share
-
-
 def _error_text(size: float, error: HoldoutError) -> str:
     """An error beside its bar: over the noise where that is known, else its share of the plain model's error."""
     if error.is_floor_known:

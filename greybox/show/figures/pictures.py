@@ -259,7 +259,7 @@ def _holdout_error_sheet(discovery: Discovery) -> Sheet:
     rows, bars = len(figure.panels), len(figure.panels[0].categories)
     titles = {}
     for output, error in search_figures.errors_to_judge(discovery).items():
-        share = search_figures.explained_share(error)
+        share = error.visible_share
         taken = (
             "the residual of the plain model is noise"
             if share is None

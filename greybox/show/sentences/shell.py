@@ -1,4 +1,4 @@
-"""What the commands print: findings about a study, and the answers of `fit`, `simulate`, `export`, `models` and `demo`."""
+"""What the commands print: findings about a study, lines on written files, and what `models`, `extensions` and `demo` say."""
 
 from __future__ import annotations
 
