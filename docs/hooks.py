@@ -19,6 +19,7 @@ import io
 import re
 import sys
 import tempfile
+import tokenize
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -328,7 +329,11 @@ def _module_table(folder: Path) -> Iterator[str]:
 
 
 def _first_sentence(path: Path) -> str:
-    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    # The docstring is the first token: the rest of the module need not be parsed.
+    with path.open(encoding="utf-8") as file:
+        tokens = tokenize.generate_tokens(file.readline)
+        first = next(t for t in tokens if t.type not in (tokenize.COMMENT, tokenize.NL))
+    text = inspect.cleandoc(ast.literal_eval(first.string)) if first.type == tokenize.STRING else ""
     return " ".join(text.split("\n\n")[0].split()).replace("|", "\\|")
 
 

@@ -14,19 +14,14 @@ from pathlib import Path
 import pytest
 
 import greybox
+from tests.support.sources import ROOT, nodes, parsed
 
-ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = sorted((ROOT / "greybox").rglob("*.py"))
 
 # Settings of the whole library; whoever adds one asks first who turns it.
 MOST_SETTINGS = 150
 # Names that say nothing of what they hold.
 VAGUE = {"found", "said", "told", "there", "here", "own", "ways"}
-
-
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def is_number(node: ast.AST) -> bool:
@@ -72,7 +67,7 @@ def given_names(path: Path) -> set[str]:
         return set(re.findall(r"(\w+)=", path.read_text(encoding="utf-8")))
     names: set[str] = set()
     of_library = path.is_relative_to(ROOT / "greybox")
-    for node in ast.walk(parsed(path)):
+    for node in nodes(path):
         if isinstance(node, ast.Call):
             names |= {k.arg for k in node.keywords if k.arg}
         elif of_library and isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -130,9 +125,7 @@ def test_a_constant_says_what_it_is() -> None:
 
 def test_no_two_classes_share_a_name() -> None:
     """Nor is there a second kind of `Fit`: whatever a plant is, fitting it ends with that one."""
-    classes = Counter(
-        node.name for path in LIBRARY for node in ast.walk(parsed(path)) if isinstance(node, ast.ClassDef)
-    )
+    classes = Counter(node.name for path in LIBRARY for node in nodes(path) if isinstance(node, ast.ClassDef))
     assert not [name for name, count in classes.items() if count > 1]
     assert [name for name in classes if name.endswith("Fit")] == ["Fit"]
 
@@ -141,7 +134,7 @@ def test_variables_say_what_they_hold() -> None:
     vague = [
         f"{path.relative_to(ROOT)}:{node.lineno} {name}"
         for path in LIBRARY
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if (name := node.arg if isinstance(node, ast.arg) else getattr(node, "id", "")) in VAGUE
         and not (isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load))
     ]
@@ -202,7 +195,7 @@ def test_one_module_writes_files() -> None:
         f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(node)[:60]}"
         for path in LIBRARY
         if path != ROOT / "greybox" / "base" / "files.py"
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if isinstance(node, ast.Call) and writes_by_name(node)
     ]
     assert not elsewhere, "\n".join(["write with greybox.base.files.write_file or append_line:", *elsewhere])

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.support.sources import ROOT, nodes
 
 # The layers: the folders of greybox/, from the ground up. A layer imports from those before it. Inside a layer modules may import one
 # another as long as there is no circle.
@@ -25,6 +25,8 @@ LAYERS = (
 LEVEL = {layer: level for level, layer in enumerate(LAYERS)}
 # A value that is described finds its sentences and figures by the name of its class: the one import that points upward.
 PRINTING = ("greybox.base.values", "greybox.show.describe")
+# Conditions of what is imported for types alone.
+TYPES_ONLY = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 
 
 class Import(NamedTuple):
@@ -44,11 +46,6 @@ def sources(*folders: str, kinds: tuple[str, ...] = (".py",)) -> list[Path]:
     return sorted(path for folder in folders for path in (ROOT / folder).rglob("*") if path.suffix in kinds)
 
 
-@cache
-def parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
-
-
 def module_name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" and len(parts) > 1 else parts)
@@ -59,12 +56,11 @@ def is_module(name: str) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def running_code(node: ast.AST) -> Iterator[ast.AST]:
-    """Every node below ``node`` that runs; ``if TYPE_CHECKING`` does not run."""
-    yield node
-    for_types_only = isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING")
-    for child in node.orelse if for_types_only else ast.iter_child_nodes(node):
-        yield from running_code(child)
+def running_code(path: Path) -> Iterator[ast.AST]:
+    """Every node of a file that runs; what stands under ``if TYPE_CHECKING`` does not run."""
+    conditions = (node for node in nodes(path) if isinstance(node, ast.If) and ast.unparse(node.test) in TYPES_ONLY)
+    idle = {inner for condition in conditions for part in condition.body for inner in ast.walk(part)}
+    return (node for node in nodes(path) if node not in idle)
 
 
 @cache
@@ -74,17 +70,14 @@ def offered(package: str) -> dict[str, str]:
     if not path.is_file() or "lazy_face(__name__)" not in path.read_text(encoding="utf-8"):
         return {}
     return {
-        alias.name: str(node.module)
-        for node in ast.walk(parsed(path))
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
+        alias.name: str(node.module) for node in nodes(path) if isinstance(node, ast.ImportFrom) for alias in node.names
     }
 
 
 def find_imports(path: Path) -> Iterator[Import]:
     importer = module_name(path)
     package = importer if path.name == "__init__.py" else importer.rpartition(".")[0]
-    for node in running_code(parsed(path)):
+    for node in running_code(path):
         if isinstance(node, ast.Import):
             yield from (Import(path, node.lineno, importer, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -126,10 +119,8 @@ def circle(edges: set[tuple[str, str]]) -> list[str]:
     return []
 
 
-def docstrings(tree: ast.Module) -> list[ast.AST]:
-    return [
-        node.value for node in ast.walk(tree) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
-    ]
+def docstrings(path: Path) -> list[ast.AST]:
+    return [node.value for node in nodes(path) if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)]
 
 
 def test_there_is_a_library_to_look_at() -> None:
@@ -168,9 +159,9 @@ def test_the_core_names_no_extension() -> None:
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in sources("greybox")
         if layer(module_name(path)) not in ("extensions", "__init__")
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and "greybox.extensions." in node.value
-        if node not in docstrings(parsed(path))
+        if node not in docstrings(path)
     ]
     assert not named, f"the core names an extension: {', '.join(named)}"
 
@@ -220,7 +211,7 @@ def test_one_package_names_the_solver() -> None:
     elsewhere = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in sources("greybox")
-        for node in ast.walk(parsed(path))
+        for node in nodes(path)
         if "nlpsol" in (getattr(node, "id", ""), getattr(node, "attr", ""))
         and not module_name(path).startswith("greybox.estimation.optim")
     ]

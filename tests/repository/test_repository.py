@@ -8,6 +8,7 @@ import subprocess
 import tomllib
 import zipfile
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -16,8 +17,8 @@ import pytest
 import yaml
 
 from greybox.shell.template import STUDIES
+from tests.support.sources import ROOT, parsed
 
-ROOT = Path(__file__).resolve().parents[2]
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 # Each pattern has a letter in brackets, so that it does not match its own line.
@@ -38,13 +39,14 @@ def files() -> list[Path]:
     return [path for path, names in parts if not any(n.startswith(".") or n == "__pycache__" for n in names[:-1])]
 
 
-def texts() -> Iterator[tuple[Path, str]]:
+@cache
+def texts() -> list[tuple[Path, str]]:
     """Each text file of the project with its content; what is not UTF-8 is a figure or an archive."""
+    read = []
     for path in files():
-        try:
-            yield path.relative_to(ROOT), path.read_text(encoding="utf-8")
-        except UnicodeDecodeError:
-            continue
+        with suppress(UnicodeDecodeError):
+            read.append((path.relative_to(ROOT), path.read_text(encoding="utf-8")))
+    return read
 
 
 @pytest.mark.parametrize("what", UNWANTED)
@@ -106,7 +108,7 @@ def public_surface() -> list[tuple[str, Function | ast.ClassDef]]:
     """Where each public function, class and method stands; a method that a base class in the same file describes is left out."""
     surface = []
     for path in sorted((ROOT / "greybox").rglob("*.py")):
-        module = ast.parse(path.read_text(encoding="utf-8"))
+        module = parsed(path)
         described = inherited(module)
         surface += [
             (f"{path.relative_to(ROOT)}:{node.lineno}: {name}", node)
