@@ -95,28 +95,60 @@ def score(
     if not judged:
         raise DataError("scores: no record; give experiments, or a fit, which has its own")
     check_steps_ahead(steps, judged)
-    stated: Model | None = None
-    units: Mapping[str, str] = getattr(model, "units", {})
-    by: Any = "its own noise model"
     if isinstance(model, PredictingModel):
         runs = [run for e in judged for run in run_by_itself(model, e, steps, skip)]
         if isinstance(model, Predictor):
-            by, stated = model.correction, model.correction.model
-    else:
-        stated = as_model(model)
-        correction: Correction = None
-        if isinstance(model, Fit) and isinstance(stated, PlantModel):
-            correction = by = colour_correction(model)
-        elif steps:
-            learnt_from = () if isinstance(model, Fit) else group
-            correction = predictor(model if isinstance(model, Fit) else stated, learnt_from, options=options)
-            by = correction.correction
-        known = () if not isinstance(model, Fit) else model.validation.traces if group else model.traces
-        runs = run_model(model, judged, steps, correction, known, skip=skip, initial_rows=initial_rows, options=options)
-    if stated is not None:
-        units = {o.name: o.unit for o in stated.outputs}
+            return _gather(runs, str(model.correction), model.correction.model)
+        return _gather(runs, "its own noise model", units=getattr(model, "units", {}))
+    correction = _correct(model, () if isinstance(model, Fit) else group, steps, options)
+    known = () if not isinstance(model, Fit) else model.validation.traces if group else model.traces
+    runs = run_model(model, judged, steps, correction, known, skip=skip, initial_rows=initial_rows, options=options)
+    return _gather(runs, _name_correction(correction), as_model(model))
+
+
+def score_fit(
+    fit: Fit, validation: Sequence[Experiment] = (), *, steps: Sequence[int] = (1, 10), skip: int = 0
+) -> tuple[Scores, Scores | None]:
+    """`score` of a fit on its own records and on those for validation: what corrects it, which takes long, is determined once.
+
+    ``skip``: first rows of each record for validation that are left out; of the fit's own none are.
+    """
+    correction = _correct(fit, (), steps, None)
+    scores: list[Scores] = []
+    for judged, known, uncounted in (
+        ([t.experiment for t in fit.traces], fit.traces, 0),
+        (list(validation), fit.validation.traces, skip),
+    ):
+        if judged:
+            check_steps_ahead(steps, judged)
+            runs = run_model(fit, judged, steps, correction, known, skip=uncounted)
+            scores.append(_gather(runs, _name_correction(correction), as_model(fit)))
+    return scores[0], scores[1] if validation else None
+
+
+def _correct(
+    model: Fit | Model | Plant, learnt_from: Sequence[Experiment], steps: Sequence[int], options: FitOptions | None
+) -> Correction:
+    """What corrects a model from sample to sample: of a fit as its own records tell, of a model as ``learnt_from`` tells."""
+    stated = as_model(model)
+    if isinstance(model, Fit) and isinstance(stated, PlantModel):
+        return colour_correction(model)
+    return predictor(model if isinstance(model, Fit) else stated, learnt_from, options=options) if steps else None
+
+
+def _name_correction(correction: Correction) -> str:
+    if correction is None:
+        return "its own noise model"
+    return str(correction.correction if isinstance(correction, Predictor) else correction)
+
+
+def _gather(
+    runs: Sequence[OutputRun], by: str, stated: Model | None = None, units: Mapping[str, str] | None = None
+) -> Scores:
+    """The scores of runs that were corrected ``by`` something; units are those of the outputs of ``stated``, where there is a model."""
+    names = {o.name: o.unit for o in stated.outputs} if stated is not None else units or {}
     by_output = {name: [r for r in runs if r.output == name] for name in dict.fromkeys(r.output for r in runs)}
-    scores = {name: OutputScore.of(each, units.get(name, ""), str(by)) for name, each in by_output.items()}
+    scores = {name: OutputScore.of(each, names.get(name, ""), by) for name, each in by_output.items()}
     return Scores({name: s for name, s in scores.items() if s.samples}, tuple(runs))
 
 

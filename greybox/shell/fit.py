@@ -258,17 +258,15 @@ UNASKED_PREDICTION_ROWS = 50000
 
 def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict[str, Any]:
     """Free run and predictions so many samples ahead; without being asked one sample, where the records are not too long."""
-    from greybox.estimation.score import score
+    from greybox.estimation.score import score_fit
 
     rows = sum(len(t.time) for t in result.traces) + sum(e.rows for e in validation)
     unasked = [1] if rows <= UNASKED_PREDICTION_ROWS else []
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}
-    tables = {"scores": score(result, steps=steps)}
-    if validation:
-        tables["validation_scores"] = score(result, validation, steps=steps, skip=study.uncounted)
-    return tables
+    own, others = score_fit(result, validation, steps=steps, skip=study.uncounted)
+    return {"scores": own} | ({"validation_scores": others} if others is not None else {})
 
 
 def _draw_pictures(result: Fit, tests: ResidualTests | None, folder: Path, skip: int) -> list[Path]:
