@@ -13,7 +13,7 @@ import pytest
 from click.testing import CliRunner, Result
 from hypothesis import settings
 
-from tests.support.browser import browser
+from tests.support.browser import browser, tab
 
 # Before anything imports numpy: a pool of threads on 4x4 matrices costs a hundred times the arithmetic.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -31,7 +31,7 @@ os.fsync = os.fstat  # type: ignore[assignment]
 settings.register_profile("ci", derandomize=True, max_examples=25, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
-__all__ = ["browser"]
+__all__ = ["browser", "tab"]
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 

@@ -17,7 +17,7 @@ TEXTS = (*MARKUP, *RARER_MARKUP, *CODE)
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(3600)]
 
 
-def test_each_text_in_every_field_of_every_page(browser, pages, tmp_path):  # noqa: F811
+def test_each_text_in_every_field_of_every_page(tab, pages, tmp_path):  # noqa: F811
     """Each page holds all texts; from round to round they move on by a field, so that after as many rounds each has been in every field."""
     fields = opened_pages = 0
     faults = []
@@ -27,7 +27,7 @@ def test_each_text_in_every_field_of_every_page(browser, pages, tmp_path):  # no
         texts = itertools.islice(itertools.cycle(TEXTS), first, None)
         page = poison(pages[kind], (f"{text}{next(count)}" for text in texts))
         file = write_page(page, tmp_path / "page.html")
-        with opened(browser, file) as shown:
+        with opened(tab, file) as shown:
             if shown.evaluate("window.hurt") is not None or shown.locator(ELEMENTS).count():
                 faults.append((kind, first))
         fields, opened_pages = fields + next(count), opened_pages + 1

@@ -27,7 +27,16 @@ def browser() -> Iterator[Any]:
         one.close()
 
 
-def collect_faults(page: Any, allowed: tuple[str, ...], expected: str = "") -> list[str]:
+@pytest.fixture(scope="module")
+def tab(browser: Any) -> Iterator[Any]:
+    """A tab in which one page is opened after the other: it compiles the scripts that they share once."""
+    one = browser.new_page()
+    yield one
+    one.close()
+
+
+@contextmanager
+def collected_faults(page: Any, allowed: tuple[str, ...], expected: str = "") -> Iterator[list[str]]:
     """A list that fills with errors and warnings of the page's console and with requests to elsewhere.
 
     ``allowed`` are beginnings of addresses, ``expected`` is a part of a text that is no fault.
@@ -38,21 +47,30 @@ def collect_faults(page: Any, allowed: tuple[str, ...], expected: str = "") -> l
         if message.type in ("error", "warning") and not (expected and expected in message.text):
             faults.append(message.text)
 
-    page.on("pageerror", lambda error: faults.append(str(error)))
-    page.on("console", hear)
-    page.on("request", lambda r: None if r.url.startswith((*allowed, "data:", "blob:")) else faults.append(r.url))
-    return faults
+    def fail(error: Any) -> None:
+        faults.append(str(error))
+
+    def look(request: Any) -> None:
+        if not request.url.startswith((*allowed, "data:", "blob:")):
+            faults.append(request.url)
+
+    listeners = {"pageerror": fail, "console": hear, "request": look}
+    for event, listener in listeners.items():
+        page.on(event, listener)
+    yield faults
+    for event, listener in listeners.items():
+        page.remove_listener(event, listener)
 
 
 @contextmanager
-def opened(browser: Any, path: Path, **context: Any) -> Iterator[Any]:
-    """The page of a report; any error in its console and any request to elsewhere fails the test."""
-    page = browser.new_page(**context)
-    faults = collect_faults(page, ("file:",))
-    page.goto(path.as_uri())
-    wait_until(page, "window.greyboxReady === true")
-    yield page
-    page.close()
+def opened(tab: Any, path: Path) -> Iterator[Any]:
+    """The page of a report in a tab; any error in its console and any request to elsewhere fails the test."""
+    with collected_faults(tab, ("file:",)) as faults:
+        tab.goto(path.as_uri())
+        wait_until(tab, "window.greyboxReady === true")
+        yield tab
+        # What the page still says is heard before it goes.
+        tab.goto("about:blank")
     assert not faults
 
 

@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -17,14 +16,29 @@ import pytest
 
 from greybox.base.files import locked
 from greybox.extensions.app.workbench import JOURNAL
-from tests.support.browser import collect_faults, wait_until
+from tests.support.browser import collected_faults, wait_until
 from tests.support.hostile import ELEMENTS, MARKUP, RARER_MARKUP
 from tests.support.reliability import note_row
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: no browser to look with")
 pytest.importorskip("tornado", reason="the app's server is not installed")
-LATE = 3.0  # seconds by which an answer is held back
 PATIENCE = 150_000  # milliseconds: other tests may run beside this one
+# Let the page note that it has read the answer to a stop and dealt with it: a timer runs out after what waits for the answer has run.
+NOTE_ANSWER = """
+(() => {
+  const ask = window.fetch;
+  window.answered = false;
+  window.fetch = async (...request) => {
+    const answer = await ask(...request), read = answer.json.bind(answer);
+    answer.json = async () => {
+      const content = await read();
+      if (String(request[0]).endsWith("do/stop")) setTimeout(() => { window.answered = true; }, 100);
+      return content;
+    };
+    return answer;
+  };
+})()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -68,11 +82,11 @@ def page(browser, served):
     address, _ = served
     one = browser.new_page(viewport={"width": 1300, "height": 900})
     one.set_default_timeout(PATIENCE)
-    faults = collect_faults(one, (address,), expected="422")
-    one.goto(address)
-    until(one, "window.greyboxReady === true")
-    yield one
-    one.close()
+    with collected_faults(one, (address,), expected="422") as faults:
+        one.goto(address)
+        until(one, "window.greyboxReady === true")
+        yield one
+        one.close()
     assert not faults
 
 
@@ -178,18 +192,20 @@ def test_discover_can_be_stopped_and_finds_the_friction(page, served) -> None:
     page.wait_for_selector(".constant[data-name=Fc]", state="detached")
     settled(page)
     with held_search(page, folder) as let_go:
+        held = []
 
-        def answer_late(route) -> None:
-            """Let the answer of the server come after the news of what it led to."""
-            answer = route.fetch()  # the search has been asked to stop
+        def hold_answer(route) -> None:
+            held.append((route, route.fetch()))  # the search has been asked to stop
             let_go()
-            time.sleep(LATE)
-            route.fulfill(response=answer)
 
-        page.route("**/do/stop", answer_late)
+        page.route("**/do/stop", hold_answer)
+        page.evaluate(NOTE_ANSWER)
         page.click("#stop")
         page.wait_for_selector("#message.good:not([hidden])")
-    page.wait_for_timeout(1000 * LATE)  # by then the answer has come, and tells of a time before the news
+    # The answer comes after the news of what it led to, and tells of a time before.
+    ((route, answer),) = held
+    route.fulfill(response=answer)
+    until(page, "window.answered")
     page.unroute("**/do/stop")
     assert page.is_visible("#message.good") and page.is_enabled("#discover")
     page.click("#discover")
@@ -269,18 +285,21 @@ def test_a_second_window_without_the_token_gets_nothing(browser, served) -> None
     other.close()
 
 
-def test_it_fits_a_phone_and_follows_dark_and_light(browser, served) -> None:
+def test_it_fits_a_phone_and_follows_dark_and_light(tab, served) -> None:
     address, _ = served
-    one = browser.new_page(viewport={"width": 390, "height": 800}, color_scheme="dark")
-    one.set_default_timeout(PATIENCE)
-    one.goto(address)
-    until(one, "window.greyboxReady === true")
-    assert one.evaluate("document.documentElement.scrollWidth") <= 390
+    tab.set_default_timeout(PATIENCE)
+    tab.emulate_media(color_scheme="dark")
+    tab.set_viewport_size({"width": 390, "height": 800})
+    tab.goto(address)
+    until(tab, "window.greyboxReady === true")
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 390
     paper = "getComputedStyle(document.body).backgroundColor"
-    dark = one.evaluate(paper)
-    one.click("#theme")
-    assert one.evaluate(paper) == "rgb(255, 255, 255)" != dark
-    one.close()
+    dark = tab.evaluate(paper)
+    tab.click("#theme")
+    assert tab.evaluate(paper) == "rgb(255, 255, 255)" != dark
+    tab.goto("about:blank")
+    tab.emulate_media(color_scheme="light")
+    tab.set_viewport_size({"width": 1280, "height": 720})
 
 
 def poison_answer(value: Any, text: str) -> Any:
@@ -295,11 +314,13 @@ def poison_answer(value: Any, text: str) -> Any:
     return text if isinstance(value, str) else value
 
 
-def show_poisoned(browser, address: str, text: str) -> tuple[int, list[str]]:
+def show_poisoned(tab, address: str, text: str) -> tuple[int, list[str]]:
     """How many texts were exchanged in a page that has ``text`` for every text of a session, and what is wrong with it."""
-    one = browser.new_page()
-    one.set_default_timeout(PATIENCE)
-    faults, shown = collect_faults(one, (address,)), 0
+    tab.set_default_timeout(PATIENCE)
+    shown, places = (
+        0,
+        ("#description", "#equations", "#where", "#records li span", "#misfit tbody th", ".constant .what b"),
+    )
 
     def exchange(route) -> None:
         nonlocal shown
@@ -308,24 +329,27 @@ def show_poisoned(browser, address: str, text: str) -> tuple[int, list[str]]:
         shown += json.dumps(content).count(json.dumps(text))
         route.fulfill(response=answer, json=content)
 
-    one.route(re.compile(r"/(state|do/[a-z]+)$"), exchange)
-    one.goto(address)
-    until(one, "window.greyboxReady === true")
-    one.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-    for place in ("#description", "#equations", "#where", "#records li span", "#misfit tbody th", ".constant .what b"):
-        if text not in one.locator(place).first.text_content():
-            faults.append(f"{place} does not show the text")
-    if one.evaluate("window.hurt") is not None or one.locator(ELEMENTS).count():
-        faults.append("the text became markup")
-    one.close()
+    answers = re.compile(r"/(state|do/[a-z]+)$")
+    with collected_faults(tab, (address,)) as faults:
+        tab.route(answers, exchange)
+        tab.goto(address)
+        until(tab, "window.greyboxReady === true")
+        tab.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        for place in places:
+            if text not in tab.locator(place).first.text_content():
+                faults.append(f"{place} does not show the text")
+        if tab.evaluate("window.hurt") is not None or tab.locator(ELEMENTS).count():
+            faults.append("the text became markup")
+        tab.goto("about:blank")
+        tab.unroute(answers, exchange)
     return shown, faults
 
 
 @pytest.mark.parametrize("text", MARKUP[:3])
-def test_no_text_of_a_session_becomes_markup(browser, served, rig: Path, page, text: str) -> None:
+def test_no_text_of_a_session_becomes_markup(tab, served, rig: Path, page, text: str) -> None:
     if not page.locator("#records li").count():
         load(page, "#load", rig / "train.csv", 1)
-    shown, faults = show_poisoned(browser, served[0], text)
+    shown, faults = show_poisoned(tab, served[0], text)
     assert shown > 100 and not faults
 
 
@@ -340,11 +364,11 @@ def test_why_a_file_is_refused_is_shown_as_text(page, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_each_text_in_every_answer_of_the_app(browser, served, rig: Path, page) -> None:
+def test_each_text_in_every_answer_of_the_app(tab, served, rig: Path, page) -> None:
     if not page.locator("#records li").count():
         load(page, "#load", rig / "train.csv", 1)
     texts = (*MARKUP, *RARER_MARKUP)
-    results = [show_poisoned(browser, served[0], text) for text in texts]
+    results = [show_poisoned(tab, served[0], text) for text in texts]
     faults = [fault for _, some in results for fault in some]
     fields = f"{sum(shown for shown, _ in results)} texts of answers; none executed, none became markup"
     note_row("hostile texts in every answer of the app, in Chromium", len(texts), len(faults), fields)

@@ -87,11 +87,11 @@ def pages(tmp_path_factory) -> dict[str, Document]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_text_of_a_page_runs_or_becomes_markup(browser, pages, tmp_path, kind):
+def test_no_text_of_a_page_runs_or_becomes_markup(tab, pages, tmp_path, kind):
     count = itertools.count()
     page = poison(pages[kind], (f"t{next(count)} {text}" for text in itertools.cycle(MARKUP)))
     file = write_page(page, tmp_path / f"{kind}.html")
-    with opened(browser, file) as shown:
+    with opened(tab, file) as shown:
         for fold in shown.locator("details").all():
             fold.evaluate("fold => fold.open = true")
         assert shown.evaluate("window.hurt") is None
@@ -104,21 +104,19 @@ def test_no_text_of_a_page_runs_or_becomes_markup(browser, pages, tmp_path, kind
     assert next(count) > 20
 
 
-def test_what_is_injected_all_the_same_does_not_run(browser, pages, tmp_path):
+def test_what_is_injected_all_the_same_does_not_run(tab, pages, tmp_path):
     html = render_page(pages["check"])
     for place in ("</header>", "</body>"):
         assert place in html
         html = html.replace(place, f"{MARKUP[0]}<a id='link' href='javascript:window.hurt=1'>x</a>{place}", 1)
     (tmp_path / "page.html").write_text(html)
-    page = browser.new_page()
-    page.goto((tmp_path / "page.html").as_uri())
-    wait_until(page, "window.greyboxReady === true")
-    page.click("#link >> nth=0", force=True)
-    page.evaluate(
+    tab.goto((tmp_path / "page.html").as_uri())
+    wait_until(tab, "window.greyboxReady === true")
+    tab.click("#link >> nth=0", force=True)
+    tab.evaluate(
         "() => { const s = document.createElement('script'); s.textContent = 'window.hurt=1'; document.body.append(s); }"
     )
-    assert page.evaluate("window.hurt") is None
-    page.close()
+    assert tab.evaluate("window.hurt") is None
 
 
 def test_a_page_names_its_scripts_and_nothing_else(pages):

@@ -40,8 +40,10 @@ def report(good_fit, tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def page(browser, report):
     """The page of the fit on a wide screen, opened once: what one test zooms or switches, the next does not mind."""
-    with opened(browser, report) as one:
+    one = browser.new_page()
+    with opened(one, report):
         yield one
+    one.close()
 
 
 def test_the_page_draws_every_figure_and_stays_small(page, report):
@@ -94,8 +96,10 @@ def test_paper_shows_every_output_with_its_name_and_the_screen_is_as_before(page
     assert page.evaluate(names) == [] and page.evaluate(axes) == ["x"]
 
 
-def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(browser, report):
-    with opened(browser, report, color_scheme="dark", viewport={"width": 390, "height": 800}) as page:
+def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(tab, report):
+    tab.emulate_media(color_scheme="dark")
+    tab.set_viewport_size({"width": 390, "height": 800})
+    with opened(tab, report) as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         tests = page.locator(".wide[aria-label='Tests of the residual']")
         assert tests.evaluate("e => e.scrollWidth <= e.clientWidth")
@@ -104,9 +108,11 @@ def test_dark_and_light_follow_the_reader_and_the_button_on_a_phone_too(browser,
         page.click("#theme")
         assert page.evaluate(paper) == "rgb(255, 255, 255)" != dark
         assert page.get_attribute("#theme", "aria-pressed") == "false"
+    tab.emulate_media(color_scheme="light")
+    tab.set_viewport_size({"width": 1280, "height": 720})
 
 
-def test_every_kind_of_page_opens_and_is_drawn(browser, good_fit, tmp_path):
+def test_every_kind_of_page_opens_and_is_drawn(tab, good_fit, tmp_path):
     """Nothing in the console, nothing fetched, every figure drawn; one page after the other."""
     t = 5e-4 * np.arange(400)
     rig = (micro_actuator + gb.effect("cubic_stiffness")).start(K3=5e9)
@@ -130,7 +136,7 @@ def test_every_kind_of_page_opens_and_is_drawn(browser, good_fit, tmp_path):
         "simulation": (records[0], {"model": rig}),
     }
     for name, (value, more) in values.items():
-        with opened(browser, gb.report(value, tmp_path / f"{name}.html", **more)) as page:
+        with opened(tab, gb.report(value, tmp_path / f"{name}.html", **more)) as page:
             undrawn = [f.get_attribute("id") for f in page.locator("figure.drawn:not(:has(svg.main-svg))").all()]
             assert page.locator("figure.drawn").count() > 0
             assert not undrawn
