@@ -68,7 +68,7 @@ def code(title: str) -> str:
 def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The package of the page as a wheel, and a folder with it installed; a second package that cannot be imported."""
     wheel = pytest.importorskip("hatchling.builders.wheel", reason="hatchling comes with the extra 'test'")
-    folder = tmp_path_factory.mktemp("beside")
+    folder, wheels = tmp_path_factory.mktemp("beside"), []
     for name, project, module in (
         ("acme", code("pyproject.toml"), code("acme.py")),
         (
@@ -87,19 +87,9 @@ def beside(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (source / "pyproject.toml").write_text(project + build, encoding="utf-8")
         (source / f"{name}.py").write_text(module, encoding="utf-8")
         (built,) = wheel.WheelBuilder(str(source)).build(directory=str(source / "dist"), versions=["standard"])
-        command = [
-            sys.executable,
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--no-deps",
-            "--no-index",
-            "--target",
-            str(folder),
-            built,
-        ]
-        subprocess.run(command, check=True, timeout=120)
+        wheels.append(built)
+    options = ["--quiet", "--no-deps", "--no-index", "--no-compile", "--target", str(folder)]
+    subprocess.run([sys.executable, "-m", "pip", "install", *options, *wheels], check=True, timeout=120)
     return folder
 
 
@@ -111,6 +101,12 @@ def run(beside: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[
 
 def greybox(beside: Path, folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return run(beside, folder, sys.executable, "-m", "greybox", *words)
+
+
+@pytest.fixture(scope="module")
+def listed(beside: Path) -> list[dict]:
+    """Every extension as the command lists it."""
+    return json.loads(greybox(beside, beside, "extensions", "--json").stdout)["extensions"]
 
 
 def test_what_a_stranger_adds_is_used(beside: Path, tmp_path: Path) -> None:
@@ -164,13 +160,12 @@ def test_what_the_page_types_prints_what_it_shows(beside: Path, tmp_path: Path) 
 
 
 def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reason(
-    beside: Path, tmp_path: Path
+    beside: Path, tmp_path: Path, listed: list[dict]
 ) -> None:
-    done = greybox(beside, tmp_path, "extensions", "--json")
-    listed = {(e["kind"], e["name"]): e for e in json.loads(done.stdout)["extensions"]}
-    assert listed["readers", "acme"]["distribution"] == "greybox-acme"
-    assert listed["readers", "mat"]["distribution"] == "greybox-sysid"
-    assert "a_package_that_nobody_has" in listed["readers", "broken"]["failure"]
+    named = {(e["kind"], e["name"]): e for e in listed}
+    assert named["readers", "acme"]["distribution"] == "greybox-acme"
+    assert named["readers", "mat"]["distribution"] == "greybox-sysid"
+    assert "a_package_that_nobody_has" in named["readers", "broken"]["failure"]
     (tmp_path / "run.strange").write_text("x", encoding="utf-8")
     done = greybox(beside, tmp_path, "fit", "silverbox", "run.strange")
     assert done.returncode == 2
@@ -178,18 +173,13 @@ def test_each_extension_is_listed_with_its_origin_and_a_broken_one_with_its_reas
 
 
 def test_values_of_another_class_and_names_that_are_taken_are_left_out_with_their_reason(
-    beside: Path, tmp_path: Path
+    beside: Path, tmp_path: Path, listed: list[dict]
 ) -> None:
-    done = greybox(beside, tmp_path, "extensions", "--json")
-    failures = {
-        (e["kind"], e["name"]): e["failure"]
-        for e in json.loads(done.stdout)["extensions"]
-        if e["distribution"] == "greybox-wrong"
-    }
+    failures = {(e["kind"], e["name"]): e["failure"] for e in listed if e["distribution"] == "greybox-wrong"}
     needed = {"readers": "FileFormat", "exports": "ExportTarget", "plants": "PlantKind"}
     for kind, value in {**needed, "commands": "Command", "effects": "Effect"}.items():
         assert f"class {value}" in failures[kind, "wrong"] and "function" in failures[kind, "wrong"]
     assert "'fit'" in failures["commands", "fit"] and "'coulomb_friction'" in failures["effects", "taken"]
-    listed = greybox(beside, tmp_path, "--help").stdout
-    assert "Fit a model's parameters to records." in listed and "Hello." not in listed
+    shown = greybox(beside, tmp_path, "--help").stdout
+    assert "Fit a model's parameters to records." in shown and "Hello." not in shown
     assert greybox(beside, tmp_path, "effects").returncode == 0

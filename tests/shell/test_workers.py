@@ -115,7 +115,11 @@ def test_workers_give_the_fit_that_one_process_gives(record, tmp_path):
         words = (
             f"fit micro_actuator {record} --fix M --fix Ra --starts 3 --no-report -q --workers {workers} --output {out}"
         )
-        subprocess.run([*COMMAND, *words.split()], env=ENVIRONMENT, check=True, timeout=170)
+        if workers == "1":
+            done = CliRunner().invoke(app, words.split(), prog_name="greybox")
+            assert done.exit_code == 0, done.stderr
+        else:
+            subprocess.run([*COMMAND, *words.split()], env=ENVIRONMENT, check=True, timeout=170)
         data = json.loads((out / "fit.json").read_text())
         fits.append({name: e["value"] for name, e in data["parameters"].items()})
         assert not (out / "starts.jsonl").exists()

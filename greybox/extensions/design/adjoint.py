@@ -10,6 +10,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 
@@ -191,6 +192,34 @@ def make_loops(step: Step, directions: int) -> AdjointLoops:
         return AdjointLoops(functions)
 
 
+@dataclass(frozen=True, eq=False)
+class PreparedPlant:
+    """What the loops need of a plant, the same for every input: the first state, constants, parameters, and the weight of its outputs."""
+
+    loops: AdjointLoops
+    directions: int
+    start: np.ndarray
+    constants: np.ndarray
+    parameters: np.ndarray
+    weight: np.ndarray
+
+
+@lru_cache(maxsize=64)
+def _prepare(plant: PlantScenario, sensitive: bool) -> PreparedPlant:
+    point, step = plant.point, plant.problem.step
+    directions = point.dx0.shape[1] if sensitive else 0
+    # h of a substep
+    h = float(plant.template.sampling_time or 0.0) / step.substeps
+    return PreparedPlant(
+        make_loops(step, directions),
+        directions,
+        np.concatenate([point.x0, point.dx0[:, :directions].ravel(order="F")]),
+        np.concatenate([point.q[0], point.dq[0][:, :directions].ravel(order="F"), [h]]),
+        np.concatenate([point.p, point.dp[:, :directions].ravel(order="F")]),
+        np.where(plant.measured, plant.weight, 0.0),
+    )
+
+
 class SensitivityRun:
     """A run of one plant over an input with its sensitivities, and what makes a gradient from them.
 
@@ -210,43 +239,40 @@ class SensitivityRun:
     """
 
     def __init__(self, plant: PlantScenario, inputs: Mapping[str, np.ndarray], sensitive: bool = True) -> None:
-        point, step = plant.point, plant.problem.step
-        self.plant, self.substeps = plant, step.substeps
-        self.nx, self.directions = len(point.x0), point.dx0.shape[1] if sensitive else 0
-        self._loops = make_loops(step, self.directions)
+        prepared = _prepare(plant, sensitive)
+        self.plant, self.substeps = plant, plant.problem.step.substeps
+        self.nx, self.directions = len(plant.point.x0), prepared.directions
+        self._loops, self._constants, self._parameters = prepared.loops, prepared.constants, prepared.parameters
+        self._weight = prepared.weight
         self._u = np.ascontiguousarray(np.array([inputs[i.name] for i in plant.model.inputs], float).T)
         rows = len(self._u)
-        # h of a substep
-        h = float(plant.template.sampling_time or 0.0) / step.substeps
-        self._constants = np.concatenate([point.q[0], point.dq[0][:, : self.directions].ravel(order="F"), [h]])
-        self._parameters = np.concatenate([point.p, point.dp[:, : self.directions].ravel(order="F")])
-        start = np.concatenate([point.x0, point.dx0[:, : self.directions].ravel(order="F")])
         # Held inputs: every substep of an interval has the same one, and the slopes of its substeps add up.
-        self._fine_u = np.repeat(self._u[:-1], step.substeps, axis=0)
+        self._fine_u = self._u[:-1] if self.substeps == 1 else np.repeat(self._u[:-1], self.substeps, axis=0)
         # Kept at every substep: the backward pass linearises where the forward pass was. Memory grows with the
         # record, hence `DESIGN_MOST_ROWS`.
-        self._fine = self._loops.forward(start, self._fine_u, self._constants)
-        self._samples = np.ascontiguousarray(self._fine[:: step.substeps])
+        self._fine = self._loops.forward(prepared.start, self._fine_u, self._constants)
+        self._samples = np.ascontiguousarray(self._fine[:: self.substeps])
         y = self._loops.outputs(self._samples, self._u, self._parameters)
         ny = len(plant.model.outputs)
         self.outputs, self.states = y[:, :ny], self._samples[:, : self.nx]
         shown = y[:, ny:].reshape(rows, self.directions, ny).transpose(0, 2, 1)
-        self.slopes = shown * np.where(plant.measured, plant.weight, 0.0)[None, :, None]
+        self.slopes = shown * self._weight[None, :, None]
         self.finite = bool(np.isfinite(y).all() and np.isfinite(self._fine).all())
 
     def gradient(self, outputs: np.ndarray, slopes: np.ndarray, states: np.ndarray) -> np.ndarray:
         """Slopes (nu, N) along the inputs of a criterion with these slopes along outputs (N, ny), `slopes` (N, ny, L), states (N, nx)."""
         rows = len(outputs)
-        weight = np.where(self.plant.measured, self.plant.weight, 0.0)
-        along = (slopes * weight[None, :, None]).transpose(0, 2, 1).reshape(rows, -1)
+        along = (slopes * self._weight[None, :, None]).transpose(0, 2, 1).reshape(rows, -1)
         cotangent = np.ascontiguousarray(np.hstack([outputs, along]))
         at_x, result = self._loops.outputs_back(self._samples, self._u, self._parameters, cotangent)
         at_x[:, : self.nx] += states
-        added = np.zeros_like(self._fine)
-        # Outputs are seen at samples alone: what they add to the costate stands in those rows.
-        added[:: self.substeps] = at_x
+        added = at_x
+        if self.substeps > 1:
+            # Outputs are seen at samples alone: what they add to the costate stands in those rows.
+            added = np.zeros_like(self._fine)
+            added[:: self.substeps] = at_x
         fine = self._loops.backward(self._fine, self._fine_u, self._constants, added)
-        result[:-1] += fine.reshape(rows - 1, self.substeps, -1).sum(axis=1)
+        result[:-1] += fine.reshape(rows - 1, self.substeps, -1).sum(axis=1) if self.substeps > 1 else fine
         return result.T
 
 
