@@ -41,7 +41,8 @@ def test_many_starts_print_and_save_where_each_ended(run: Run, data: Path, tmp_p
     ratios = [end["noise_ratio"] for end in saved["ends"]]
     assert ratios == sorted(ratios)
     assert set(saved["ends"][0]["start"]) == set(saved["ends"][0]["values"]) == {"B", "K", "Kf", "Kv", "La"}
-    again = run("fit", "micro_actuator", data, *KNOWN, "--starts", 4, "--seed", 3, "--output", "again")
+    words = ["--starts", 4, "--seed", 3, "--workers", 1, "--no-report", "-q", "--output", "again"]
+    again = run("fit", "micro_actuator", data, *KNOWN, *words)
     repeated = json.loads((tmp_path / "again" / "fit.json").read_text())
     assert [end["values"] for end in repeated["ends"]] == [end["values"] for end in saved["ends"]]
     assert again.exit_code == 0
