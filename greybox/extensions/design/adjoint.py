@@ -256,7 +256,8 @@ class SensitivityRun:
         ny = len(plant.model.outputs)
         self.outputs, self.states = y[:, :ny], self._samples[:, : self.nx]
         shown = y[:, ny:].reshape(rows, self.directions, ny).transpose(0, 2, 1)
-        self.slopes = shown * self._weight[None, :, None]
+        # As rows of samples and outputs they are multiplied with many matrices.
+        self.slopes = np.ascontiguousarray(shown * self._weight[None, :, None])
         self.finite = bool(np.isfinite(y).all() and np.isfinite(self._fine).all())
 
     def gradient(self, outputs: np.ndarray, slopes: np.ndarray, states: np.ndarray) -> np.ndarray:

@@ -67,6 +67,12 @@ def _fill_gaps(slopes: np.ndarray) -> np.ndarray:
     return slopes if np.isfinite(slopes).all() else np.nan_to_num(slopes)
 
 
+def _turn(slopes: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """``slopes`` (N, ny, L) times a matrix (L, L): as one product of many rows, not one for each sample."""
+    flat = _fill_gaps(slopes).reshape(-1, slopes.shape[-1])
+    return (flat @ along).reshape(slopes.shape)
+
+
 def add_earlier(plant: PlantScenario, information: np.ndarray) -> np.ndarray:
     """Information (L, L) of a run with that of earlier records, and with the order of magnitude that is known anyway."""
     n = plant.count
@@ -121,7 +127,7 @@ class Precision:
             value, along = self._measure(plant, run, scale)
             values.append(value)
             # d(value) / dS = 2 S (d value / dM), M being S'S
-            slopes = 2 * scale * (_fill_gaps(run.slopes) @ along) / len(self.plants)
+            slopes = 2 * scale * _turn(run.slopes, along) / len(self.plants)
             result.append((np.zeros(run.outputs.shape), slopes))
         return float(np.mean(values)), result
 
@@ -330,7 +336,7 @@ class Detection:
             stds.append(float(np.sqrt(column[k])))
             # d(-ln std) / dM = (1/2) M^-1 e e' M^-1 / (M^-1)_kk
             along = 0.5 * np.outer(column, column) / max(column[k], TINY) / len(self.plants)
-            result.append((np.zeros(run.outputs.shape), 2 * scale * (_fill_gaps(run.slopes) @ along)))
+            result.append((np.zeros(run.outputs.shape), 2 * scale * _turn(run.slopes, along)))
         return self._average(stds), result
 
     def _total(self, plant: PlantScenario, information: np.ndarray, k: int) -> np.ndarray:
