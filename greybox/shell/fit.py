@@ -265,8 +265,8 @@ def _scores(result: Fit, study: Study, validation: Sequence[Experiment]) -> dict
     steps = sorted({k for k in study.predict if k}) if study.predict else unasked
     if not steps or not result.success:
         return {}
-    own, others = score_fit(result, validation, steps=steps, skip=study.uncounted)
-    return {"scores": own} | ({"validation_scores": others} if others is not None else {})
+    fitted, judged = score_fit(result, validation, steps=steps, skip=study.uncounted)
+    return {"scores": fitted} | ({"validation_scores": judged} if judged is not None else {})
 
 
 def _draw_pictures(result: Fit, tests: ResidualTests | None, folder: Path, skip: int) -> list[Path]:
