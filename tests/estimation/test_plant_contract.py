@@ -138,7 +138,7 @@ def test_a_gap_counts_nothing(case):
     (r, _), (full, _) = (p.shooting().residuals(p.variables.here)[0] for p in (problem, whole))
     gap = np.isnan(next(iter(with_gap.values())))
     assert np.isnan(r[gap]).all()
-    if not case.model.states or case.name == "scipy":  # a state that is measured is guessed by its first readings
+    if not case.model.states or case.name == "pendulum":  # a state that is measured is guessed by its first readings
         np.testing.assert_allclose(r[~gap], full[~gap])
     assert gb.fit(case.plant, record.with_outputs(with_gap), noise=case.noise).success
 
@@ -510,7 +510,7 @@ def test_what_needs_equations_says_so(case, tmp_path):
 
 
 def test_a_run_that_fails_turns_the_search_back(case):
-    if case.name != "scipy":
+    if case.name != "pendulum":
         pytest.skip("it never fails")
     result = gb.fit(case.model.start(d=7.9), case.records, noise=case.noise)
     assert result.success and result.parameters["d"].value == pytest.approx(0.3, abs=4 * result.parameters["d"].std)
