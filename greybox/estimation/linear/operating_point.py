@@ -59,6 +59,7 @@ class ModelFunctions:
         for d in s.dry:
             static[d.state] += ca.substitute(d.static, s.x[d.state], 0)
         self._static = ca.Function("static", [self.z, s.p], [ca.densify(static)])
+        self._started: tuple[bytes, np.ndarray] | None = None
 
     @cached_property
     def kinematic(self) -> tuple[int, ...]:
@@ -75,8 +76,12 @@ class ModelFunctions:
 
     def start(self, p: np.ndarray) -> np.ndarray:
         """The states as declared, inputs at zero (nx + nu,)."""
-        x = np.asarray(self.system.start_function(p)[0]).ravel()
-        return np.concatenate([x, np.zeros(self.nu)])
+        # What asks for typical sizes asks for them several times at the same parameters.
+        key = p.tobytes()
+        if self._started is None or self._started[0] != key:
+            x = np.asarray(self.system.start_function(p)[0]).ravel()
+            self._started = key, np.concatenate([x, np.zeros(self.nu)])
+        return self._started[1].copy()
 
     def sizes(self, z: np.ndarray, p: np.ndarray) -> np.ndarray:
         """Typical sizes of states and inputs (nx + nu,)."""
@@ -141,6 +146,8 @@ class ModelFunctions:
 
     def holding(self, z: np.ndarray, p: np.ndarray) -> Mapping[int, tuple[float, float]]:
         """For each body at standstill: the push that dry friction holds, and the most it can hold, in the balance's unit."""
+        if not self.bodies:
+            return {}
         rates, static = self.rates(z, p, 0 * self.direction(z)), self._static(z, p).full().ravel()
         storages = self._amounts(z, p)[1].full().ravel()
         return {k: (float(rates[k] * storages[k]), float(static[k])) for k in self.bodies if z[k] == 0}

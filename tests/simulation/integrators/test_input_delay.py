@@ -1,11 +1,13 @@
-"""Transport delay in fractions of a sample, against scipy's solver on the shifted input, and its slopes."""
+"""Transport delay in fractions of a sample, against scipy's solvers on the shifted input, and its slopes."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from greybox import Effect, Model, Output, Parameter
 from greybox.base.errors import ModelError, UnitError
@@ -20,6 +22,7 @@ from tests.support.stepping import KERNELS, delay, differences, orders, path, re
 T, ROWS = 2.5e-4, 40
 DELAYS = (0.0, 0.3, 1.0, 1.7, 3.25)
 LATE = micro_actuator + delay()
+CUBIC = (micro_actuator + effect("cubic_stiffness") + delay()).start(K3=5e10)
 INPUT = np.random.default_rng(0).normal(0, 3, ROWS)
 
 
@@ -27,31 +30,66 @@ def at_delay(model, intervals):
     return model.start(delay=intervals * T)
 
 
-def shifted(model, u, seconds, first_order=False):
-    """States at the rows: scipy solves the pieces between the moments at which something arrives."""
-    f, p = model.system.rhs_function, values(model)
-    padded = np.concatenate([np.zeros(8), u])
+def runs_exactly(model, time, u, delays, first_order):
+    """States at the rows of a linear plant, by scipy's matrix exponential from one moment at which something arrives to the next."""
+    f, p, n = model.system.rhs_function, values(model), model.system.x.numel()
+    rate = lambda x, u: f(x, u, p).full().ravel()  # noqa: E731
+    # dx/dt = A x + B (u + s t), with u and s as states of their own
+    matrix = np.zeros((n + 2, n + 2))
+    matrix[:n, :n] = np.column_stack([rate(e, 0.0) for e in np.eye(n)])
+    matrix[:n, n], matrix[n, n + 1] = rate(np.zeros(n), 1.0), 1.0
+    x = np.random.default_rng(1).normal(size=n)
+    assert np.allclose(rate(x, 2.0), matrix[:n, :n] @ x + 2.0 * matrix[:n, n], rtol=1e-12)
 
-    def arriving(t, middle):
-        k = int(np.floor((middle - seconds) / T)) + 8
-        share = (t - seconds) / T - (k - 8)
-        return padded[k] + first_order * (padded[k + 1] - padded[k]) * share
+    runs = []
+    for seconds in delays:
+        cuts, course = arrivals(time, u, seconds, first_order)
+        steps = expm(matrix * np.diff(cuts)[:, None, None])
+        x, found = np.zeros(n), {cuts[0]: np.zeros(n)}
+        for step, a, b in zip(steps, cuts[:-1], cuts[1:], strict=True):
+            begin, slope = course(a, (a + b) / 2)
+            x = (step @ np.concatenate([x, [begin, slope]]))[:n]
+            found[b] = x
+        runs.append(np.array([found[t] for t in time]))
+    return runs
 
-    rows = np.arange(len(u)) * T
-    cuts = np.unique(np.round(np.concatenate([rows, rows + seconds % T]), 13))
-    cuts = cuts[cuts <= rows[-1] + 1e-12]
-    x, found = np.zeros(model.system.x.numel()), {0.0: np.zeros(model.system.x.numel())}
+
+def arrivals(time, u, seconds, first_order):
+    """The moments at which something arrives, and the input at ``t`` with its slope in the piece around ``middle``."""
+    # Before the record the input is zero; a line leads to its first row from one row before it.
+    edges = np.append(2 * time[0] - time[1], time) + seconds
+    known = np.append(0.0, u)
+    cuts = np.unique(np.concatenate([time, edges]))
+    # Two moments of rounding apart are one.
+    cuts = cuts[np.append(True, np.diff(cuts) > 1e-13) | np.isin(cuts, time)]
+    cuts = cuts[(cuts >= 0) & (cuts <= time[-1])]
+
+    def course(t, middle):
+        k = np.searchsorted(edges, middle) - 1
+        if k < 0:
+            return 0.0, 0.0
+        slope = first_order * (known[k + 1] - known[k]) / (edges[k + 1] - edges[k]) if k + 1 < len(edges) else 0.0
+        return known[k] + slope * (t - edges[k]), slope
+
+    return cuts, course
+
+
+@cache
+def runs_with_a_cubic_spring():
+    """States at the rows for each delay and hold, by scipy's solver; all of them as columns of one problem."""
+    model, rows = at_delay(CUBIC, 0.0), np.arange(ROWS) * T
+    f, p, cases = model.system.rhs_function, values(model), [(d, h) for d in DELAYS for h in (False, True)]
+    of_each = [arrivals(rows, INPUT, d * T, h) for d, h in cases]
+    cuts = np.unique(np.round(np.concatenate([c for c, _ in of_each]), 13))
+    x = np.zeros((model.system.x.numel(), len(cases)))
+    found, size = {cuts[0]: x}, x.shape
     for a, b in pairwise(cuts):
-        x = solve_ivp(
-            lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel(),
-            (a, b),
-            x,
-            method="DOP853",
-            rtol=1e-9,
-            atol=1e-12,
-        ).y[:, -1]
+        begin, slope = np.transpose([course(a, (a + b) / 2) for _, course in of_each])
+        rate = lambda t, x, a=a, u=begin, s=slope: f(x.reshape(size), (u + s * (t - a))[None], p).full().ravel()  # noqa: E731
+        x = solve_ivp(rate, (a, b), x.ravel(), method="DOP853", rtol=1e-9, atol=1e-12).y[:, -1].reshape(size)
         found[b] = x
-    return np.array([found[min(found, key=lambda t, r=r: abs(t - r))] for r in rows])
+    at_rows = np.array([found[min(found, key=lambda t, r=r: abs(t - r))] for r in rows])
+    return {case: at_rows[:, :, k] for k, case in enumerate(cases)}
 
 
 @pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
@@ -60,7 +98,7 @@ def test_the_exact_hold_shifts_the_input_exactly(intervals, first_order):
     model = at_delay(LATE, intervals)
     step = discretise(model.system, values(model), np.zeros((1, 3)), np.array([T]))
     assert (step.name, step.past) == ("exact hold", (0, 4, False))
-    exact = shifted(model, INPUT, intervals * T, first_order)
+    (exact,) = runs_exactly(model, np.arange(ROWS) * T, INPUT, [intervals * T], first_order)
     for kernel in KERNELS:
         _, found = path(step, record(INPUT, T, 2, first_order), values(model), np.zeros(3), kernel)
         assert np.all(np.abs(found - exact).max(axis=0) < 1e-7 * np.abs(exact).max(axis=0))
@@ -69,9 +107,9 @@ def test_the_exact_hold_shifts_the_input_exactly(intervals, first_order):
 @pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
 @pytest.mark.parametrize("intervals", DELAYS)
 def test_rk4_keeps_its_order_whatever_the_delay(intervals, first_order):
-    model = at_delay(micro_actuator + effect("cubic_stiffness") + delay(), intervals).start(K3=5e10)
+    model = at_delay(CUBIC, intervals)
     p, data = values(model), record(INPUT, T, 2, first_order)
-    exact = shifted(model, INPUT, intervals * T, first_order)
+    exact = runs_with_a_cubic_spring()[intervals, first_order]
     errors = []
     for n in (16, 32, 64):
         step = discretise(model.system, p, np.zeros((1, 3)), np.array([T]), substeps=n)
@@ -212,34 +250,12 @@ def uneven_record(jitter, hold, first_order=False, rows=300):
     return time - time[0], Record(u, np.full((rows, 2), np.nan), h, row, lengths, first_order)
 
 
-def run_uneven(model, time, u, seconds, first_order):
-    """States at the rows, by scipy from one moment at which something arrives to the next."""
-    f, p = model.system.rhs_function, values(model)
-    edges = time + seconds
-
-    def arriving(t, middle):
-        if not first_order:
-            k = np.searchsorted(edges, middle) - 1
-            return u[k] if k >= 0 else 0.0
-        return np.interp(t, np.append(2 * edges[0] - edges[1], edges), np.append(0.0, u), left=0.0)
-
-    cuts = np.unique(np.concatenate([time, edges, [2 * edges[0] - edges[1]]]))
-    cuts = cuts[(cuts >= 0) & (cuts <= time[-1])]
-    x, found = np.zeros(model.system.x.numel()), {cuts[0]: np.zeros(model.system.x.numel())}
-    for a, b in pairwise(cuts):
-        rate = lambda t, x, a=a, b=b: f(x, arriving(t, (a + b) / 2), p).full().ravel()  # noqa: E731
-        x = solve_ivp(rate, (a, b), x, method="RK45", rtol=1e-7, atol=1e-12).y[:, -1]
-        found[b] = x
-    return np.array([found[t] for t in time])
-
-
 @pytest.mark.parametrize("first_order", [False, True], ids=["held", "linear"])
 @pytest.mark.parametrize("intervals", [0.0, 0.3, 1.7, 3.25])
 def test_an_input_arrives_late_at_uneven_stamps_too(intervals, first_order):
     model = at_delay(LATE, intervals)
     time, data = uneven_record(0.1, 7, first_order)
-    exact = run_uneven(model, time, data.u[:, 0], intervals * T, first_order)
-    late = run_uneven(model, time, data.u[:, 0], (intervals + 0.01) * T, first_order)
+    exact, late = runs_exactly(model, time, data.u[:, 0], [intervals * T, (intervals + 0.01) * T], first_order)
     step = discretise(model.system, values(model), np.zeros((1, 3)), data.lengths, substeps=32)
     error, hundredth = (
         np.sqrt(np.mean((x - exact) ** 2, axis=0)) for x in (path(step, data, values(model), np.zeros(3))[1], late)
