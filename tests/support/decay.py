@@ -1,8 +1,11 @@
 """A decay from an amplitude: the simplest plant whose signal, and noise that grows with it, changes by decades."""
 
+from functools import cache
+
 from greybox import Balance, Model, Output, Parameter, State
 
 
+@cache
 def decay() -> Model:
     """y' = -k y, y(0) = A; y = A exp(-k t)."""
     return Model(
