@@ -121,7 +121,8 @@ def run_gradient_sampling(
             # d'Hd / 2 = radius cost along each axis: one step in each row, in the units of the unknowns.
             axes = (directions / np.sqrt(0.5 * curvature)).T / value.scale * np.sqrt(radius * value.cost)
             direction = _find_descent_direction(search, axes, low, high)
-            _search_line(search, direction @ axes, low, high)
+            if direction is not None:
+                _search_line(search, direction @ axes, low, high)
             if search.stop:
                 return TerminationStatus.INTERRUPTED
             # The radius is kept while it gains: a smaller one sees only one side of the kink.
@@ -136,8 +137,18 @@ def _evaluate(search: Minimisation, z: np.ndarray, low: np.ndarray, high: np.nda
     return search(np.clip(z, low, high))
 
 
-def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one."""
+# The largest gradient has size one. A convex combination as short as this is rounding, whose direction says nothing and is another one
+# in each version of SciPy.
+CANCELLED_GRADIENTS = 1e-6
+
+
+def _find_descent_direction(
+    search: Minimisation, axes: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray | None:
+    """Minus the shortest convex combination of the gradients around the best point, along the axes, of length one.
+
+    None where the gradients cancel: within this radius no direction leads downhill.
+    """
     from scipy.optimize import lsq_linear, nnls  # slow to import, and a smooth cost does not need it
 
     centre = search.best
@@ -158,7 +169,8 @@ def _find_descent_direction(search: Minimisation, axes: np.ndarray, low: np.ndar
     except (RuntimeError, np.linalg.LinAlgError):
         weights = lsq_linear(rows, target, bounds=(0, np.inf), method="bvls").x
     shortest = sampled @ weights
-    return -shortest / max(float(np.linalg.norm(shortest)), TINY)
+    length = float(np.linalg.norm(shortest))
+    return None if length < CANCELLED_GRADIENTS else -shortest / length
 
 
 # Factors by which a step that gains is lengthened while that helps.

@@ -87,11 +87,16 @@ def test_the_termination_test_ends_the_search():
     assert at_once.iterations == 0 and at_once.evaluations == 1
 
 
+# The cost is 1 at its lowest, and 36 at the start. The last radius of the sampling is a ten thousandth of the cost, a step of 0.01: across
+# the fold, where the cost climbs by 10, the end is not known better than by a part of it.
+AT_THE_FOLD = pytest.approx(1.0, abs=0.03)
+
+
 def test_a_search_converges_at_a_kink_with_few_evaluations():
     result = minimise(kinked, np.array([2.0, -1.0]), *free(2))
     assert result.status is TerminationStatus.KINK and result.status.success
-    assert result.cost == pytest.approx(1.0, abs=0.01)
-    assert result.evaluations < 200
+    assert result.cost == AT_THE_FOLD
+    assert result.evaluations < 100
     quick = minimise(kinked, np.array([2.0, -1.0]), *free(2), thorough=False)
     assert quick.status is TerminationStatus.STUCK and quick.evaluations < result.evaluations
 
@@ -105,8 +110,7 @@ def test_a_kink_is_left_downhill_where_the_active_set_of_scipy_does_not_end(monk
 
     monkeypatch.setattr("scipy.optimize.nnls", fail)
     result = minimise(kinked, np.array([2.0, -1.0]), *free(2))
-    # The cost is 1 at its lowest, and 36 at the start.
-    assert result.status is TerminationStatus.KINK and result.cost == pytest.approx(1.0, abs=0.03)
+    assert result.status is TerminationStatus.KINK and result.cost == AT_THE_FOLD
 
 
 @pytest.mark.parametrize(
