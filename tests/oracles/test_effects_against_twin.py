@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -167,6 +168,12 @@ def outputs(model, experiment, substeps=0):
     return y, step, record.y
 
 
+@cache
+def plain_twin(rig):
+    """Outputs (N, ny) of the twin without an effect."""
+    return np.array(rig_twins.simulate(rig, MODELS[rig].values, {}, held(rig), PERIOD[rig], 20))
+
+
 def deviation(rig, names, substeps):
     """Largest difference between greybox and the twin, in units of the noise, and how far the effects move the outputs."""
     truth = {name: TRUTHS[rig][name] for name in names}
@@ -175,9 +182,8 @@ def deviation(rig, names, substeps):
     experiment = Experiment("held", np.arange(ROWS) * PERIOD[rig], {"u": u}, {})
     fine = max(FINE.get(name, 20) for name in names)
     twin = np.array(rig_twins.simulate(rig, model.values, truth, u, PERIOD[rig], fine))
-    plain = np.array(rig_twins.simulate(rig, model.values, {}, u, PERIOD[rig], 20))
     ours, _, _ = outputs(model, experiment, substeps)
-    return np.abs(ours - twin).max(axis=0) / NOISE[rig], np.abs(twin - plain).max(axis=0) / NOISE[rig]
+    return np.abs(ours - twin).max(axis=0) / NOISE[rig], np.abs(twin - plain_twin(rig)).max(axis=0) / NOISE[rig]
 
 
 def test_every_effect_of_the_catalogue_is_compared_here_or_by_hand():
@@ -282,10 +288,9 @@ def at_truth(folder):
     model, noise, allowance = true_model(folder)
     rows = []
     for name in ("estimation", "validation"):
-        y, step, measured = outputs(model, read_csv(folder / f"{name}.csv", model))
-        finer, *_ = (
-            (y,) if step.per_interval else outputs(model, read_csv(folder / f"{name}.csv", model), 4 * step.substeps)
-        )
+        record = read_csv(folder / f"{name}.csv", model)
+        y, step, measured = outputs(model, record)
+        finer, *_ = (y,) if step.per_interval else outputs(model, record, 4 * step.substeps)
         for k, output in enumerate(model.outputs):
             seen = np.isfinite(measured[:, k])
             if seen.any():

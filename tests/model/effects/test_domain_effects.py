@@ -1,6 +1,7 @@
 """Effects of heat, rotation, stores and circuits against small Runge-Kutta steps written out here, on the plants to start from."""
 
 from collections.abc import Callable
+from functools import cache
 from math import copysign, cos, pi, sin, tanh
 
 import numpy as np
@@ -155,6 +156,7 @@ def test_a_circuit_behaves_as_by_small_steps(name: str) -> None:
 
 
 def test_each_effect_finds_the_plants_that_have_its_place() -> None:
+    @cache
     def placed(name: str) -> set[str]:
         return {p.name for p in find_placements(plant(name), CATALOGUE) if p.effect}
 
