@@ -42,10 +42,11 @@ def linear_record(model, u, period, x0=None, noise=None, seed=0, name="twin"):
     )
     x = np.zeros(nx) if x0 is None else np.array(x0, float)
     u = np.asarray(u, float).reshape(len(u), -1)
-    y = np.empty((len(u), len(c)))
-    for k, row in enumerate(u):
-        y[k] = c @ x + d @ row + c0
-        x = phi @ x + gamma @ np.append(row, 1.0)
+    driven, states = u @ gamma[:, :-1].T + gamma[:, -1], np.empty((len(u), nx))
+    for k, push in enumerate(driven):
+        states[k] = x
+        x = phi @ x + push
+    y = states @ c.T + u @ d.T + c0
     return experiment(model, np.arange(len(u)) * period, u, y, noise, seed, name)
 
 

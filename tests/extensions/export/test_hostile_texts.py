@@ -8,7 +8,9 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -53,32 +55,75 @@ def carry(fit: Fit, text: str) -> Fit:
     )
 
 
+def read_c(fit: Fit, folder: Path) -> str:
+    """The C of a fit without its comments; it compiles by two standards."""
+    source, _ = gb.export.to_c(fit, folder / "c" / "plant.c")
+    for standard in ("-std=c99", "-std=gnu11"):
+        library = folder / f"{standard}.so"
+        subprocess.run([CC, standard, "-w", "-shared", "-fPIC", "-o", library, source], check=True, capture_output=True)
+        assert b"hurt" not in library.read_bytes()
+    return leave_comments_out(source)
+
+
+def leave_comments_out(source: Path) -> str:
+    """A C file and its header without their comments."""
+    written = source.read_text(encoding="utf-8") + source.with_suffix(".h").read_text(encoding="utf-8")
+    assert written.count("/*") == written.count("*/")
+    return re.sub(r"/\*.*?\*/", "", written, flags=re.DOTALL)
+
+
+def read_modelica(fit: Fit, folder: Path) -> list[str]:
+    """The lines of a Modelica file to their first text."""
+    lines = gb.export.to_modelica(fit, folder / "plant.mo").read_text(encoding="utf-8").splitlines()
+    return [line.partition('"')[0] for line in lines if not line.startswith("//")]
+
+
+def read_description(fit: Fit, _folder: Path) -> list[tuple[str, list[str]]]:
+    """The elements of the description of an FMU."""
+    plant = to_plant(fit)
+    step = make_discrete_step(plant, None, method="rk4")
+    root = ET.fromstring(write_description(plant, step, "plant", "{0}").encode())
+    return [(element.tag, sorted(element.attrib)) for element in root.iter()]
+
+
+def read_observer_c(fit: Fit, folder: Path) -> str:
+    """The C of an observer without its comments; it compiles."""
+    source, _ = gb.export.to_c(observe(fit), folder / "c" / "observer.c")
+    subprocess.run([CC, "-std=c99", "-w", "-fsyntax-only", source], check=True, capture_output=True)
+    symbols = leave_comments_out(source)
+    assert "hurt" not in symbols
+    return symbols
+
+
+def read_observer_class(fit: Fit, folder: Path) -> str:
+    """The tree of the file of an observer, but for its docstring, which holds the texts."""
+    tree = ast.parse(gb.export.to_python(observe(fit), folder / "observer.py").read_bytes())
+    del tree.body[0]
+    return ast.dump(tree)
+
+
+def read_observer_description(fit: Fit, _folder: Path) -> list[tuple[str, list[str]]]:
+    """The elements of the description of an observer as an FMU."""
+    observer = observe(fit)
+    root = ET.fromstring(write_description(observer.plant, observer.predicted, "plant", "{0}").encode())
+    return [(element.tag, sorted(element.attrib)) for element in root.iter()]
+
+
+@pytest.fixture(scope="module")
+def read_plain(plain, tmp_path_factory) -> Callable:
+    """What is read of the fit that carries no text: once for each way to read it."""
+    return cache(lambda read: read(plain, tmp_path_factory.mktemp("plain")))
+
+
 @pytest.mark.skipif(CC is None, reason="no C compiler to look with")
 @pytest.mark.parametrize("text", TEXTS)
-def test_c_defines_what_it_defines_without_the_text(plain, tmp_path, text):
-    symbols = []
-    for k, fit in enumerate((plain, carry(plain, text))):
-        source, _ = gb.export.to_c(fit, tmp_path / str(k) / "plant.c")
-        for standard in ("-std=c99", "-std=gnu11"):
-            library = tmp_path / f"{k}{standard}.so"
-            subprocess.run(
-                [CC, standard, "-w", "-shared", "-fPIC", "-o", library, source], check=True, capture_output=True
-            )
-            assert b"hurt" not in library.read_bytes()
-        comments = source.read_text(encoding="utf-8") + source.with_suffix(".h").read_text(encoding="utf-8")
-        assert comments.count("/*") == comments.count("*/")
-        symbols.append(re.sub(r"/\*.*?\*/", "", comments, flags=re.DOTALL))
-    assert symbols[0] == symbols[1]
+def test_c_defines_what_it_defines_without_the_text(plain, read_plain, tmp_path, text):
+    assert read_c(carry(plain, text), tmp_path) == read_plain(read_c)
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_modelica_has_the_same_lines(plain, tmp_path, text):
-    first, second = (
-        gb.export.to_modelica(fit, tmp_path / f"{k}.mo").read_text(encoding="utf-8").splitlines()
-        for k, fit in enumerate((plain, carry(plain, text)))
-    )
-    without = [[line.partition('"')[0] for line in lines if not line.startswith("//")] for lines in (first, second)]
-    assert without[0] == without[1]
+def test_modelica_has_the_same_lines(plain, read_plain, tmp_path, text):
+    assert read_modelica(carry(plain, text), tmp_path) == read_plain(read_modelica)
 
 
 @pytest.mark.parametrize("text", [*CODE[:2], *CODE[4:9], CODE[10]])
@@ -111,14 +156,8 @@ def test_python_files_import_and_run_nothing_of_the_text(plain, tmp_path, text):
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, text):
-    trees = []
-    for fit in (plain, carry(plain, text)):
-        plant = to_plant(fit)
-        step = make_discrete_step(plant, None, method="rk4")
-        root = ET.fromstring(write_description(plant, step, "plant", "{0}").encode())
-        trees.append([(element.tag, sorted(element.attrib)) for element in root.iter()])
-    assert trees[0] == trees[1]
+def test_the_description_of_an_fmu_is_xml_with_the_same_elements(plain, read_plain, tmp_path, text):
+    assert read_description(carry(plain, text), tmp_path) == read_plain(read_description)
 
 
 def observe(fit: Fit) -> gb.export.Observer:
@@ -128,36 +167,18 @@ def observe(fit: Fit) -> gb.export.Observer:
 
 @pytest.mark.skipif(CC is None, reason="no C compiler to look with")
 @pytest.mark.parametrize("text", TEXTS)
-def test_the_c_of_an_observer_defines_what_it_defines_without_the_text(plain, tmp_path, text):
-    symbols = []
-    for k, fit in enumerate((plain, carry(plain, text))):
-        source, _ = gb.export.to_c(observe(fit), tmp_path / str(k) / "observer.c")
-        subprocess.run([CC, "-std=c99", "-w", "-fsyntax-only", source], check=True, capture_output=True)
-        written = source.read_text(encoding="utf-8") + source.with_suffix(".h").read_text(encoding="utf-8")
-        assert written.count("/*") == written.count("*/")
-        symbols.append(re.sub(r"/\*.*?\*/", "", written, flags=re.DOTALL))
-    assert symbols[0] == symbols[1] and "hurt" not in symbols[0]
+def test_the_c_of_an_observer_defines_what_it_defines_without_the_text(plain, read_plain, tmp_path, text):
+    assert read_observer_c(carry(plain, text), tmp_path) == read_plain(read_observer_c)
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_the_class_of_an_observer_imports_and_runs_nothing_of_the_text(plain, tmp_path, text):
-    files = [
-        gb.export.to_python(observe(fit), tmp_path / f"{k}.py") for k, fit in enumerate((plain, carry(plain, text)))
-    ]
-    trees = [ast.parse(file.read_bytes()) for file in files]
-    for tree in trees:
-        del tree.body[0]  # its docstring, which holds the text
-    assert ast.dump(trees[0]) == ast.dump(trees[1])
+def test_the_class_of_an_observer_imports_and_runs_nothing_of_the_text(plain, read_plain, tmp_path, text):
+    assert read_observer_class(carry(plain, text), tmp_path) == read_plain(read_observer_class)
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, text):
-    trees = []
-    for fit in (plain, carry(plain, text)):
-        observer = observe(fit)
-        root = ET.fromstring(write_description(observer.plant, observer.predicted, "plant", "{0}").encode())
-        trees.append([(element.tag, sorted(element.attrib)) for element in root.iter()])
-    assert trees[0] == trees[1]
+def test_the_description_of_an_observer_is_xml_with_the_same_elements(plain, read_plain, tmp_path, text):
+    assert read_observer_description(carry(plain, text), tmp_path) == read_plain(read_observer_description)
 
 
 @pytest.mark.parametrize("kind", ["mat", "json", "numpy"])
