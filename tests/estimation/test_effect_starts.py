@@ -47,6 +47,12 @@ def record() -> gb.Experiment:
     return gb.Experiment("swing", t, {}, {"q": run.y[0] + np.random.default_rng(0).normal(0, NOISE, len(t))})
 
 
+@pytest.fixture(scope="module")
+def plain(record) -> gb.Fit:
+    """The fit without an effect."""
+    return gb.fit(swing(), record)
+
+
 def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
     found = gb.fit(swing() + gb.effect("coulomb_friction"), record)
     assert found.success
@@ -58,8 +64,7 @@ def test_dry_friction_of_a_free_swing_is_found_from_its_neutral_value(record):
 @pytest.mark.parametrize(
     "name", ["coulomb_friction", "quadratic_damping", "sensor_lag", "cubic_stiffness", "second_mode"]
 )
-def test_a_model_with_an_effect_more_is_never_worse(name, record):
-    plain = gb.fit(swing(), record)
+def test_a_model_with_an_effect_more_is_never_worse(name, record, plain):
     larger = gb.fit(swing() + gb.effect(name), record)
     assert larger.misfit["q"].rmse <= 1.001 * plain.misfit["q"].rmse
 

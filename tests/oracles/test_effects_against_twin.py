@@ -272,6 +272,7 @@ CREEPING = {"case-006": 0.08}
 STEP_ERROR = 0.15
 
 
+@cache
 def true_model(folder):
     """The model of a simulated case with its effects and true constants, and the noise of each output; None if uncatalogued."""
     answer, case = (json.loads((folder / name).read_text()) for name in ("answer.json", "case.json"))
