@@ -35,7 +35,7 @@ def fit_surrogate(rig, effects, noise, rows):
 
 
 def test_a_force_that_repeats_with_the_position_has_its_period():
-    base, location, surrogate, test = fit_surrogate(pneumatic_cylinder, COGGING, {"s": 2e-4}, rows=700)
+    base, location, surrogate, test = fit_surrogate(pneumatic_cylinder, COGGING, {"s": 2e-4}, rows=400)
     assert location.likeliest[0] == "balance force"
     assert location.dependences[0].variable == "s"
     assert location.dependences[0].period == pytest.approx(0.01, rel=0.02)
@@ -63,7 +63,7 @@ def test_a_stop_has_the_position_where_it_begins():
 
 def test_a_dead_zone_seen_through_a_resonance_is_found_at_the_input():
     """The localisation by a slowly varying signal has it elsewhere: a curve where curves are usual is refitted with the model."""
-    _, location, surrogate, _ = fit_surrogate(micro_actuator, {"input_dead_zone": {"d": 0.3}}, {"x": 2e-7}, rows=800)
+    _, location, surrogate, _ = fit_surrogate(micro_actuator, {"input_dead_zone": {"d": 0.3}}, {"x": 2e-7}, rows=400)
     assert (surrogate.site, surrogate.variable) == ("input u", "u")
     assert surrogate.explained_fraction > 0.9
     assert surrogate.shape.parity is Parity.ODD

@@ -15,8 +15,9 @@ NAMES = ("input_gain", "sensor_gain", "clock_skew", "cubic_stiffness", "directio
 KNOWN = WITH_FRICTION.fix("J", "mgl")
 
 
-def search(model, record):
-    learnt, kept = record.window(0, 400), record.window(400, 600)
+def search(model, record, rows=300):
+    """A search in the first two thirds of these rows, judged on the last."""
+    learnt, kept = record.window(0, 2 * rows // 3), record.window(2 * rows // 3, rows)
     return gb.discover(model, learnt, validation=kept, noise=NOISE, effects=[gb.effect(name) for name in NAMES])
 
 
@@ -64,7 +65,7 @@ def test_either_end_of_the_range_of_a_sensor_is_named(side):
 
 def test_weighed_constants_that_take_a_gain_are_said_where_nothing_is_established():
     """A weight of one per cent gives way to a record: the model follows it, and the answer says at what price."""
-    found = search(WITH_FRICTION, swung(gain=1.15))
+    found = search(WITH_FRICTION, swung(gain=1.15), rows=600)
     alike = find(found.instruments, EstimationCode.PRIORS_OFF_ALIKE)
     assert alike.values["factor"] == pytest.approx(1.15, abs=0.02) and str(alike) in str(found)
     assert alike in found.all_findings

@@ -32,9 +32,9 @@ NOISE = {"x": 1e-5}
 def record(seed: int, pressed: float, **conditions: float) -> gb.Experiment:
     """A run with dry friction of 0.2 times what presses the stage on."""
     rng = np.random.default_rng(seed)
-    time, force = 5e-3 * np.arange(200), np.repeat(rng.normal(0, 6, 20), 10)
+    time, force = 5e-3 * np.arange(100), np.repeat(rng.normal(0, 6, 10), 10)
     run = gb.simulate((STAGE + effect("coulomb_friction")).start(Fc=0.2 * pressed), {"time": time, "F": force})
-    shown = run.outputs["x"] + 1e-5 * rng.normal(size=200)
+    shown = run.outputs["x"] + 1e-5 * rng.normal(size=100)
     return gb.Experiment(f"run {seed}", time, {"F": force}, {"x": shown}, conditions=conditions)
 
 

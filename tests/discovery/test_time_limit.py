@@ -34,9 +34,9 @@ NOISE = {"x": 1e-5}
 
 def record(seed: int) -> gb.Experiment:
     rng = np.random.default_rng(seed)
-    time_axis, force = 5e-3 * np.arange(400), np.repeat(rng.normal(0, 6, 40), 10)
+    time_axis, force = 5e-3 * np.arange(200), np.repeat(rng.normal(0, 6, 20), 10)
     run = gb.simulate((STAGE + effect("coulomb_friction")).start(Fc=1.0), {"time": time_axis, "F": force})
-    return gb.Experiment(f"run {seed}", time_axis, {"F": force}, {"x": run.outputs["x"] + 1e-5 * rng.normal(size=400)})
+    return gb.Experiment(f"run {seed}", time_axis, {"F": force}, {"x": run.outputs["x"] + 1e-5 * rng.normal(size=200)})
 
 
 def test_a_search_without_time_says_so_and_calls_nothing_established() -> None:
