@@ -115,12 +115,12 @@ def test_nothing_speaks_against_an_answer_without_test_records_or_where_the_plai
 def lag_record(name, seed, disturbance):
     """A first-order lag under a held random input: its exact answer, sensor noise, and what only this record has."""
     rng = np.random.default_rng(seed)
-    step, u, y = 0.1, np.repeat(rng.normal(size=60), 5), np.zeros(300)
+    step, u, y = 0.1, np.repeat(rng.normal(size=40), 5), np.zeros(200)
     pole = np.exp(-step / 0.5)
-    for k in range(299):
+    for k in range(199):
         y[k + 1] = pole * y[k] + (1 - pole) * 2.0 * u[k]
-    measured = y + 0.02 * rng.normal(size=300) + disturbance(np.arange(300) * step)
-    return gb.Experiment(name, np.arange(300) * step, {"u": u}, {"y": measured})
+    measured = y + 0.02 * rng.normal(size=200) + disturbance(np.arange(200) * step)
+    return gb.Experiment(name, np.arange(200) * step, {"u": u}, {"y": measured})
 
 
 def test_an_effect_of_the_estimation_record_alone_is_no_answer():
@@ -150,15 +150,29 @@ def test_a_record_of_the_search_is_no_test_record():
         gb.discover(first_order(), learnt, validation=chosen, test=chosen)
 
 
-@pytest.mark.parametrize("drift_of_third", [0.0, 0.03])
-def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_model(drift_of_third):
-    """The sensor drifted on the two days that the search knows; on the third as well, or not."""
+def search_drift(**more):
+    """A search in two days on which the sensor drifted."""
     learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0.03 * t) for seed in (1, 2))
+    return gb.discover(
+        first_order().start(gain=1.5, lag=0.7),
+        learnt,
+        validation=chosen,
+        noise={"y": 0.02},
+        effects=[gb.effect("sensor_drift"), gb.effect("input_offset")],
+        **more,
+    )
+
+
+@pytest.fixture(scope="module")
+def without():
+    return search_drift()
+
+
+@pytest.mark.parametrize("drift_of_third", [0.0, 0.03])
+def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_model(without, drift_of_third):
+    """The sensor drifted on the two days that the search knows; on the third as well, or not."""
     third = lag_record("third day", 3, lambda t: drift_of_third * t)
-    given = {"noise": {"y": 0.02}, "effects": [gb.effect("sensor_drift"), gb.effect("input_offset")]}
-    plain = first_order().start(gain=1.5, lag=0.7)
-    without = gb.discover(plain, learnt, validation=chosen, **given)
-    found = gb.discover(plain, learnt, validation=chosen, test=third, **given)
+    found = search_drift(test=third)
     quoted = with_code(found.findings, DiscoveryCode.TEST_ERROR)
     assert [e["name"] for e in without.effects] == ["sensor_drift"] and without.test == {}
     # Its own fit tells what the plain model leaves there.

@@ -40,7 +40,7 @@ def hunters(with_hunting: bool) -> Model:
 
 
 def record(name: str, start: tuple[float, float], seed: int) -> Experiment:
-    time = np.linspace(0, 10, 121)
+    time = np.linspace(0, 10, 81)
     run = solve_ivp(
         lambda t, x: [x[0] - 0.6 * x[0] * x[1], -x[1] + 0.4 * x[0] * x[1]],
         (0, 10),
