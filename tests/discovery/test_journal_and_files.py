@@ -27,7 +27,7 @@ NOISE = {"x": 2e-7, "i": 5e-3}
 
 @pytest.fixture(scope="module")
 def rig():
-    return simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=400)
+    return simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=300)
 
 
 @pytest.fixture(scope="module")

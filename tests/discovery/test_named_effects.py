@@ -44,7 +44,7 @@ def case(rig, effects, noise, others, rows=350, slow=False):
     return pytest.param(rig, effects, noise, others, rows, id=name, marks=pytest.mark.slow if slow else ())
 
 
-# Slow are those that take longest and have a relative in the ordinary run: another friction, stiffness, memory or pair.
+# Slow are those that take longest and have a relative in the ordinary run: another friction, stiffness, memory, limit or pair.
 CASES = [
     case(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, WELL, None),
     case(micro_actuator, {"input_offset": {"u0": 0.05}}, WELL, None),
@@ -83,6 +83,7 @@ CASES = [
         {"winding_heating": {"Rth": 1.0, "tau_th": 0.1}},
         WELL,
         ("viscoelastic_creep", "input_saturation"),
+        slow=True,
     ),
     case(micro_actuator, {"eddy_current": {"Re": 30.0}}, WELL, ("transport_delay", "sensor_lag")),
     case(micro_actuator, {"constant_load": {"F0": 0.05}}, WELL, ("input_offset", "sensor_drift")),
@@ -90,7 +91,13 @@ CASES = [
     case(micro_actuator, {"input_dead_zone": {"d": 0.15}}, WELL, ("coulomb_friction", "quadratic_damping")),
     case(micro_actuator, {"transport_delay": {"delay": 3.75e-4}}, WELL, ("sensor_lag", "eddy_current")),
     case(micro_actuator, {"sensor_drift": {"rate": 1e-4}}, WELL, ("constant_load", "viscoelastic_creep")),
-    case(pneumatic_cylinder, {"coulomb_friction": {"Fc": 20.0}}, POSITION, ("quadratic_damping", "valve_dead_zone")),
+    case(
+        pneumatic_cylinder,
+        {"coulomb_friction": {"Fc": 20.0}},
+        POSITION,
+        ("quadratic_damping", "valve_dead_zone"),
+        slow=True,
+    ),
     case(pneumatic_cylinder, {"chamber_leakage": {"kl": 5.0}}, AIR, ("return_spring", "input_offset")),
     case(pneumatic_cylinder, {"supply_droop": {"r": 0.06, "tau_d": 0.3}}, AIR, ("input_saturation", "valve_lag")),
     case(pneumatic_cylinder, {"valve_dead_zone": {"d": 0.2}}, AIR, ("coulomb_friction", "input_saturation")),
@@ -120,7 +127,13 @@ CASES = [
         rows=600,
         slow=True,
     ),
-    case(micro_actuator, {"soft_saturation": {"u_max": 5.0}}, WELL, ("input_saturation", "winding_heating")),
+    case(
+        micro_actuator,
+        {"soft_saturation": {"u_max": 5.0}},
+        WELL,
+        ("input_saturation", "winding_heating"),
+        slow=True,
+    ),
     case(
         micro_actuator,
         {"cubic_stiffness": {"K3": 2e10}, "coulomb_friction": {"Fc": 1e-3}},
