@@ -26,7 +26,7 @@ def rate_of(established, tried=20):
     return FalseNameRate("cubic_stiffness", Depth.NAME, tried, established, 2)
 
 
-@pytest.mark.parametrize(("established", "tried"), [(0, 20), (3, 20), (5, 7)])
+@pytest.mark.parametrize(("established", "tried"), [(0, 11), (3, 20), (5, 7)])
 def test_the_bound_is_the_rate_at_which_so_few_are_still_seen_once_in_twenty(established, tried):
     assert binom.cdf(established, tried, rate_of(established, tried).upper) == pytest.approx(0.05)
 
@@ -122,8 +122,23 @@ def answer(rig):
 def test_nonsense_is_not_established_where_a_spring_hardens(rig):
     found = answer(rig)
     (rate,) = found.false_names
-    assert (rate.effect, rate.tried, rate.among, rate.established) == ("cubic_stiffness", 20, 3, 0)
+    assert (rate.effect, rate.tried, rate.among, rate.established) == ("cubic_stiffness", 11, 3, 0)
     assert [e["grade"] for e in found.effects] == ["established"]
+
+
+def test_one_win_leaves_the_rate_open_and_more_contests_are_held(rig, monkeypatch):
+    held = iter([0.5 * (f + np.append(f[1:], f[-1])) for f in (1e10 * record.outputs["x"] ** 3 for record in rig)])
+    draw_signals = false_names._draw_signals
+
+    def draw(*given):
+        drawn = draw_signals(*given)
+        # In the first contest one of the signals is the effect itself.
+        drawn[:, 0] = next(held, drawn[:, 0])
+        return drawn
+
+    monkeypatch.setattr(false_names, "_draw_signals", draw)
+    (rate,) = answer(rig).false_names
+    assert (rate.tried, rate.established, rate.is_common) == (20, 1, False)
 
 
 def test_the_signal_of_the_effect_itself_is_established_and_takes_its_name_the_certainty(rig, monkeypatch):
