@@ -27,7 +27,7 @@ NOISE = {"x": 2e-7, "i": 5e-3}
 
 @pytest.fixture(scope="module")
 def rig():
-    return simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=300)
+    return simulate_records(micro_actuator, {"coulomb_friction": {"Fc": 0.05}}, tuple(NOISE.values()), rows=200)
 
 
 @pytest.fixture(scope="module")
@@ -52,8 +52,7 @@ def written(rig, tmp_path_factory):
         "--output",
         str(folder),
         *(f"--fix={n}={ACTUATOR[n]}" for n in ("M", "Ra")),
-        "--start=K=4300",
-        "--start=B=0.35",
+        *(f"--start={n}={v}" for n, v in (("B", 0.35), ("K", 4300), ("Kf", 1.1), ("Kv", 1.8), ("La", 8e-4))),
         "--figures",
     ]
     result = CliRunner().invoke(app, command)
@@ -84,11 +83,12 @@ def test_the_model_that_was_written_is_one_that_greybox_fits(written, rig):
     assert fit.misfit["x"].noise_ratio < 1.1
 
 
-def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
+def test_a_search_goes_on_where_it_was_interrupted(rig, written, tmp_path, monkeypatch):
+    """It ends with the constants of the search that the command ran from beginning to end, in the same records."""
     effects = [gb.effect(n) for n in ("coulomb_friction", "cubic_stiffness")]
     journal = tmp_path / "journal.jsonl"
 
-    def run(kept=None):
+    def run():
         return discover(
             plain_model(micro_actuator),
             rig[0],
@@ -96,7 +96,7 @@ def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
             noise=NOISE,
             options=AT_REST,
             effects=effects,
-            journal=kept,
+            journal=journal,
         )
 
     class Interrupted(pipeline.RefitJournal):
@@ -107,12 +107,12 @@ def test_a_search_goes_on_where_it_was_interrupted(rig, tmp_path, monkeypatch):
 
     monkeypatch.setattr(pipeline, "RefitJournal", Interrupted)
     with pytest.raises(KeyboardInterrupt):
-        run(journal)
+        run()
     monkeypatch.undo()
     with journal.open("a") as file:
         file.write('{"key": "cut sho')  # the power went while a line was written
-    found = run(journal)
-    assert found.best.parameters["Fc"].value == pytest.approx(run().best.parameters["Fc"].value, rel=1e-6)
+    (whole,) = json.loads((written / "discovery.json").read_text())["effects"]
+    assert run().best.parameters["Fc"].value == pytest.approx(whole["parameters"]["Fc"]["value"], rel=1e-6)
 
 
 def test_a_file_that_is_no_journal_is_refused(rig, tmp_path):
@@ -144,9 +144,13 @@ def test_refits_in_other_processes_give_the_same(rig):
 
 
 def test_what_is_outside_the_catalogue_gets_a_curve(rig):
-    effects = [gb.effect(n) for n in ("quadratic_stiffness", "input_offset")]
     found = discover(
-        plain_model(micro_actuator), rig[0], validation=rig[1], noise=NOISE, options=AT_REST, effects=effects
+        plain_model(micro_actuator),
+        rig[0],
+        validation=rig[1],
+        noise=NOISE,
+        options=AT_REST,
+        effects=[gb.effect("quadratic_stiffness")],
     )
     assert found.verdict == "unknown"
     assert found.sites[0] == "balance force"
