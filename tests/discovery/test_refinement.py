@@ -75,7 +75,7 @@ def test_what_is_left_is_searched_for_further_effects_without_being_asked(tmp_pa
     # As if the search had ended with the large effect.
     monkeypatch.setattr("greybox.discovery.selection.StepwiseSelection._has_structure_left", lambda *_: False)
     for seed, name in ((1, "train"), (2, "test")):
-        write_csv(simulate_circuit(truth, seed, rows=200), silverbox, Path(f"{name}.csv"))
+        write_csv(simulate_circuit(truth, seed, rows=160), silverbox, Path(f"{name}.csv"))
     command = "discover silverbox train.csv --validate test.csv --hold first --noise y=2e-5 --output out"
     result = CliRunner().invoke(app, [*command.split(), "--effects", "cubic_stiffness,quadratic_stiffness"])
     assert result.exit_code == 0, result.output

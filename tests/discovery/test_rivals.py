@@ -56,13 +56,13 @@ def test_a_dead_zone_that_the_input_never_crosses_is_no_more_than_a_constant():
     def record(seed, lowest):
         """A first-order lag behind a dead zone of 0.2 V, stepped exactly: x -> w + (x - w) exp(-k T)."""
         rng = np.random.default_rng(seed)
-        u, x, y = np.repeat(rng.uniform(lowest, 2.0, 30), 20), 0.0, []
+        u, x, y = np.repeat(rng.uniform(lowest, 2.0, 15), 20), 0.0, []
         for value in u:
             y.append(x)
             through = np.sign(value) * max(abs(value) - 0.2, 0.0)
             x = through + (x - through) * np.exp(-2.0 * 0.02)
-        measured = np.array(y) + 2e-3 * rng.standard_normal(600)
-        return gb.Experiment(f"run {seed}", 0.02 * np.arange(600), {"u": u}, {"y": measured})
+        measured = np.array(y) + 2e-3 * rng.standard_normal(300)
+        return gb.Experiment(f"run {seed}", 0.02 * np.arange(300), {"u": u}, {"y": measured})
 
     def grade(lowest):
         records = [record(seed, lowest) for seed in (1, 2)]
