@@ -21,7 +21,7 @@ NOISE = {"x": 2e-7, "i": 5e-3}
 
 @pytest.fixture(scope="module")
 def rig():
-    return simulate_records(micro_actuator, {"cubic_stiffness": {"K3": 1e10}}, tuple(NOISE.values()), rows=300)
+    return simulate_records(micro_actuator, {"cubic_stiffness": {"K3": 1e10}}, tuple(NOISE.values()), rows=200)
 
 
 def answer(rig, effects=("cubic_stiffness", "quadratic_stiffness"), **more):
@@ -144,7 +144,7 @@ FRICTION = {"coulomb_friction": {"Fc": 0.05}}
 )
 def test_an_effect_that_the_model_holds_already_is_no_find_of_the_search(noise, more):
     hidden, expected = {"cubic_stiffness": {"K3": 1e10}, **more}, list(more)
-    train, test = simulate_records(micro_actuator, hidden, tuple(NOISE.values()), rows=200)
+    train, test = simulate_records(micro_actuator, hidden, tuple(NOISE.values()), rows=150)
     among = [gb.effect(name) for name in ("coulomb_friction", "input_offset")]
     own = plain_model(micro_actuator) + gb.effect("cubic_stiffness")
     found = discover(own, train, validation=test, noise=noise, options=AT_REST, effects=among, workers=1)

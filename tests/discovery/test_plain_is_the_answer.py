@@ -115,12 +115,12 @@ def test_nothing_speaks_against_an_answer_without_test_records_or_where_the_plai
 def lag_record(name, seed, disturbance):
     """A first-order lag under a held random input: its exact answer, sensor noise, and what only this record has."""
     rng = np.random.default_rng(seed)
-    step, u, y = 0.1, np.repeat(rng.normal(size=40), 5), np.zeros(200)
+    step, u, y = 0.1, np.repeat(rng.normal(size=32), 5), np.zeros(160)
     pole = np.exp(-step / 0.5)
-    for k in range(199):
+    for k in range(159):
         y[k + 1] = pole * y[k] + (1 - pole) * 2.0 * u[k]
-    measured = y + 0.02 * rng.normal(size=200) + disturbance(np.arange(200) * step)
-    return gb.Experiment(name, np.arange(200) * step, {"u": u}, {"y": measured})
+    measured = y + 0.02 * rng.normal(size=160) + disturbance(np.arange(160) * step)
+    return gb.Experiment(name, np.arange(160) * step, {"u": u}, {"y": measured})
 
 
 def test_an_effect_of_the_estimation_record_alone_is_no_answer():
