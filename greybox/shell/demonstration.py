@@ -43,8 +43,8 @@ HIDDEN = "cubic_stiffness"
 STRENGTH: Mapping[str, float] = {"K3": 5e9}
 # Seconds: 4 kHz resolves the electrical time constant of 60 us by the held input alone, and is a usual rate.
 SAMPLING_TIME = 2.5e-4
-# Rows of the estimation record (0.3 s) and of the validation record (0.15 s).
-ROWS, VALIDATION_ROWS = 1200, 600
+# Rows of the estimation record (0.2 s) and of the validation record (0.1 s).
+ROWS, VALIDATION_ROWS = 800, 400
 # Hz: from below the mechanism's resonance at 122 Hz to where the inductance shows.
 BAND = (5.0, 400.0)
 # Volt: rms of the multisine and amplitude of the sweep.

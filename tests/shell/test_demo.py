@@ -76,7 +76,7 @@ def test_the_state_space_is_that_of_the_rig_about_rest(result: Demo) -> None:
 
 def test_the_records_are_there_to_repeat_it(result: Demo) -> None:
     train, test = (read_csv(path, micro_actuator) for path in result.records)
-    assert (train.rows, test.rows) == (1200, 600)
+    assert (train.rows, test.rows) == (800, 400)
     assert train.fingerprint == result.plain.traces[0].fingerprint
     names = {path.name: path for path in result.files}
     assert json.loads(names["discovery.json"].read_text())["verdict"] == "named"
