@@ -10,13 +10,21 @@ from scipy.signal import cont2discrete
 
 import greybox as gb
 from greybox.comparison.black_box_candidates import fit_black_boxes
+from greybox.comparison.blackbox.prediction_error import PredictionErrorPolicy
 from greybox.comparison.result import Comparison, ComparisonFinding, ComparisonPolicy, save_comparison
 from greybox.data.experiment import Experiment
 from tests.support.result_schema import strict_offences
 
+# What the rivals of one output reach matters little here: few poles, one start, few steps.
+FEW = PredictionErrorPolicy(starts=1, first_iterations=2, iterations=5)
 SMALL = ComparisonPolicy(
     scan=gb.blackbox.StructureScanPolicy(
-        largest_poles=1, largest_searched_poles=1, first_delays=(1,), nonlinearities={"polynomial": (2,)}
+        search=FEW,
+        final_search=FEW,
+        largest_poles=1,
+        largest_searched_poles=1,
+        first_delays=(1,),
+        nonlinearities={"polynomial": (2,)},
     )
 )
 NOISE = 0.02

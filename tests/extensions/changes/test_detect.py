@@ -73,7 +73,7 @@ def test_an_effect_that_has_appeared_is_found(reference) -> None:
     plant = plant.start(**{name: 2e5 * 40})
     records = []
     for seed in (5, 6):
-        u = 3 * multisine(np.random.default_rng(seed), 400, PERIOD, 5, 200, 0.1)
+        u = 3 * multisine(np.random.default_rng(seed), 200, PERIOD, 5, 200, 0.1)
         run = gb.simulate(plant, {"time": PERIOD * np.arange(len(u)), "u": u})
         records.append(run.record(NOISE, np.random.default_rng(seed)))
     change = gb.detect_changes(

@@ -209,7 +209,7 @@ def test_names_and_files_that_are_wrong_are_refused(exported, tmp_path):
 
 
 def test_the_command_fits_an_fmu(exported, tmp_path):
-    record = actuator_record()
+    record = actuator_record(rows=300)
     rows = np.column_stack([record.time, record.inputs["u"], record.outputs["x"]])
     text = "\n".join(",".join(map(repr, row)) for row in rows.tolist())
     (tmp_path / "run.csv").write_text(f"time [s],u [V],x [m]\n{text}\n")
