@@ -201,7 +201,7 @@ WHOLE = [
     (micro_actuator, "cubic_stiffness", {"K3": 1e10}, WELL),
     (micro_actuator, "input_dead_zone", {"d": 0.15}, WELL),
     (micro_actuator, "eddy_current", {"Re": 30.0}, WELL),
-    (pneumatic_cylinder, "chamber_leakage", {"kl": 5.0}, AIR),
+    (pneumatic_cylinder, "chamber_leakage", {"kl": 15.0}, AIR),
     (pneumatic_cylinder, "coulomb_friction", {"Fc": 20.0}, POSITION),
 ]
 
