@@ -65,7 +65,7 @@ class GaussNewtonPolicy:
 class GradientSamplingPolicy:
     """How gradients are sampled around a point where the cost has a kink."""
 
-    radii: tuple[float, ...] = (1e-2, 1e-3, 1e-4, 1e-5)
+    radii: tuple[float, ...] = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
     """Distances of the sampled points, in turn: where a smooth cost would rise by these shares of itself."""
 
 
