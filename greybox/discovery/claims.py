@@ -31,7 +31,7 @@ from greybox.discovery.decision import Conclusion, Grade, Verdict, make_check
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.findings import DiscoveryRule
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
-from greybox.discovery.surrogate_effects import CLOCK, CURVE, TONE
+from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, TONE
 from greybox.discovery.table import Draws, FittedSet
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import all_effects
@@ -149,7 +149,7 @@ class EffectForm:
     name
         Its name; "" for a curve or a tone, which stand for any.
     site
-        Label of the balance, input or sensor at which it acts.
+        Label of the balance, input or sensor at which it acts; "" for a linear path beside the plant.
     variables
         States and inputs that what it adds depends on.
     form
@@ -171,6 +171,8 @@ def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
     sites = list_disturbance_sites(model, [o.name for o in model.outputs])
     label = next((s.label for s in sites if s.name == bound.site), bound.site)
     variables = _find_variables(model, bound)
+    if effect.name.startswith(LINEAR_DYNAMICS):  # beside the plant, and so nowhere in it
+        return EffectForm("", "", variables, WITH_MEMORY, ())
     if effect.name in (CURVE, TONE):
         is_over_time = effect.name == TONE or any(s.name == CLOCK for s in effect.states)
         return EffectForm("", label, (TIME,) if is_over_time else variables, STATIC, ())
@@ -274,7 +276,13 @@ def weigh_claims(
     claims = [missing] if missing else []
     for depth, key in KEYS.items():
         keys = Counter(
-            {k: context.frequency(depth, k) for set_ in forms for f in set_ for k in [key(context.group(f), f)]}
+            {
+                k: context.frequency(depth, k)
+                for set_ in forms
+                for f in set_
+                if f.site
+                for k in [key(context.group(f), f)]
+            }
         )
         for value, frequency in keys.most_common():
             if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
@@ -453,8 +461,8 @@ def _judged_rms(fitted: FittedSet) -> np.ndarray:
 
 
 def _title(forms: Sequence[EffectForm]) -> str:
-    """The effects of a rival: names, ``fitted_curve`` for a curve, and `PLAIN` where it has none."""
-    return " + ".join(f.name or CURVE for f in forms) or PLAIN
+    """The effects of a rival: names, ``fitted_curve`` for a curve, ``linear_dynamics`` for those, and `PLAIN` where it has none."""
+    return " + ".join(dict.fromkeys(f.name or (CURVE if f.site else LINEAR_DYNAMICS) for f in forms)) or PLAIN
 
 
 # From the raw weight to a probability

@@ -383,7 +383,7 @@ class HoldoutScores:
 
     def run(self, candidate: FittedCandidate) -> Validation | None:
         """The candidate's free run over the records; None where it fails there."""
-        key = _key_of(candidate)
+        key = candidate.key
         if key not in self._runs:
             run = partial(self.validation.run, candidate.model, self.problem.noise_std, self.problem.run_options)
             self._runs[key] = self.problem.failures.attempt(SearchStage.HOLDOUT, candidate.effects, run, None)
@@ -401,7 +401,7 @@ class HoldoutScores:
 
         See `adapt_to_records`. Where the step lowers the error by less than it costs, this is the free run.
         """
-        key = _key_of(candidate)
+        key = candidate.key
         if key not in self._adapted:
             self._adapted[key] = self._adapt(candidate)
         return self._adapted[key]
@@ -469,10 +469,6 @@ def _counted_residuals(validation: Validation, uncounted: int) -> Residuals:
     }
 
 
-def _key_of(candidate: FittedCandidate) -> tuple[Any, ...]:
-    return candidate.effects, *candidate.model.values.values()
-
-
 def _mean_square(residuals: Sequence[np.ndarray]) -> float:
     return float(np.nanmean(np.concatenate(residuals) ** 2))
 
@@ -518,8 +514,7 @@ def reject_on_validation(
     ranked = sorted(candidates, key=lambda c: c.criterion)
     others = [c for c in ranked if c.effects and c.effects != selected.effects]
     for candidate in others[: problem.budget.holdout_candidates]:
-        again = problem.refit_best(candidate.model, [candidate.model.values], keep=1, like=candidate)
-        better = again if again is not None and again.cost < candidate.cost else candidate
+        better = problem.converge(candidate)
         if explains(better, mostly, policy.holdout_share):
             return better, tuple(checks)
     return selected, tuple(checks)

@@ -333,8 +333,8 @@ def _extend_each(
     """
     names = set(selected.effects)
     parents = {parent for b in selected.model.bound_effects for parent in b.effect.parents}
-    further = [e for e in candidates if e.name not in names | parents and not names & set(e.parents)]
-    promising = rank_extensions(problem, selected, further, scales, policy.refinement.promising_candidates)
+    further = [(selected, e) for e in candidates if e.name not in names | parents and not names & set(e.parents)]
+    promising = rank_extensions(problem, further, scales, policy.refinement.promising_candidates)
 
     looks = [
         problem.plan_refit(
@@ -345,7 +345,7 @@ def _extend_each(
             selected,
             refines=False,
         )
-        for e in promising
+        for _, e in promising
     ]
     short = [fit for fit in problem.refit_all(looks) if fit is not None]
     short.sort(key=lambda candidate: candidate.cost - candidate.promised_decrease)

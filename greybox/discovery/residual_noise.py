@@ -18,7 +18,7 @@ from greybox.discovery.disturbance_sites import DisturbanceSite, list_disturbanc
 from greybox.discovery.effect_signal import EffectSignal, estimate_effect_signals
 from greybox.discovery.execution import RefitJob
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
-from greybox.discovery.surrogate_effects import CURVE, make_curve_effect, make_power_effect
+from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_curve_effect, make_power_effect
 from greybox.model.effect import Effect
 from greybox.model.effects.scales import Scales
 from greybox.model.effects.starts import AMPLITUDE_GRID
@@ -127,8 +127,8 @@ SECOND_BRANCH = "_second_branch"
 
 
 def is_shape_correction(name: str) -> bool:
-    """Whether an effect of this name only corrects the shape of another one."""
-    return name == CURVE or name.endswith(SECOND_BRANCH)
+    """Whether an effect of this name has none of its own: it corrects the shape of another one, or is linear dynamics of no name."""
+    return name == CURVE or name.endswith(SECOND_BRANCH) or name.startswith(LINEAR_DYNAMICS)
 
 
 def fit_shape_correction(

@@ -12,6 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
+import numpy as np
+
+from greybox.data.closed_loop import find_loops
 from greybox.discovery.candidates import family_of
 from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
@@ -27,7 +30,7 @@ from greybox.discovery.residual_noise import (
 )
 from greybox.discovery.selection import list_extension_starts, rank_extensions
 from greybox.discovery.surrogate import QUICK_ITERATIONS, refit_free_curves
-from greybox.discovery.surrogate_effects import CURVE
+from greybox.discovery.surrogate_effects import CURVE, make_linear_path
 from greybox.model.effect import Effect
 from greybox.model.effects.catalogue import effect as catalogue_effect
 from greybox.model.effects.placement import AT, find_placements
@@ -72,6 +75,7 @@ def refit_rivals(search: RivalSearch) -> dict[str, FittedCandidate]:
     listing = partial(list_shape_corrections, problem, selected, search.scales)
     jobs = problem.failures.attempt(SearchStage.SHAPE_CORRECTION, selected.effects, listing, [])
     problem.refit_all([job for _, job in jobs])
+    _refit_linear_paths(search)
     without: dict[str, FittedCandidate] = {}
     for effect in selected.model.effects:
         if effect.name not in selected.effects or is_shape_correction(effect.name):
@@ -113,7 +117,7 @@ def _refit_without(search: RivalSearch, name: str) -> FittedCandidate | None:
     iterations = RIVAL_ITERATIONS
     again = search.attempt(partial(search.problem.refit_best, model, [values], 1, iterations, selected, refines=False))
     if again is not None and _is_hopeful(search, again):
-        again = _converge(search, again)
+        again = search.problem.converge(again, RIVAL_ITERATIONS)
     return min((fit for fit in (known, again) if fit is not None), key=lambda fit: fit.cost, default=None)
 
 
@@ -134,14 +138,14 @@ def _refit_others(search: RivalSearch, name: str, rest: FittedCandidate) -> None
     }
     near = sorted((fit for key, fit in sets.items() if not key - kept & family), key=lambda fit: fit.cost)[:MOST_RIVALS]
     if len(near) < MOST_RIVALS:
-        others = [e for e in search.candidates if e.name not in family | set(selected.effects)]
-        for e in rank_extensions(search.problem, rest, others, search.scales, MOST_RIVALS):
+        others = [(rest, e) for e in search.candidates if e.name not in family | set(selected.effects)]
+        for _, e in rank_extensions(search.problem, others, search.scales, MOST_RIVALS):
             starts = list_extension_starts(rest, e, search.scales)
             refit = partial(search.problem.refit_best, rest.model + e, starts, 1, QUICK_ITERATIONS, rest, refines=False)
             near += [fit for fit in [search.attempt(refit)] if fit is not None]
     for fit in near:
         if _is_hopeful(search, fit):
-            _converge(search, fit)
+            search.problem.converge(fit, RIVAL_ITERATIONS)
 
 
 def _is_hopeful(search: RivalSearch, fit: FittedCandidate) -> bool:
@@ -193,12 +197,36 @@ def _refit_constant(search: RivalSearch, effect: Effect, rest: FittedCandidate) 
         )
         quick = search.attempt(refit)
         if quick is not None and _is_hopeful(search, quick):
-            _converge(search, quick)
+            search.problem.converge(quick, RIVAL_ITERATIONS)
 
 
-def _converge(search: RivalSearch, fit: FittedCandidate) -> FittedCandidate:
-    again = search.attempt(partial(search.problem.refit_best, fit.model, [fit.model.values], 1, RIVAL_ITERATIONS, fit))
-    return again if again is not None and again.cost < fit.cost else fit
+# Rates at which a linear path begins, between one sample and the whole record.
+PATH_RATES = 3
+
+
+def _refit_linear_paths(search: RivalSearch) -> None:
+    """In a loop, linear dynamics of no name from the inputs that answer the readings to every reading, beside the plain model.
+
+    There what disturbs the plant is in its input, and passes for an answer to it: what does no better than any linear path from that
+    input shows no name and no place.
+    """
+    problem, plain, scales = search.problem, search.baseline, search.scales
+    loops = {found.subject for e in problem.experiments for found in find_loops(e.inputs, e.outputs)}
+    answering = [i for i in plain.model.inputs if i.name in loops]
+    if not answering:
+        return
+    paths = [make_linear_path(o, answering) for o in plain.model.outputs if o.name in problem.noise_std]
+    model = plain.model
+    for path in paths:
+        model = model + path
+    rates = np.geomspace(1 / scales.duration, 1 / scales.period, PATH_RATES + 2)[1:-1]
+    of_rate = [model.names_of(path.name)["a"] for path in paths]
+    starts = [{**plain.model.values, **dict.fromkeys(of_rate, float(rate))} for rate in rates]
+    quick = search.attempt(
+        partial(problem.refit_best, model, starts, PATH_RATES, RIVAL_ITERATIONS, plain, refines=False)
+    )
+    if quick is not None and _is_hopeful(search, quick):
+        problem.converge(quick, RIVAL_ITERATIONS)
 
 
 def _count_free(candidate: FittedCandidate, effect: Effect) -> int:

@@ -41,36 +41,47 @@ from greybox.model.effects.starts import AMPLITUDE_GRID, FEW_SHAPES, MANY_SHAPES
 NEAR_ZERO_AMPLITUDE = 0.01
 
 
+# A fitted model and an effect that may be added to it.
+Extension = tuple[FittedCandidate, Effect]
+
+
 def rank_extensions(
     problem: DiscoveryProblem,
-    selected: FittedCandidate,
-    effects: Sequence[Effect],
+    extensions: Sequence[Extension],
     scales: Scales,
     most: int,
-) -> list[Effect]:
-    """The ``most`` effects whose addition to ``selected`` predicts the lowest cost, best first; none that cannot be simulated.
+    amplitudes: Sequence[float] = AMPLITUDE_GRID,
+) -> list[Extension]:
+    """The ``most`` models with one effect more that predict the lowest cost, best first; none that cannot be simulated, each set once.
 
-    All are predicted nearly absent, the better ones from the usual amplitudes too.
+    All are predicted with the effect nearly absent, the better ones from its ``amplitudes`` too.
     """
-    predicted = {e.name: predict_extension(problem, selected, e, scales, (NEAR_ZERO_AMPLITUDE,)) for e in effects}
-    possible = sorted((e for e in effects if np.isfinite(predicted[e.name])), key=lambda e: predicted[e.name])
-    for e in possible[: 2 * most]:
-        larger = predict_extension(problem, selected, e, scales, AMPLITUDE_GRID)
-        predicted[e.name] = min(predicted[e.name], larger)
-    return sorted(possible, key=lambda e: predicted[e.name])[:most]
+    lowest = [_predict_extension(problem, each, scales, (NEAR_ZERO_AMPLITUDE,)) for each in extensions]
+    possible = sorted((k for k, cost in enumerate(lowest) if np.isfinite(cost)), key=lowest.__getitem__)
+    for k in possible[: 2 * most] if amplitudes else ():
+        lowest[k] = min(lowest[k], _predict_extension(problem, extensions[k], scales, amplitudes))
+    once: dict[Key, Extension] = {}
+    for fit, effect in (extensions[k] for k in sorted(possible, key=lowest.__getitem__)):
+        once.setdefault(frozenset((*fit.effects, effect.name)), (fit, effect))
+    return list(once.values())[:most]
 
 
-def predict_extension(
-    problem: DiscoveryProblem, selected: FittedCandidate, effect: Effect, scales: Scales, amplitudes: Sequence[float]
+def _predict_extension(
+    problem: DiscoveryProblem, extension: Extension, scales: Scales, amplitudes: Sequence[float]
 ) -> float:
-    """The lowest cost that one step predicts for ``selected`` with one effect more, from these amplitudes of it."""
+    """The lowest cost that one step predicts from these amplitudes of the further effect; it is asked once for each."""
+    fit, effect = extension
+    key = (*fit.key, effect.name, *amplitudes)
 
     def predict() -> float:
-        model = selected.model + effect
-        starts = generate_starting_points(model, effect, selected, selected.model, scales, amplitudes)
-        return problem.predict_cost(model, starts, selected)
+        model = fit.model + effect
+        starts = generate_starting_points(model, effect, fit, fit.model, scales, amplitudes)
+        return problem.predict_cost(model, starts, fit)
 
-    return problem.failures.attempt(SearchStage.SCREENING, (*selected.effects, effect.name), predict, np.inf)
+    if key not in problem.predicted:
+        effects = (*fit.effects, effect.name)
+        problem.predicted[key] = problem.failures.attempt(SearchStage.SCREENING, effects, predict, np.inf)
+    return problem.predicted[key]
 
 
 def list_extension_starts(selected: FittedCandidate, effect: Effect, scales: Scales) -> list[StartValues]:
@@ -129,10 +140,13 @@ CHILD_SHARE = 0.003
 TIE_COST = 10.0
 # Lags that this sum runs over.
 AUTOCORRELATION_LAGS = 30
-# Iterations of the first, short refit of every candidate.
-SCREENING_ITERATIONS = 12
-# Share of its cost that a further step must promise for a short refit to go on: it was stopped in the middle of a descent.
+# Iterations of the first look at every candidate.
+SCREENING_ITERATIONS = 4
+# Share of its cost that a further step must promise for a look to go on: it was stopped in the middle of a descent...
 FALLING_SHARE = 0.1
+# ...or so much of it, where its cost is no more than so many times that of the best: five times the rms error.
+NEGLIGIBLE_SHARE = 1e-3
+NEAR_COST = 25.0
 # Leading candidates that are refitted to convergence.
 REFIT_TOP = 5
 # Generations of children that are tried (Coulomb friction, then Stribeck, then LuGre).
@@ -187,7 +201,6 @@ class StepwiseSelection:
     fits: dict[Key, FittedCandidate] = field(init=False, default_factory=dict)
     shape_corrections: dict[Key, FittedCandidate] = field(init=False, default_factory=dict)
     steps: list[SelectionStep] = field(init=False, default_factory=list)
-    _predicted: dict[Key, dict[tuple[str, float], float]] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         self.baseline = self.problem.baseline
@@ -355,40 +368,11 @@ class StepwiseSelection:
 
     def _rank_further_effects(
         self, firsts: Sequence[FittedCandidate], most: int, amplitudes: Sequence[float]
-    ) -> list[tuple[FittedCandidate, Effect]]:
-        """The ``most`` further effects, each beside one of ``firsts``, whose predicted cost is lowest.
-
-        All are predicted nearly absent, the better ones at ``amplitudes`` too.
-        """
-        near_zero = NEAR_ZERO_AMPLITUDE
+    ) -> list[Extension]:
+        """The ``most`` further effects, each beside one of ``firsts``, whose predicted cost is lowest (`rank_extensions`)."""
         simplest = [e for e in self.candidates if not self._candidate_parents(e)]
         pairs = [(f, e) for f in firsts for e in simplest if e.name not in f.effects and not self._is_in_family(e, f)]
-        lowest: dict[tuple[str, ...], float] = {}
-        for amplitude in (near_zero, *amplitudes):
-            count = len(pairs) if amplitude == near_zero else 2 * most
-            ranked = sorted(pairs, key=lambda pair: self._predict_cost(pair[0], pair[1], near_zero))
-            for fit, effect in ranked[:count]:
-                key = (*fit.effects, effect.name)
-                lowest[key] = min(lowest.get(key, np.inf), self._predict_cost(fit, effect, amplitude))
-        once: dict[Key, tuple[FittedCandidate, Effect]] = {}
-        possible = [(fit, e) for fit, e in pairs if np.isfinite(lowest[*fit.effects, e.name])]
-        for fit, effect in sorted(possible, key=lambda pair: lowest[*pair[0].effects, pair[1].name]):
-            once.setdefault(frozenset((*fit.effects, effect.name)), (fit, effect))
-        return list(once.values())[:most]
-
-    def _predict_cost(self, first: FittedCandidate, effect: Effect, amplitude: float) -> float:
-        """The cost that a step from ``first`` with ``effect`` at an amplitude predicts."""
-        known = self._predicted.setdefault(frozenset(first.effects), {})
-        if (effect.name, amplitude) not in known:
-
-            def predict() -> float:
-                model = first.model + effect
-                starts = generate_starting_points(model, effect, first, first.model, self.scales, (amplitude,))
-                return self.problem.predict_cost(model, starts)
-
-            effects = (*first.effects, effect.name)
-            known[effect.name, amplitude] = self._attempt(SearchStage.SCREENING, effects, predict, np.inf)
-        return known[effect.name, amplitude]
+        return rank_extensions(self.problem, pairs, self.scales, most, amplitudes)
 
     def _explained_by_shape_correction(self, selected: FittedCandidate, larger: FittedCandidate) -> bool:
         """Whether a correction of the shape of the effects explains the remaining misfit as well as a further effect."""
@@ -514,28 +498,34 @@ class StepwiseSelection:
         new = [(key, e) for key, e in zip(keys, effects, strict=True) if key not in self.fits]
         prepared = [(key, self._prepare(fit, effect, partial(self._screening_job, fit, effect))) for key, effect in new]
         jobs = [(key, job) for key, job in prepared if job is not None]
-        for (key, job), extended in zip(jobs, self.problem.refit_all([job for _, job in jobs]), strict=True):
-            # It contains the smaller model: from where that ended, the effect absent, it cannot do worse.
-            if extended is None or extended.cost > fit.cost:
-                absent = {name: value for name, value in fit.model.values.items() if name in job.model.values}
-                again = self.problem.refit_best(job.model, [absent], keep=1, iterations=job.iterations, like=fit)
-                extended = again or extended
-            if extended is not None:
-                self.fits[key] = extended
+        self._keep_better([key for key, _ in jobs], [job for _, job in jobs])
         self._carry_on([key for key, _ in jobs if key in self.fits])
+        # It contains the smaller model: from where that ended, the effect absent, it cannot do worse.
+        behind = [(key, job.model) for key, job in jobs if key not in self.fits or self.fits[key].cost > fit.cost]
+        absent = [
+            self.problem.plan_refit(
+                model, [{n: v for n, v in fit.model.values.items() if n in model.values}], 1, like=fit, refines=False
+            )
+            for _, model in behind
+        ]
+        self._keep_better([key for key, _ in behind], absent)
         return [self.fits[key] for key in keys if key in self.fits]
 
     def _carry_on(self, keys: Sequence[Key]) -> None:
-        """Short refits that were stopped in the middle of a descent go on: where they stand says nothing yet."""
-        limit = FALLING_SHARE
-        falling = [key for key in keys if self.fits[key].promised_decrease > limit * self.fits[key].cost]
-        jobs = [
-            RefitJob(f.model, (f.model.values,), 1, SEARCH_REFIT_ITERATIONS)
-            for f in map(self.fits.__getitem__, falling)
-        ]
-        for key, further in zip(falling, self.problem.refit_all(jobs), strict=True):
-            if further is not None and further.cost < self.fits[key].cost:
-                self.fits[key] = further
+        """Looks that were stopped in the middle of a descent go on, and those that may still come near the best of all."""
+        near = NEAR_COST * min((self.fits[key].cost for key in keys), default=0.0)
+        jobs = {}
+        for key in keys:
+            fit = self.fits[key]
+            if fit.promised_decrease > (NEGLIGIBLE_SHARE if fit.cost <= near else FALLING_SHARE) * fit.cost:
+                jobs[key] = self.problem.plan_refit(fit.model, [fit.model.values], 1, like=fit, refines=False)
+        self._keep_better(list(jobs), list(jobs.values()))
+
+    def _keep_better(self, keys: Sequence[Key], jobs: Sequence[RefitJob]) -> None:
+        """Refits of sets of effects, each kept where it leaves less than what is known of its set."""
+        for key, fit in zip(keys, self.problem.refit_all(jobs), strict=True):
+            if fit is not None and (key not in self.fits or fit.cost < self.fits[key].cost):
+                self.fits[key] = fit
 
     def _prepare(self, fit: FittedCandidate, effect: Effect, prepare: Callable[[], RefitJob]) -> RefitJob | None:
         """A refit of ``fit`` with ``effect``; None where it cannot even begin."""
@@ -569,8 +559,7 @@ class StepwiseSelection:
 
     def _converge(self, fit: FittedCandidate) -> FittedCandidate:
         """A short refit carried on to convergence."""
-        again = self.problem.refit_best(fit.model, [fit.model.values], keep=1)
-        better = again if again is not None and again.cost < fit.cost else fit
+        better = self.problem.converge(fit)
         self.fits[frozenset(better.effects)] = better
         return better
 

@@ -1,4 +1,4 @@
-"""Surrogates of an unknown effect: a smooth curve, a power or a sinusoid over a variable, or a tone in time.
+"""Surrogates of an unknown effect: a smooth curve, a power or a sinusoid over a variable, a tone in time, or a linear path.
 
 The curve is ``sum c_k exp(-(t - k)^2)``, ``t = (z - lowest) / pitch``: bumps so close that their sum is smooth (equal ones make a constant
 to 1e-4), and short enough to be read in a model file. Outside the range that was seen the curve goes to zero. Weak priors on the
@@ -9,6 +9,8 @@ height for each level and nothing to say between them: there it is the straight 
 
 The tone is ``z1' = 2 pi f z2``, ``z2' = -2 pi f z1``: a sinusoid whose amplitude and phase are the initial state, which every record has
 for itself. The frequency is one parameter of all. (B. A. Francis, W. M. Wonham 1976, The internal model principle of control theory.)
+
+The linear path goes from the inputs to a reading, past the plant: ``y + d u + z``, ``z' = -a z + b u``. It has no place in the plant.
 """
 
 from __future__ import annotations
@@ -23,10 +25,10 @@ from greybox.discovery.curve_shape import TIME, Dependence, find_levels
 from greybox.discovery.disturbance_sites import DisturbanceSite, SiteKind
 from greybox.discovery.localisation import ResidualSignal
 from greybox.model import Balance, Effect
-from greybox.model.signals import Expression, NamedValues, Parameter, State
+from greybox.model.signals import Expression, Input, NamedValues, Output, Parameter, State
 
 # Names of the effects.
-CURVE, TONE = "fitted_curve", "tone"
+CURVE, TONE, LINEAR_DYNAMICS = "fitted_curve", "tone", "linear_dynamics"
 # Name of the constants of a curve that hold its levels; a number follows.
 LEVEL = "level"
 # The state of a curve over time: seconds since the record began.
@@ -208,6 +210,32 @@ def _curve_effect(
         equation=equation,
         parity=dependence.shape.parity.value,
         amplitudes=amplitudes,
+        source=SOURCE,
+    )
+
+
+def make_linear_path(output: Output, inputs: Sequence[Input]) -> Effect:
+    """Linear dynamics of the first order from all ``inputs`` to the reading of one output, beside the plant."""
+    unit, state, rate = output.unit, f"z_{output.name}", "a"
+    direct, gain = ({i.name: f"{letter}_{i.name}" for i in inputs} for letter in "db")
+    units = {i.name: f"({unit})/({i.unit})" for i in inputs}
+    parameters = [
+        Parameter(rate, "1/s", 1.0, (0.0, np.inf), source="zero, until fitted", description="rate of the path"),
+        *(Parameter(direct[n], units[n], 0.0, source=SOURCE, description=f"direct path from {n}") for n in direct),
+        *(Parameter(gain[n], f"{units[n]}/s", 0.0, source=SOURCE, description=f"path from {n}") for n in gain),
+    ]
+    return Effect(
+        f"{LINEAR_DYNAMICS}_to_{output.name}",
+        output.name,
+        parameters,
+        states=[State(state, unit, 0.0, description="what the path adds")],
+        balances=lambda x, u, p: [
+            Balance(state, f"({unit})/s", 1, state, decay=-p[rate] * x[state], **{n: p[gain[n]] * u[n] for n in gain})
+        ],
+        on_output=lambda value, x, u, p: value + x[state] + sum(p[direct[n]] * u[n] for n in direct),
+        equation="z' = -a z + b u, y + d u + z in the place of y",
+        parity="linear",
+        amplitudes=[*direct.values(), *gain.values()],
         source=SOURCE,
     )
 

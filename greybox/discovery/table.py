@@ -262,6 +262,10 @@ def _keep_whole(sets: list[FittedSet]) -> list[FittedSet]:
     return [s for s in sets if s.sums.count.sum() == most]
 
 
+# Share of the rms error of the best set below which a block counts as one in which nothing is left.
+NOTHING_LEFT = 0.01
+
+
 def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndarray, count: np.ndarray) -> Draws:
     """The winners, from mean squares (S, R, B, n) of n outputs, the blocks ``left`` out of each resample (R, B), and samples (B, n)."""
     # A set that goes astray is out, however far it goes: nothing may overflow on the way.
@@ -281,7 +285,9 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     share = weight / np.maximum(weight.sum(axis=2, keepdims=True), 1)
     behind = np.minimum((squares - chosen[None]) / reference[None, :, None, :], FAR_BEHIND)
     relative = (behind * share[None]).sum(axis=3)
-    logarithm = ((np.log(np.maximum(squares, TINY)) - np.log(np.maximum(chosen, TINY))) * share[None]).sum(axis=3)
+    # A block in which a set leaves nothing (a reading held at the end of its range) would outweigh all others as a logarithm.
+    least = NOTHING_LEFT**2 * reference[:, None, :]
+    logarithm = ((np.log(np.maximum(squares, least)) - np.log(np.maximum(chosen, least))) * share[None]).sum(axis=3)
     # The simplest of those within some standard errors (L. Breiman et al. 1984, Classification and regression trees, section 3.4.3).
     good = np.ones(errors.shape, bool)
     for behind in (relative, logarithm):

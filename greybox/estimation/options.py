@@ -233,7 +233,8 @@ class FitOptions:
     tolerance
         Tolerance of IPOPT.
     thorough
-        Where the cost has a kink (dry friction) and its gradient misleads, search on without it; that takes many passes.
+        Where the cost has a kink (dry friction) and its gradient misleads, search on without it; that takes many passes. False for one of
+        many candidates: damped Gauss-Newton steps alone, which end where they gain little.
     transcription
         ``single`` shooting runs the model freely from each record's initial state. ``multiple`` shooting runs it in segments that meet
         at the optimum, for unstable plants. ``collocation-radau`` and ``collocation-legendre`` solve the equations at points of each

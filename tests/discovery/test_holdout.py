@@ -48,7 +48,7 @@ class FakeScores:
 
     @property
     def problem(self):
-        return SimpleNamespace(budget=self.budget, refit_best=lambda *_, **__: None)
+        return SimpleNamespace(budget=self.budget, converge=lambda candidate: candidate)
 
     def score(self, fit):
         self.asked.append(fit.effects)

@@ -31,14 +31,14 @@ def test_what_stands_in_the_place_of_an_effect_is_simpler(monkeypatch, name, exp
     assert asked == refitted == ([expected] if expected else [])
 
 
-def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end(monkeypatch):
+def test_a_rival_that_is_far_behind_is_not_refitted_to_the_end():
     finished = []
-    monkeypatch.setattr(rivals, "_converge", lambda search, fit: finished.append(fit.cost))
+    problem = SimpleNamespace(converge=lambda fit, iterations: finished.append(fit.cost))
     known = {
         frozenset([name]): candidate(cost, name)
         for name, cost in {"cubic_damping": 900.0, "backlash": 20.0, "sensor_lag": 300.0, "cogging": 24.0}.items()
     }
-    search = SimpleNamespace(selected=candidate(1.0, "coulomb_friction"), known=known, candidates=())
+    search = SimpleNamespace(selected=candidate(1.0, "coulomb_friction"), known=known, candidates=(), problem=problem)
     rivals._refit_others(search, "coulomb_friction", candidate(1e4))
     assert finished == [20.0, 24.0]
 

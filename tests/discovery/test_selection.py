@@ -219,8 +219,17 @@ def test_every_step_has_its_checks():
 class _StuckProblem(FakeProblem):
     """Its refits from starting points end in a bad minimum; only from where the smaller model ended do they find the way."""
 
+    def plan_refit(self, model, starts, *plan, **options):
+        return RefitJob(model, tuple(starts), 1, 1)
+
     def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:
-        return [FittedCandidate(job.model, 1e6, COUNT, 6, None, None, None) for job in jobs]
+        return [self._refit(job) for job in jobs]
+
+    def _refit(self, job: RefitJob) -> FittedCandidate:
+        fit = self._fit(job.model)
+        if job.starts != (dict(self.model.values),):
+            object.__setattr__(fit, "cost", 1e6)
+        return fit
 
 
 def test_a_model_with_an_effect_more_never_ends_above_the_model_without():

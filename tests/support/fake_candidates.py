@@ -48,6 +48,7 @@ class FakeProblem:
     model: Model = micro_actuator
     refits: list[frozenset[str]] = field(default_factory=list)
     failures: FailureLog = field(default_factory=FailureLog)
+    predicted: dict[object, float] = field(default_factory=dict)
 
     @property
     def baseline(self) -> FittedCandidate:
@@ -58,6 +59,13 @@ class FakeProblem:
 
     def refit_best(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> FittedCandidate | None:
         return self._fit(model)
+
+    def plan_refit(self, model: Model, starts: Iterable[object], *_: object, **__: object) -> RefitJob:
+        return RefitJob(model, (), 1, 1)
+
+    def converge(self, candidate: FittedCandidate) -> FittedCandidate:
+        again = self.refit_best(candidate.model, [])
+        return again if again is not None and again.cost < candidate.cost else candidate
 
     def predict_cost(self, model: Model, starts: Iterable[object], like: object = None) -> float:
         return self._cost(model)

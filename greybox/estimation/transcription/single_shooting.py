@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.base import TINY
 from greybox.estimation.optim import minimisation
-from greybox.estimation.optim.methods import minimise
+from greybox.estimation.optim.methods import MinimisationMethod, minimise
 from greybox.estimation.options import FitOptions, StepRefinementPolicy, Transcription
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import (
@@ -255,6 +255,8 @@ STIFF_GROWTH = 16
 FOLLOWED_SHARE = 0.5
 # When a search by simulation error has converged.
 CONVERGENCE = minimisation.TerminationPolicy()
+# The same for one of many candidates: along a kink (dry friction) it would creep on for dozens of passes, and change no comparison.
+CONVERGENCE_OF_CANDIDATES = replace(CONVERGENCE, patience=6, little_gain=1e-4)
 # The same over part of a record, which is only a way to a start: a tenth of a standard deviation will do.
 CONVERGENCE_IN_PART = replace(CONVERGENCE, negligible_decrease=0.01)
 
@@ -390,17 +392,19 @@ class _Search:
             cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
             return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
 
-        policy = CONVERGENCE if is_whole else CONVERGENCE_IN_PART
+        thorough = self.options.thorough
+        policy = (CONVERGENCE if thorough else CONVERGENCE_OF_CANDIDATES) if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
             shooting.evaluate if is_whole else evaluate_part,
             variables.here,
             *low_high,
+            method=MinimisationMethod.IPOPT if thorough else MinimisationMethod.GAUSS_NEWTON,
             scale=max(start.cost, TINY),
             value_at_start=start,
             tolerance=self.options.tolerance,
             iterations=self.options.iterations,
             termination_test=minimisation.Termination(policy, *low_high, start.count).test,
-            thorough=self.options.thorough and is_whole,
+            thorough=thorough and is_whole,
             progress=ProgressMonitor(
                 self.problem, self.report, share, len(self.shares), len(self.shares) + (share < 1)
             ),

@@ -252,7 +252,7 @@ def discretise(
 _make_taylor = lru_cache(maxsize=64)(taylor)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _make(system: System, method: str, fast: tuple[int, ...], substeps: int, past: InputHistory | None) -> Step:
     if method == "exact":
         return exact_hold(system, past)

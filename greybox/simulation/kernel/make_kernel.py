@@ -154,7 +154,7 @@ def _make_compiled(step: Step, free: tuple[int, ...] | None) -> CompiledKernel:
     return kernel
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=256)
 def _make_fallback(step: Step, free: tuple[int, ...] | None) -> FallbackKernel:
     return FallbackKernel(GradualKernel(step, free, _warn_once), _warn_once)
 
