@@ -9,8 +9,10 @@ import pytest
 import greybox as gb
 from greybox.discovery.claims import (
     ESTABLISHED_FROM,
+    WITH_MEMORY,
     Claim,
     Depth,
+    EffectForm,
     deepest_established,
     describe_effect,
     list_tied_sets,
@@ -25,7 +27,7 @@ from greybox.discovery.claims import (
     weigh_claims,
 )
 from greybox.discovery.decision import Conclusion, Grade, Verdict
-from greybox.discovery.surrogate_effects import CURVE
+from greybox.discovery.surrogate_effects import CURVE, LINEAR_DYNAMICS, make_linear_path
 from greybox.discovery.table import BlockSums, Draws, FittedSet
 from models.micro_actuator import micro_actuator
 from models.pneumatic_cylinder import pneumatic_cylinder
@@ -170,6 +172,17 @@ def test_a_curve_beside_an_effect_supports_its_place_and_denies_its_name():
     claims = claims_of((fitted("coulomb_friction", curve=True), 9), (fitted("coulomb_friction"), 1))
     assert next(c for c in claims if c.depth is Depth.PLACE).frequency == 1.0
     assert name_claim(claims, "coulomb_friction") is None  # a tenth of the resamples is too little to be listed
+
+
+def test_a_linear_path_beside_the_plant_denies_every_place_but_not_that_something_is_missing():
+    path = make_linear_path(micro_actuator.outputs[0], micro_actuator.inputs)
+    model = micro_actuator + path
+    assert describe_effect(model, model.bound_effects[-1]) == EffectForm("", "", ("u",), WITH_MEMORY, ())
+    linear = replace(fitted(), candidate=SimpleNamespace(model=model, free=8, effects=(path.name,)))
+    claims = claims_of((linear, 7), (fitted("coulomb_friction"), 3))
+    assert frequencies(claims, Depth.MISSING) == {((), (), (), ""): 1.0}
+    assert {c.sites: c.frequency for c in claims if c.depth is Depth.PLACE} == {("balance force",): 0.3}
+    assert name_claim(claims, "coulomb_friction").rival == LINEAR_DYNAMICS
 
 
 def test_the_effects_of_the_user_are_claimed_by_nobody():

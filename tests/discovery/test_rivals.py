@@ -4,11 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import greybox as gb
 from greybox.discovery import rivals
+from greybox.discovery.candidates import estimate_scales
 from greybox.discovery.decision import Grade
 from greybox.discovery.execution import FailureLog
+from greybox.discovery.policy import DiscoveryPolicy
+from greybox.discovery.problem import DiscoveryProblem
+from greybox.discovery.rivals import RivalSearch
+from greybox.discovery.surrogate_effects import LINEAR_DYNAMICS
 from models.micro_actuator import micro_actuator
 from tests.support.fake_candidates import candidate
 
@@ -74,3 +80,60 @@ def test_a_dead_zone_that_the_input_never_crosses_is_no_more_than_a_constant():
 
     assert grade(-2.0) is Grade.ESTABLISHED
     assert grade(0.5) is not Grade.ESTABLISHED
+
+
+def looped(seed, in_loop=True):
+    """A rotor whose armature follows late, its voltage set from the reading before; both lags exactly, the noise of the reading told.
+
+    ``w' = 20 i - 2 w``, ``i' = (u - i) / 0.1``; not ``in_loop`` the voltage is drawn beforehand.
+    """
+    generator, period, rows = np.random.default_rng(seed), 0.02, 400
+    advance = expm(period * np.array([[-2.0, 20.0, 0.0], [0.0, -10.0, 10.0], [0.0, 0.0, 0.0]]))
+    time = period * np.arange(rows)
+    reference = 7.0 + 3.0 * np.sin(2.1 * time + seed) + 2.0 * np.sin(5.3 * time)
+    drawn = np.repeat(generator.uniform(0.3, 1.2, rows // 10), 10)
+    w = current = before = 0.0
+    voltages, readings = [], []
+    for k in range(rows):
+        voltage = 0.3 * (reference[k] - before) if in_loop else drawn[k]
+        before = w + 0.05 * generator.standard_normal()
+        voltages.append(voltage)
+        readings.append(before)
+        w, current, _ = advance @ (w, current, voltage)
+    return gb.Experiment(f"run {seed}", time, {"u": np.array(voltages)}, {"w": np.array(readings)})
+
+
+def rotor_search(*records):
+    """The problem of a rotor without an armature, and the search for the rivals of its plain model."""
+    model = gb.Model(
+        "rotor",
+        states=[gb.State("w", "rad/s", 0.0)],
+        inputs=[gb.Input("u", "V")],
+        outputs=[gb.Output("w", "rad/s")],
+        parameters=[
+            gb.Parameter("k", "rad/(s^2*V)", 15.0, (1e-3, 1e4)),
+            gb.Parameter("b", "1/s", 3.0, (1e-4, 1e3)),
+        ],
+        balances=lambda x, u, p: [gb.Balance("torque", "rad/s^2", 1, "w", drive=p.k * u.u, damping=-p.b * x.w)],
+    )
+    problem = DiscoveryProblem(model, records, {"w": 0.05}, (), gb.FitOptions(at_rest=True))
+    plain = problem.baseline
+    scales = estimate_scales(plain)
+    return problem, RivalSearch(problem, scales, (), plain, plain, {}, (), DiscoveryPolicy())
+
+
+def test_in_a_loop_any_linear_path_from_its_input_is_a_rival():
+    problem, search = rotor_search(looped(1))
+    rivals._refit_linear_paths(search)
+    best = min(problem.fitted, key=lambda fit: fit.cost)
+    assert best.effects == (f"{LINEAR_DYNAMICS}_to_w",)
+    # The armature is a second lag: the rotor and a path of the first order are any linear plant of the second.
+    assert search.baseline.per_sample > 5 and best.per_sample < 1.3
+    rates = sorted((best.model.values["b"], best.model.values[best.model.names_of(best.effects[0])["a"]]))
+    assert rates == pytest.approx([2.0, 10.0], rel=0.1)
+
+
+def test_without_a_loop_no_linear_path_is_a_rival():
+    problem, search = rotor_search(looped(1, in_loop=False))
+    rivals._refit_linear_paths(search)
+    assert not problem.fitted and search.baseline.per_sample > 5
