@@ -30,6 +30,7 @@ from greybox.discovery.curve_shape import TIME
 from greybox.discovery.decision import Conclusion, Grade, Verdict, make_check
 from greybox.discovery.disturbance_sites import SiteKind, list_disturbance_sites, site_label
 from greybox.discovery.findings import DiscoveryRule
+from greybox.discovery.laws.terms import claimed_name
 from greybox.discovery.residual_noise import SECOND_BRANCH, has_memory
 from greybox.discovery.surrogate_effects import CLOCK, CURVE, LINEAR_DYNAMICS, TONE
 from greybox.discovery.table import Draws, FittedSet
@@ -73,7 +74,7 @@ class Claim(ReadOnly):
     family
         Names of the effects of the catalogue that belong together.
     name
-        The effect.
+        The effect; of a law its formula.
     probability, grade
         How probable it is that the claim holds, and what may be said because of that.
     share
@@ -176,7 +177,7 @@ def describe_effect(model: Model, bound: BoundEffect) -> EffectForm:
     if effect.name in (CURVE, TONE):
         is_over_time = effect.name == TONE or any(s.name == CLOCK for s in effect.states)
         return EffectForm("", label, (TIME,) if is_over_time else variables, STATIC, ())
-    name = effect.name.removesuffix(SECOND_BRANCH)
+    name = claimed_name(effect).removesuffix(SECOND_BRANCH)
     base = name.partition(AT)[0]
     if _is_timing(effect):
         return EffectForm(name, label, variables, TIMING, tuple(e.name for e in all_effects() if _is_timing(e)))
@@ -231,6 +232,9 @@ class Weights:
         behind = draws.errors - draws.errors[rounds, draws.winner][:, None]
         alike = draws.good & (free[None] == free[draws.winner][:, None]) & (np.abs(behind) < SAME_LOG_ERROR)
         alike[rounds, draws.winner] = True
+        # Of laws that do the same the shortest: |v| is v where v is never negative.
+        length = np.array([len("".join(s.candidate.laws)) for s in draws.sets])
+        alike &= length <= np.where(alike, length, np.inf).min(axis=1, keepdims=True)
         return cls(draws, alike / alike.sum(axis=1, keepdims=True))
 
     @property
@@ -419,6 +423,10 @@ class _Context:
             is_exchange = len(forms) == len(self.forms[best]) and len(others) == 1
             if not is_exchange or not others[0] or others[0] in {form.name, *form.family}:
                 continue
+            # A law of more constants does what one of fewer does: that is no objection.
+            sets = self.draws.sets
+            if sets[k].candidate.laws and sets[k].candidate.free > sets[best].candidate.free:
+                continue
             if float(self.draws.good[rounds, k].mean()) >= EQUAL_FREQUENCY:
                 equals.append(others[0])
         return tuple(dict.fromkeys(equals))
@@ -441,8 +449,8 @@ class _Context:
         kept = [k for k, s in enumerate(sets) if not {f.name for f in self.forms[k]} & set(removed)]
         rest = frozenset(f.name for f in self.forms[best]) - set(removed)
         nested = [k for k in kept if {f.name for f in self.forms[k]} <= rest]
-        if not nested:
-            return 0.0, 0.0, self.outputs[0]
+        if not nested:  # not even the plain model: its run goes astray, which is infinitely wrong
+            return 1.0, 1.0, self.outputs[0]
         without = max(nested, key=lambda k: (len(self.forms[k]), -float(np.median(self.draws.errors[:, k]))))
         before, after = (_judged_rms(sets[k]) for k in (without, best))
         shares = 1 - after / np.maximum(before, TINY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,6 +13,7 @@ import numpy as np
 from greybox.base import Check, Finding, Severity
 from greybox.discovery.claims import (
     Claim,
+    Weights,
     deepest_established,
     list_tied_sets,
     lower_grade,
@@ -34,7 +36,7 @@ from greybox.discovery.effect_signal import (
     measure_remaining_error,
 )
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.false_names import ContestTable, FalseNameRate, lower_common, measure_false_names
+from greybox.discovery.false_names import MOST_SIGNALS, ContestTable, FalseNameRate, lower_common, measure_false_names
 from greybox.discovery.findings import DiscoveryCode, DiscoveryRule
 from greybox.discovery.holdout import (
     PARTIAL_SHARE,
@@ -51,7 +53,8 @@ from greybox.discovery.holdout import (
     worst_output,
 )
 from greybox.discovery.judged_selection import JudgedSelection, list_added_effects, list_named_effects
-from greybox.discovery.laws.search import LawSearch, search_laws
+from greybox.discovery.laws.search import propose_laws
+from greybox.discovery.laws.terms import Law, claimed_name, describe_laws, is_law, write_effect
 from greybox.discovery.localisation import ResidualLocalisation, localise_residual
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate
 from greybox.discovery.proposals import (
@@ -85,16 +88,6 @@ from greybox.model import Effect
 
 
 @dataclass(frozen=True)
-class LawAnswer:
-    """What a search for laws makes of the answer: the verdict, the plain and the best model, what is left and the rivals."""
-
-    search: LawSearch
-    verdict: Verdict
-    base: Fit
-    best: Fit | None
-
-
-@dataclass(frozen=True)
 class FinalModel:
     """The model of the answer: as a candidate, as a validated fit, and the validation records under the noise it was fitted with."""
 
@@ -125,8 +118,8 @@ class SearchAnswer:
         The signal of each effect of the answer.
     refinement
         Further effects, where some were looked for.
-    law
-        What a search for laws makes of it, where one was made.
+    terms
+        How many terms of equations were tried; 0 where none were looked for.
     findings
         What a user should know beside the verdict.
     rejected
@@ -143,7 +136,7 @@ class SearchAnswer:
     rates: tuple[FalseNameRate, ...] = ()
     signals: tuple[EffectSignal, ...] = ()
     refinement: Refinement | None = None
-    law: LawAnswer | None = None
+    terms: int = 0
     findings: tuple[Finding, ...] = ()
     rejected: str = ""
     is_worse: bool = False
@@ -159,11 +152,6 @@ class SearchAnswer:
         return self.judged.selection.problem
 
     @property
-    def has_law(self) -> bool:
-        """Whether its model holds a law."""
-        return self.law is not None and self.law.best is not None
-
-    @property
     def names(self) -> list[Claim]:
         """The claims of its effects by name."""
         return [c for e in list_named_effects(self.judged) if (c := name_claim(self.claims, e)) is not None]
@@ -172,6 +160,11 @@ class SearchAnswer:
     def is_probable(self) -> bool:
         """Whether one of its effects is probable."""
         return any(claim.grade is Grade.PROBABLE for claim in self.names)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something is missing that no effect is certain to be."""
+        return self.verdict in (Verdict.UNKNOWN, Verdict.PARTLY)
 
     @property
     def is_deeper(self) -> bool:
@@ -206,8 +199,8 @@ def conclude(
         The problem for which an equation is looked for; None for none.
     """
     answer = _weigh_answer(judged, candidates, further)
-    if of_laws is not None:
-        answer = _add_law(answer, of_laws)
+    if of_laws is not None and (answer.is_open or not is_level_known(of_laws.noise_model)):
+        answer = _add_law(answer, of_laws, candidates)
     answer = _keep_if_better(_finish_answer(replace(answer, findings=findings)), test)
     surrogate = _fit_stand_in(answer, test)
     return _describe(answer, candidates, surrogate, test)
@@ -219,13 +212,15 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
     decided = _decide(judged)
     final = FinalModel(judged.scores, judged.selected, judged.best)
     refinement: Refinement | None = None
-    if further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged):
+    has_law = any(is_law(e.name) for e in list_added_effects(judged))
+    may_add = bool(candidates) and not has_law  # beside a law the terms were the candidates
+    if may_add and (further or decided.verdict is Verdict.UNKNOWN or _may_hold_more(judged)):
         final, refinement = _refine(judged, candidates)
     signals = _estimate_signals(final)
     location = _locate(judged.baseline, selection)
     claims: tuple[Claim, ...] = ()
     rates: tuple[FalseNameRate, ...] = ()
-    if candidates and decided.verdict is not Verdict.COMPLETE:
+    if (candidates or has_law) and decided.verdict is not Verdict.COMPLETE:
         problem.executor.release_reserve()
         known = selection.fits if refinement is None or not refinement.steps else {}
         rivals = RivalSearch(
@@ -243,30 +238,57 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
         if problem.executor.skipped:  # not all rivals were tried
             claims = tuple(map(lower_grade, claims))
     tied = [rival.effects for rival in judged.rivals]
-    named = [name for name in final.candidate.effects if not is_shape_correction(name)]
+    named = [name for name in final.candidate.names if not is_shape_correction(name)]
     decided = read_verdict(decided, claims, named, tied)
     judged = replace(judged, best=final.fit, holdout=compare_holdout_errors(judged.base, final.fit))
     return SearchAnswer(judged, final, decided, location, claims, rates, signals, refinement)
 
 
-def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem) -> SearchAnswer:
-    """With the equation that is missing, where no effect is certain or the noise has no more than a ceiling."""
-    judged, verdict = answer.judged, answer.verdict
-    if verdict not in (Verdict.UNKNOWN, Verdict.PARTLY) and is_level_known(of_laws.noise_model):
+def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequence[Effect]) -> SearchAnswer:
+    """The answer with the equation that is missing, weighed as any other; as it was where none is at least probable."""
+    look = partial(_look_for_laws, answer, of_laws)
+    looked: tuple[JudgedSelection, int] | None = answer.problem.failures.attempt(
+        SearchStage.LAWS, answer.judged.selected.effects, look, None
+    )
+    if looked is None:
         return answer
-    look = partial(_look_for_laws, judged, of_laws, verdict, answer.final)
-    law: LawAnswer | None = answer.problem.failures.attempt(SearchStage.LAWS, judged.selected.effects, look, None)
-    if law is None:
-        return answer
-    final, claims, rates = answer.final, answer.claims, answer.rates
-    best = law.best or (law.base if law.verdict is Verdict.COMPLETE else final.fit)
-    if law.best is not None and law.search.candidate is not None:
-        final = FinalModel(HoldoutScores(of_laws, judged.scores.validation), law.search.candidate, best)
-    judged = replace(judged, base=law.base, best=best, holdout=compare_holdout_errors(law.base, best))
-    if law.verdict is Verdict.COMPLETE:
-        final, claims, rates = FinalModel(judged.scores, judged.baseline, best), (), ()
-    decided = replace(answer.decided, verdict=law.verdict)
-    return replace(answer, judged=judged, final=final, claims=claims, rates=rates, law=law, decided=decided)
+    judged, terms = looked
+    with_law = replace(_weigh_answer(judged, candidates, further=False), terms=terms)
+    made = [name_claim(with_law.claims, claimed_name(e)) for e in list_added_effects(judged) if is_law(e.name)]
+    is_probable = any(claim is not None and claim.grade is not Grade.STAND_IN for claim in made)
+    # One of several that do the same may be said too; and a plain model that only was stuck lacks nothing.
+    return with_law if is_probable or with_law.verdict is not Verdict.UNKNOWN else replace(answer, terms=terms)
+
+
+def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[JudgedSelection, int]:
+    """The law that wins most often on the table of those that were proposed, as a selection; and how many terms were tried."""
+    judged, validation = answer.judged, answer.judged.scores.validation
+    selection, table = copy(judged.selection), FitTable(HoldoutScores(problem, validation))
+    selection.problem, selection.baseline, beside = problem, problem.baseline, problem.baseline
+    # What is established stays in the model, and the law is looked for beside it.
+    if answer.verdict is Verdict.PARTLY:
+        known = answer.final.candidate
+        beside = problem.refit_best(known.model, [known.model.values], 1, like=known) or beside
+    proposal = propose_laws(problem, table.scores, beside, selection.on_message)
+    if not beside.effects:
+        selection.baseline = proposal.beside
+    table.add(selection.baseline, proposal.beside, *proposal.laws)
+    draws = table.draw(table.candidates)
+    selected = draws.sets[int(Weights.of(draws).totals.argmax())].candidate if draws.sets else proposal.beside
+    is_better = selection.baseline is not problem.baseline
+    base = validate_candidate(problem, selection.baseline, validation) if is_better else judged.base
+    best = validate_candidate(problem, selected, validation) if selected.effects else base
+    judged = replace(
+        judged,
+        selection=selection,
+        selected=selected,
+        rivals=(),
+        base=base,
+        best=best,
+        holdout=compare_holdout_errors(base, best),
+        table=table,
+    )
+    return judged, proposal.tried
 
 
 def _finish_answer(answer: SearchAnswer) -> SearchAnswer:
@@ -292,15 +314,14 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
     added = list_added_effects(judged)
     if not added:
         return answer
-    names = " + ".join(added)
+    names = " + ".join(write_effect(judged.best.model, e) for e in added)
     better = judge_against_plain(judged.base, judged.best, judged.scores.validation.uncounted, names)
     kept = judge_on_test(answer.problem, judged.base, judged.best, test, names)
     checks = (*decided.checks, *better.checks, *kept.checks)
     is_worse = better.passed and not kept
     if better and kept:
         return replace(answer, decided=replace(decided, checks=checks), is_worse=is_worse)
-    law, refinement = answer.law, answer.refinement
-    equations = {} if law is None else {each.name: each.equation for each in law.search.laws}
+    refinement = answer.refinement
     holdout = compare_holdout_errors(judged.base, judged.base)
     judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
     return replace(
@@ -312,15 +333,14 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         rates=(),
         signals=(),
         refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),
-        law=None if law is None else replace(law, best=None, search=replace(law.search, laws=())),
-        rejected=" + ".join(equations.get(name, name) for name in added),
+        rejected=names,
         is_worse=is_worse,
     )
 
 
 def _fit_stand_in(answer: SearchAnswer, test: ValidationSet) -> Surrogate | None:
-    """A curve in the place of what has no name: not where a law or a probable effect is said, nor where the plain model does as well."""
-    if answer.verdict is not Verdict.UNKNOWN or answer.has_law or answer.is_probable:
+    """A curve in the place of what has no name: not where a probable effect is said, nor where the plain model does as well."""
+    if answer.verdict is not Verdict.UNKNOWN or answer.is_probable:
         return None
     judged, problem = answer.judged, answer.problem
     represent = partial(
@@ -365,7 +385,9 @@ def _describe(
     fits = sorted(selection.fits.values(), key=lambda fit: fit.criterion)
     ranking = [RankedCandidate(f.effects, f.noise_ratio, f.criterion - fits[0].criterion) for f in fits]
     alternatives = [rival.effects for rival in judged.rivals]
-    if verdict is Verdict.AMBIGUOUS and not alternatives:
+    laws = _describe_laws(final)
+    is_tied = verdict is Verdict.AMBIGUOUS or (laws and not all(claim.is_established for claim in answer.names))
+    if is_tied and not alternatives:
         alternatives = list_tied_sets(answer.claims, list_named_effects(judged))
     decided = replace(answer.decided, verdict=Verdict.PARTLY) if answer.is_deeper else answer.decided
     constants = {e.name: sum(not q.fixed for q in e.parameters) for e in candidates}
@@ -381,20 +403,22 @@ def _describe(
         answer.is_worse,
         constants,
     )
-    search = None if answer.law is None else answer.law.search
-    if search is not None and verdict is not Verdict.COMPLETE:
-        summary = summarise_laws(judged, search, answer.has_law, summary, left)
-        findings = (*findings, *list_law_ranges(search)) if answer.has_law else findings
+    if answer.terms and not laws and verdict is not Verdict.COMPLETE:
+        summary = (*summary, Finding(DiscoveryCode.NO_LAW, values={"terms": answer.terms}))
+    if laws:
+        alternatives = _write_sets(problem.fitted, alternatives)
+        summary = summarise_laws(judged, decided, answer.claims, laws, alternatives, left)
+        findings = (*findings, *list_law_ranges(laws))
     return Discovery(
         decided.verdict,
         judged.base,
         judged.best,
-        list(search.alternatives) if search is not None and answer.has_law else alternatives,
+        alternatives,
         judged.holdout,
         ranking,
         answer.location,
         conclusion=summary,
-        checks=(*judged.checks, *decided.checks, *(search.checks if search is not None else ())),
+        checks=(*judged.checks, *decided.checks),
         path=tuple(selection.steps),
         findings=(*findings, *experiments, *limits),
         next_steps=next_steps,
@@ -406,8 +430,34 @@ def _describe(
         left=left,
         policy=selection.policy,
         options=problem.options,
-        laws=search.laws if search is not None and answer.has_law else (),
+        laws=laws,
     )
+
+
+def _describe_laws(final: FinalModel) -> tuple[Law, ...]:
+    """The laws of the final model, with the values of its last fit and the ranges of the runs that it was fitted to."""
+    problem, model, variables = final.candidate.problem, final.fit.model, final.candidate.variables
+    if not any(is_law(e.name) for e in model.effects):
+        return ()
+    runs = problem.shooting(variables).simulate(variables.here)
+    states = np.concatenate([record.samples(x) for (_, x), record in zip(runs, problem.records, strict=True)])
+    inputs = np.concatenate([record.samples(record.u) for record in problem.records])
+    names = [*final.candidate.model.system.state_names, *(i.name for i in model.inputs)]
+    columns = np.column_stack([states, inputs[:, : len(model.inputs)]]).T
+    ranges = {n: (float(v.min()), float(v.max())) for n, v in zip(names, columns, strict=True)}
+    values = {n: e.value for n, e in final.fit.parameters.items() if n in model.values}
+    return describe_laws(model.start(**values), ranges)
+
+
+def _write_sets(fitted: Sequence[FittedCandidate], sets: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Those sets of effects that are among the fitted ones, with each law as an equation with numbers."""
+    written = []
+    for names in sets:
+        fits = [fit for fit in fitted if sorted(fit.names) == sorted(names)]
+        if fits:
+            best = min(fits, key=lambda fit: fit.noise_ratio)
+            written.append(tuple(write_effect(best.model, e) for e in best.model.effects if e.name in best.effects))
+    return written
 
 
 def _decide(judged: JudgedSelection) -> Conclusion:
@@ -481,7 +531,7 @@ def _weigh(
     With it, how often signals without meaning would have been established in the place of the answer's effects.
     """
     selection, answer = judged.selection, rivals.selected
-    table, attempt = FitTable(judged.scores), selection.problem.failures.attempt
+    table, attempt = judged.table, selection.problem.failures.attempt
 
     def weigh() -> tuple[Claim, ...]:
         table.add(selection.baseline, answer, *selection.problem.fitted)
@@ -492,52 +542,30 @@ def _weigh(
         left = measure_structure(table.scores, leading, only_visible=True)
         claims = weigh_claims(draws, location.sets, leading.given, left)
         # The certain answer is the model that is handed over: a name that it does not hold is no more than probable.
-        return tuple(lower_grade(c) if c.name and c.name not in answer.effects else c for c in claims)
+        return tuple(lower_grade(c) if c.name and c.name not in answer.names else c for c in claims)
 
     fit_rivals = partial(refit_rivals, rivals)
     without = attempt(SearchStage.EVIDENCE, answer.effects, fit_rivals, None)
     claims = weigh()
     if without is None:  # a name that was held against no rival is not certain; the place may be
         return tuple(lower_grade(c) if c.name else c for c in claims), ()
+    claimed = dict(zip(answer.effects, answer.names, strict=True))
+    made = {name: name_claim(claims, claimed[name]) for name in without}
     standing = [
-        rest for name, rest in without.items() if (c := name_claim(claims, name)) is not None and c.is_established
+        rest
+        for name, rest in without.items()
+        # Of a law dozens of other formulas were tried: where it leaves only noise, a curve has nothing to add.
+        if (c := made[name]) is not None and c.is_established and not (is_law(name) and not c.left)
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
     claims = weigh() if standing else claims
     taking_part = table.leading((selection.baseline, answer))
-    contests = ContestTable(table, taking_part, answer, location.sets, len(rivals.candidates))
+    # Of equations there are more candidates than signals take part.
+    tried = len(rivals.candidates) + MOST_SIGNALS * any(map(is_law, answer.effects))
+    contests = ContestTable(table, taking_part, answer, location.sets, tried)
     rates = measure_false_names(contests, without, rivals.signals, claims)
     return lower_common(claims, rates, answer.model), rates
-
-
-def _look_for_laws(
-    judged: JudgedSelection, problem: DiscoveryProblem, verdict: Verdict, final: FinalModel
-) -> LawAnswer:
-    """The equation that is missing beside what is established, as an answer."""
-    validation, selection = judged.scores.validation, judged.selection
-    baseline = problem.baseline
-    if verdict is Verdict.PARTLY:
-        again = problem.refit_best(final.candidate.model, [final.candidate.model.values], 1, like=final.candidate)
-        baseline = again or baseline
-    scores = HoldoutScores(problem, validation)
-    search = search_laws(problem, scores, baseline, selection.policy, selection.on_message)
-    plain = judged.base
-    if verdict is not Verdict.PARTLY and search.baseline is not problem.baseline:
-        plain = validate_candidate(problem, search.baseline, validation)
-    if search.fit is None or search.grade is Grade.STAND_IN:
-        # A plain model that only was stuck lacks nothing.
-        is_complete = verdict is not Verdict.PARTLY and not search.is_missing
-        return LawAnswer(search, Verdict.COMPLETE if is_complete else verdict, plain, None)
-    if search.alternatives:
-        reached = Verdict.AMBIGUOUS if search.is_clean else Verdict.UNKNOWN
-    elif search.grade is Grade.ESTABLISHED:
-        reached = Verdict.NAMED if search.is_clean else Verdict.PARTLY
-    else:
-        reached = Verdict.UNKNOWN
-    if verdict is Verdict.PARTLY and reached is Verdict.UNKNOWN:
-        reached = Verdict.PARTLY
-    return LawAnswer(search, reached, plain, search.fit)
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:

@@ -8,7 +8,8 @@ physical effect: as many as there were candidates are screened by one Gauss-Newt
 with all sets but those of the effect and its family. Is it established there, the records would have borne out a name for nothing.
 
 It is screened by the response of the run of the answer without the effect, linearised. What promises to take less of the error than any
-claim must take is out; what promises more is fitted as a rival is, as an input of its own beside those of the records.
+claim must take is out, and so is what would leave too much beside the answer; the others are fitted as rivals are, each as an input of its
+own beside those of the records.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutScores, measure_structure
 from greybox.discovery.problem import FittedCandidate
+from greybox.discovery.rivals import HOPELESS_COST
 from greybox.discovery.surrogate_effects import SOURCE
 from greybox.discovery.table import RIDGE, FitTable, FittedSet, LinearisedSet, draw_sets, linearise_set
 from greybox.model import Effect, Model
@@ -229,10 +231,12 @@ def _hold_contests(
     relatives = {signal.effect.partition(AT)[0], *describe_effect(model, bound).family}
     others = [c for c in contests.candidates if not relatives & {name.partition(AT)[0] for name in c.effects}]
     sets = [FittedSet(c, sums) for c in others if (sums := table.sums(c)) is not None]
+    # What promises less than any claim must take is out, and so is what would leave too much to come near the answer.
+    enough = max(LEAST_SHARE, 1 - HOPELESS_COST * contests.answer.cost / max(rest.cost, TINY))
     starts, established, tried = _screen(slopes, site, signal, among, number), 0, 0
     for count in (FIRST_CONTESTS, CONTESTS - FIRST_CONTESTS):
         drawn = list(islice(starts, count))
-        scores, fits = _refit(table.scores, rest, site, [start for start in drawn if start.promised >= LEAST_SHARE])
+        scores, fits = _refit(table.scores, rest, site, [start for start in drawn if start.promised >= enough])
         if fits is None:
             return None
         tried += len(drawn)

@@ -31,7 +31,6 @@ class DiscoveryRule(StrEnum):
     TEST_INCREASE = "test_increase"
     REFINED_ERROR = "refined_error"
     ESTABLISHED = "established"
-    LAW_CURVE = "law_curve"
 
 
 class DiscoveryCode(StrEnum):
@@ -56,7 +55,6 @@ class DiscoveryCode(StrEnum):
     SURROGATE_FITTED = "surrogate_fitted"
     LAW_ESTABLISHED = "law_established"
     LAW_PROBABLE = "law_probable"
-    LAW_STAND_IN = "law_stand_in"
     LAWS_TIED = "laws_tied"
     LAW_LIKENESS = "law_likeness"
     LAW_RANGE = "law_range"

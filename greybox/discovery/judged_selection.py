@@ -10,11 +10,13 @@ from functools import cached_property
 from greybox.base import Check
 from greybox.discovery.decision import visible_rms_limit
 from greybox.discovery.holdout import HoldoutError, HoldoutScores, worst_output
+from greybox.discovery.laws.terms import claimed_name
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
 from greybox.discovery.selection import StepwiseSelection
+from greybox.discovery.table import FitTable
 from greybox.estimation import Fit
-from greybox.model import Model
+from greybox.model import Effect, Model
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,8 @@ class JudgedSelection:
         The plain and the extended model as fits that were validated.
     holdout
         Error of both on the validation records, by output.
-    scores
-        These records, with every candidate that was run there.
+    table
+        The sets that are weighed on these records.
     plain
         The model as the user gave it.
     checks
@@ -47,9 +49,14 @@ class JudgedSelection:
     base: Fit
     best: Fit
     holdout: Mapping[str, HoldoutError]
-    scores: HoldoutScores
+    table: FitTable
     plain: Model
     checks: tuple[Check, ...]
+
+    @property
+    def scores(self) -> HoldoutScores:
+        """The validation records, with every candidate that was run there."""
+        return self.table.scores
 
     @property
     def baseline(self) -> FittedCandidate:
@@ -78,13 +85,12 @@ class JudgedSelection:
         return limits
 
 
-def list_added_effects(judged: JudgedSelection) -> list[str]:
+def list_added_effects(judged: JudgedSelection) -> list[Effect]:
     """The effects of the extended model that the plain one has not."""
-    return [
-        e.name for e in judged.best.model.effects if e.name not in {given.name for given in judged.base.model.effects}
-    ]
+    given = {e.name for e in judged.base.model.effects}
+    return [e for e in judged.best.model.effects if e.name not in given]
 
 
 def list_named_effects(judged: JudgedSelection) -> list[str]:
-    """Those that have a name, without curves that correct them."""
-    return [name for name in list_added_effects(judged) if not is_shape_correction(name)]
+    """Those that have a name, without curves that correct them, as they are called in claims."""
+    return [claimed_name(e) for e in list_added_effects(judged) if not is_shape_correction(e.name)]

@@ -41,6 +41,7 @@ from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandi
 from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
+from greybox.discovery.table import FitTable
 from greybox.estimation import Fit, FitOptions
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
@@ -319,7 +320,9 @@ def _select_and_judge(
     if best is None:  # it fails on other records than those that it was fitted to
         selected, rivals, best = selection.baseline, [], base
     holdout = compare_holdout_errors(base, best)
-    return JudgedSelection(selection, selected, rivals, base, best, holdout, scores, problem.model, tuple(checks))
+    return JudgedSelection(
+        selection, selected, rivals, base, best, holdout, FitTable(scores), problem.model, tuple(checks)
+    )
 
 
 # Times that the noise is read off the residual and the selection repeated.

@@ -16,6 +16,7 @@ from greybox.base.extensions import read_versions
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel
 from greybox.discovery.execution import NOT_SIMULATED, FailureLog, RefitExecutor, RefitJob, RefitOutcome, SearchStage
+from greybox.discovery.laws.terms import claimed_name, is_law
 from greybox.discovery.policy import SearchBudget
 from greybox.estimation.noise_loop import solve
 from greybox.estimation.optim.minimisation import TerminationStatus
@@ -72,6 +73,16 @@ class FittedCandidate:
     def key(self) -> CandidateKey:
         """Its effects and constants."""
         return self.effects, *self.model.values.values()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What these are called where something is claimed of them."""
+        return tuple(claimed_name(e) for e in self.model.effects if e.name not in self.given)
+
+    @property
+    def laws(self) -> tuple[str, ...]:
+        """The formulas of the laws among them, with memory or without."""
+        return tuple(sorted(e.equation for e in self.model.effects if e.name not in self.given and is_law(e.name)))
 
     @property
     def per_sample(self) -> float:

@@ -16,7 +16,7 @@ from greybox.discovery.execution import SearchFailure
 from greybox.discovery.false_names import FalseNameRate
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutError, compare_holdout_errors, worst_output
-from greybox.discovery.laws.search import Law
+from greybox.discovery.laws.terms import Law, claimed_name
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.policy import DiscoveryPolicy
 from greybox.discovery.refinement import Refinement
@@ -246,7 +246,7 @@ class Discovery(Printable, StoredResult):
     def extended(self) -> Fit:
         """The fit to go on with: the best model; with a surrogate instead where no effect is certain and that does better."""
         surrogate = self.surrogate
-        if surrogate is None or self.laws:  # a surrogate is fitted only where no effect has a name
+        if surrogate is None:
             return self.best
         output = worst_output(self.holdout)
         is_better = surrogate.holdout[output].after < self.holdout[output].after
@@ -300,7 +300,7 @@ class Discovery(Printable, StoredResult):
     def effects(self) -> list[FoundEffect]:
         """Name, site, parameters, grade, probability and share of each effect in the best model; none if the plain model is complete.
 
-        A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen instead of probability and share.
+        A law has its ``equation``, its ``formula`` and the ``range`` in which it was seen as well.
         """
         laws = {law.name: law for law in self.laws}
         given = {effect.name for effect in self.base.model.effects}  # the user's own are not found by the search
@@ -318,32 +318,25 @@ class Discovery(Printable, StoredResult):
                         "unit": estimate.unit,
                         "interval": estimate.interval,
                     }
+            claim = name_claim(self.claims, claimed_name(bound.effect))
+            entry: FoundEffect = {
+                "name": bound.effect.name,
+                "site": bound.site,
+                "parameters": parameters,
+                "grade": Grade.STAND_IN if claim is None else claim.grade,
+                "probability": None if claim is None else claim.probability,
+                "share": None if claim is None else claim.share,
+            }
             law = laws.get(bound.effect.name)
             if law is not None:
-                entry: FoundEffect = {
-                    "name": law.name,
-                    "site": law.site,
+                entry |= {
                     "equation": law.equation,
                     "formula": law.formula,
-                    "parameters": parameters,
-                    "grade": law.grade,
                     "range": {v: list(ends) for v, ends in law.seen.items()},
                 }
                 if law.memory:
                     entry["memory"] = law.memory
-                effects.append(entry)
-                continue
-            each = name_claim(self.claims, bound.effect.name)
-            effects.append(
-                {
-                    "name": bound.effect.name,
-                    "site": bound.site,
-                    "parameters": parameters,
-                    "grade": Grade.STAND_IN if each is None else each.grade,
-                    "probability": None if each is None else each.probability,
-                    "share": None if each is None else each.share,
-                }
-            )
+            effects.append(entry)
         return effects
 
 

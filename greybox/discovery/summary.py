@@ -16,7 +16,7 @@ from greybox.discovery.effect_signal import RemainingError
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import PARTIAL_SHARE, HoldoutError, worst_output
 from greybox.discovery.judged_selection import JudgedSelection, list_added_effects, list_named_effects
-from greybox.discovery.laws.search import LawSearch
+from greybox.discovery.laws.terms import Law
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.surrogate import Surrogate, find_missing_sites
@@ -45,7 +45,7 @@ def summarise(
     name, output = " + ".join(effects), worst_output(judged.holdout)
     error = judged.holdout[output]
     # With what corrects the shape of an effect: the error is that of the whole model.
-    fitted = list_added_effects(judged)
+    fitted = [e.name for e in list_added_effects(judged)]
     made = {e: c for e in effects if (c := name_claim(claims, e)) is not None}
     grades = {e: made[e].grade if e in made else Grade.STAND_IN for e in effects}
     established = [e for e in effects if grades[e] is Grade.ESTABLISHED]
@@ -145,45 +145,37 @@ def _missing_signal(judged: JudgedSelection, location: ResidualLocalisation, sur
 
 def summarise_laws(
     judged: JudgedSelection,
-    search: LawSearch,
-    has_law: bool,
-    without: tuple[Finding, ...],
+    decided: Conclusion,
+    claims: Sequence[Claim],
+    laws: Sequence[Law],
+    alternatives: Sequence[Sequence[str]],
     left: Mapping[str, RemainingError],
 ) -> tuple[Finding, ...]:
-    """The conclusion with the law: what it is, how certain, what it takes of the error; without one, that there is none."""
-    if not has_law:
-        values = {"terms": search.tried, "equations": [law.equation for law in search.laws]}
-        code = DiscoveryCode.LAW_STAND_IN if search.laws else DiscoveryCode.NO_LAW
-        return (*without, Finding(code, values=values))
-    terms = [{"equation": law.equation, "site": law.site, "unit": law.unit} for law in search.laws]
-    values = {"laws": terms, "rivals": [" + ".join(texts) for texts in search.alternatives]}
-    established = search.grade is Grade.ESTABLISHED
-    code = (
-        DiscoveryCode.LAWS_TIED
-        if search.alternatives
-        else DiscoveryCode.LAW_ESTABLISHED
-        if established
-        else DiscoveryCode.LAW_PROBABLE
-    )
+    """The conclusion with the law: what it is, how certain, what it takes of the error."""
+    terms = [{"equation": law.equation, "site": law.site, "unit": law.unit} for law in laws]
+    values = {"laws": terms, "rivals": [" + ".join(texts) for texts in alternatives]}
+    made = [name_claim(claims, law.claimed) for law in laws]
+    is_established = all(claim is not None and claim.is_established for claim in made)
+    certain = DiscoveryCode.LAW_ESTABLISHED if is_established else DiscoveryCode.LAW_PROBABLE
+    code = DiscoveryCode.LAWS_TIED if alternatives else certain
     output = worst_output(judged.holdout)
-    names = [law.name for law in search.laws]
-    reduced = _error_reduced(names, judged.holdout, VALIDATION_SHARE)
+    reduced = _error_reduced([law.name for law in laws], judged.holdout, VALIDATION_SHARE)
     likeness = [
         Finding(
-            DiscoveryCode.LAW_LIKENESS, subject=law.equation, values={"several": len(terms) > 1, **asdict(law.likeness)}
+            DiscoveryCode.LAW_LIKENESS, subject=law.equation, values={"several": len(laws) > 1, **asdict(law.likeness)}
         )
-        for law in search.laws
+        for law in laws
         if law.likeness is not None
     ]
     remaining = [
         Finding(DiscoveryCode.ERROR_LEFT, subject=o, values={**each.to_values(), "before": judged.holdout[o].before})
         for o, each in left.items()
-        if not search.is_clean and o == output
+        if decided.verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS) and o == output
     ]
     return (Finding(code, values=values), *likeness, *reduced, *remaining)
 
 
-def list_law_ranges(search: LawSearch) -> tuple[Finding, ...]:
+def list_law_ranges(laws: Sequence[Law]) -> tuple[Finding, ...]:
     """Within what each law was seen."""
     return tuple(
         Finding(
@@ -191,6 +183,6 @@ def list_law_ranges(search: LawSearch) -> tuple[Finding, ...]:
             subject=law.equation,
             values={"range": {v: list(ends) for v, ends in law.seen.items()}, "units": dict(law.units)},
         )
-        for law in search.laws
+        for law in laws
         if law.seen
     )

@@ -18,7 +18,8 @@ import numpy as np
 from greybox.base.numerics import SAME_ERROR, TINY
 from greybox.data.noise.noise_model import fit_autoregression, join_series
 from greybox.discovery.execution import SearchStage
-from greybox.discovery.holdout import HoldoutScores
+from greybox.discovery.holdout import VISIBLE_RMS, HoldoutScores
+from greybox.discovery.laws.terms import claimed_name
 from greybox.discovery.localisation import normalised_residuals
 from greybox.discovery.problem import FittedCandidate
 from greybox.discovery.residual_noise import is_shape_correction
@@ -152,7 +153,7 @@ SetKey = frozenset[tuple[str, str, str]]
 def _key_of(candidate: FittedCandidate) -> SetKey:
     """What makes a set: names, places and equations of its effects; two curves have the same name."""
     added = [b for b in candidate.model.bound_effects if b.effect.name not in candidate.given]
-    return frozenset((b.effect.name, b.site, b.effect.equation) for b in added)
+    return frozenset((claimed_name(b.effect), b.site, b.effect.equation) for b in added)
 
 
 # Sets that take part in the draws at most: those that leave least on the records that were fitted...
@@ -296,7 +297,11 @@ def _judge_draws(sets: tuple[FittedSet, ...], squares: np.ndarray, left: np.ndar
     named = np.array([sum(not is_shape_correction(name) for name in s.candidate.effects) for s in sets])
     average = (relative * left[None]).sum(axis=2) / np.maximum(left.sum(axis=1), 1)  # (S, R)
     taken = np.where(named[best] > named.min(), average[named.argmin()], 0.0)
-    good |= ((average <= SAME_FORM**2 * taken) & (named[:, None] >= named[best])).T
+    # Of formulas there are dozens within that of each other: beside another one a law leaves no more that could be seen.
+    laws = [s.candidate.laws for s in sets]
+    is_same = np.array([[not law or law == laws[b] for b in best] for law in laws])
+    allowed = np.where(is_same, SAME_FORM**2 * taken, np.minimum(SAME_FORM**2 * taken, VISIBLE_RMS**2 - 1))
+    good |= ((average <= allowed) & (named[:, None] >= named[best])).T
     good[rounds, best] = True
     free = np.array([s.candidate.free for s in sets], float)
     # Fewest constants; of as many, the one that leaves least.

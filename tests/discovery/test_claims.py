@@ -13,6 +13,7 @@ from greybox.discovery.claims import (
     Claim,
     Depth,
     EffectForm,
+    Weights,
     deepest_established,
     describe_effect,
     list_tied_sets,
@@ -73,7 +74,7 @@ def fitted(*names, left=1.0, free=5, curve=False, reach=100.0):
         model = model + gb.effect(name)
     if curve:
         model = model + CURVE_EFFECT
-    candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects))
+    candidate = SimpleNamespace(model=model, free=free, effects=tuple(e.name for e in model.effects), laws=())
     square = np.full((2, 2), left**2)
     none = np.zeros((2, 2, 0))
     judging, ranges = np.array([False, True]), np.full(2, reach)
@@ -126,6 +127,14 @@ def test_names_that_take_turns_share_their_place_and_variable():
         "quadratic_damping": pytest.approx(0.4),
     }
     assert name_claim(claims, "coulomb_friction").rival == "quadratic_damping"
+
+
+def test_of_laws_that_do_the_same_the_shortest_wins_whatever_the_last_digits_say():
+    laws = ["k*v*abs(v)", "k*v**2", "k*v**3"]
+    sets = tuple(FittedSet(SimpleNamespace(free=5, laws=(law,)), None) for law in laws)
+    errors = np.array([[0.0, 1e-9, 0.5]] * 3 + [[0.5, 0.5, 0.0]])
+    weights = Weights.of(Draws(sets, errors, errors < 0.1, errors.argmin(axis=1)))
+    assert weights.totals.tolist() == [0.0, 0.75, 0.25]
 
 
 def test_rivals_are_not_both_certain_and_nothing_is_likelier_than_what_it_implies():

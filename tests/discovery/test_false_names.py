@@ -108,6 +108,24 @@ def test_the_promise_of_a_signal_is_that_of_least_squares():
     assert false_names._promised_decrease(slopes, [signals]) == pytest.approx(expected, rel=1e-9)
 
 
+def test_a_signal_that_would_leave_too_much_is_not_refitted(monkeypatch):
+    """Of a cost of 1000 with an answer of 10: less than 5 times the rms error of that, where three quarters are taken."""
+    asked = []
+    starts = [false_names._Start([], share) for share in (0.04, 0.7, 0.76, 0.9)]
+    monkeypatch.setattr(false_names, "_screen", lambda *_: starts)
+    monkeypatch.setattr(
+        false_names, "_refit", lambda scores, rest, site, hopeful: asked.extend(hopeful) or (None, None)
+    )
+    table = SimpleNamespace(slopes=lambda rest: (), scores=None)
+    signal = SimpleNamespace(site="balance force")
+    for cost, expected in ((10.0, starts[2:]), (100.0, starts[1:])):
+        contests = SimpleNamespace(table=table, tried=3, answer=SimpleNamespace(cost=cost))
+        rest = SimpleNamespace(model=micro_actuator, cost=1000.0)
+        assert false_names._hold_contests(contests, rest, signal, Depth.NAME, 0) is None
+        assert asked == expected
+        asked.clear()
+
+
 @pytest.fixture(scope="module")
 def rig():
     return simulate_records(micro_actuator, {"cubic_stiffness": {"K3": 1e10}}, tuple(NOISE.values()), rows=300)

@@ -1,5 +1,6 @@
 """Sets of effects whose records are drawn again: against least squares that are solved anew, and where the right set is known."""
 
+from itertools import zip_longest
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,15 +56,13 @@ def test_a_step_stays_within_the_bounds():
     assert bounded.refit(np.ones((1, 2)), np.ones(1)) == pytest.approx(0.5)
 
 
-def sets(*free):
-    return tuple(FittedSet(SimpleNamespace(free=n, effects=()), None) for n in free)
-
-
-def judge(squares, free):
+def judge(squares, free, effects=(), laws=()):
     """Winner and good sets of one resample that left every block out; ``squares`` (S, B)."""
     squares = np.asarray(squares, float)[:, None, :, None]
     count = np.ones((squares.shape[2], 1))
-    return _judge_draws(sets(*free), squares, np.ones((1, squares.shape[2]), bool), count)
+    each = zip_longest(free, effects, laws, fillvalue=())
+    sets = tuple(FittedSet(SimpleNamespace(free=n, effects=e, laws=law), None) for n, e, law in each)
+    return _judge_draws(sets, squares, np.ones((1, squares.shape[2]), bool), count)
 
 
 def test_of_equal_sets_the_one_with_fewest_constants_wins():
@@ -85,6 +84,23 @@ def test_a_set_that_goes_astray_in_one_block_is_not_good_for_its_large_spread():
     astray = 3 * rest
     astray[5] = 1000.0
     assert judge([rest, astray], (6, 5)).winner.tolist() == [0]
+
+
+@pytest.mark.parametrize(
+    ("laws", "more", "winner"),
+    [
+        ([], 9.0, 1),
+        ([("k*v**3",), ("k*v",)], 9.0, 0),
+        ([("k*v**3",), ("k*v",)], 0.09, 1),
+        ([("k*v",), ("k*v",)], 9.0, 1),
+    ],
+    ids=["effects", "formulas", "formulas that hardly differ", "one formula"],
+)
+def test_an_effect_is_not_as_exact_as_its_name_but_a_formula_is(laws, more, winner):
+    """The simpler one leaves more than the noise of 1 in every block: 9 is (3 %)^2 of what both take, 0.09 cannot be seen."""
+    noise = np.ones(24) + 0.01 * np.random.default_rng(5).standard_normal(24)
+    draws = judge([noise, noise + more, noise + 1e4], (7, 6, 5), [("one",), ("other",)], laws)
+    assert draws.winner.tolist() == [winner]
 
 
 def test_a_set_whose_run_breaks_off_takes_no_part():

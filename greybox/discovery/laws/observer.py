@@ -13,13 +13,13 @@ that no sensor sees are as good as the others. (L. Ljung 1979, Asymptotic behavi
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from greybox.base.numerics import OFF_REST, TINY
-from greybox.discovery.problem import DiscoveryProblem
+from greybox.estimation.transcription.problem import EstimationProblem
 from greybox.model import Effect, Model
 from greybox.model.signals import Parameter
 from greybox.simulation.filtering.kalman_filter import FilterRow, Moments, correct_by_measurement
@@ -92,10 +92,11 @@ class StateObserver:
     """The extended Kalman filter of a model, made once for it; rows are gone through inside CasADi."""
 
     def __init__(self, model: Model, names: Sequence[str], sites: Sequence[tuple[str, str]], substeps: int) -> None:
-        for k, (site, unit) in enumerate(sites):
-            model += Effect(
-                f"{PUSH}_{k}", site, [Parameter(SIZE, unit, 0.0)], terms=lambda x, u, p: p[SIZE], amplitudes=(SIZE,)
-            )
+        forces = [
+            Effect(f"{PUSH}_{k}", site, [Parameter(SIZE, unit, 0.0)], terms=lambda x, u, p: p[SIZE], amplitudes=(SIZE,))
+            for k, (site, unit) in enumerate(sites)
+        ]
+        model = replace(model, effects=(*model.effects, *forces))
         self.model, system, step = model, model.system, rk4(model.system)
         self.columns = [system.parameter_names.index(n) for n in names]
         pushes = [system.parameter_names.index(model.names_of(f"{PUSH}_{k}")[SIZE]) for k in range(len(sites))]
@@ -170,19 +171,18 @@ def _size_of_rate(y: np.ndarray, time: np.ndarray, measured: Mapping[str, int], 
 
 
 def observe_records(
-    problem: DiscoveryProblem,
-    model: Model,
+    estimation: EstimationProblem,
     initial: Mapping[str, Sequence[float]],
     pushed: Collection[str],
     rates: Mapping[str, str],
     most_rows: int,
 ) -> list[ObservedRecord]:
-    """The estimation records for an observer of ``model``; ``initial`` are first states by name, one value a record.
+    """The records of a problem for an observer of its model; ``initial`` are first states by name, one value a record.
 
     Only states that are ``pushed`` have process noise: nothing is missing in the definition of a state that no sensor reads.
     ``rates``: state -> the state whose rate it is by definition, and whose readings then show how large it is.
     """
-    estimation = problem.prepare(model)
+    model = estimation.model
     names = model.system.state_names
     measured = {
         system_output.name(): j
@@ -193,9 +193,9 @@ def observe_records(
     observed = []
     for e, record in enumerate(estimation.records):
         y, u = record.samples(record.y), record.samples(record.u)
-        time = problem.experiments[e].time
+        time = estimation.experiments[e].time
         every = max(1, -(-len(time) // most_rows))
-        holds = problem.experiments[e].hold == "zero"  # a band-limited input is nearer to a straight line
+        holds = estimation.experiments[e].hold == "zero"  # a band-limited input is nearer to a straight line
         if holds and every > 1:  # what acts from one row that is kept to the next
             starts = np.arange(0, len(time), every)
             u = np.add.reduceat(u, starts, axis=0) / np.diff(np.append(starts, len(time)))[:, None]

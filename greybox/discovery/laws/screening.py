@@ -103,14 +103,13 @@ def fit_in_observer(
     ``nominal``: constants that are known to about `LawPolicy.constant_spread`; the others may be anything.
     """
     names = [q.name for q in model.free_parameters]
-    substeps = max(1, min(problem.prepare(model).step.substeps, MOST_SUBSTEPS))
+    estimation = problem.prepare(model)
+    substeps = max(1, min(estimation.step.substeps, MOST_SUBSTEPS))
     observer = StateObserver(model, names, list_law_sites(model), substeps)
     definitions = _list_definitions(model)
     rates = {rate: state for state, rate in definitions.items()}
     pushed = [s for s in model.system.state_names if s not in list_unseen_states(model) or s not in definitions]
-    records = observe_records(
-        problem, model, initial, pushed, rates, MOST_DRIVEN_ROWS if model.inputs else LAW_MOST_ROWS
-    )
+    records = observe_records(estimation, initial, pushed, rates, MOST_DRIVEN_ROWS if model.inputs else LAW_MOST_ROWS)
     noise = problem.noise_model.std
     bounds = np.array([model.parameter(n).bounds for n in names]).reshape(-1, 2)
     mean = np.array([model.values[n] for n in names])

@@ -18,12 +18,12 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from greybox.base.linear_algebra import decompose_columns
 from greybox.base.units import ONE, parse_unit
+from greybox.base.values import ReadOnly
 from greybox.model import Effect, Model
 from greybox.model.effects.formula import formula_effect
-from greybox.model.expressions.text import evaluate_formula, number_text
-from greybox.model.signals import Expression, NamedValues, Parameter
+from greybox.model.expressions.text import evaluate_formula, list_formula_names, number_text
+from greybox.model.signals import Parameter
 
 LAW = "law"
 """Name of the effect that a law is; a second one is ``law_2``."""
@@ -376,31 +376,43 @@ def _unit_text(powers: Sequence[tuple[str, float]]) -> str:
     return "*".join(parts) or "1"
 
 
-# A law written with its constants as numbers.
+# A law in a model: an effect whose formula is its name in all that is claimed of it.
 
 
-def write_equation(model: Model, terms: Sequence[LawTerm]) -> tuple[str, ...]:
-    """Each term of a model's law with its constants as numbers: ``-0.6*a*b``."""
-    names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
-    return tuple(_write(model, name, term) for name, term in zip(names, terms, strict=True))
+def is_law(name: str) -> bool:
+    """Whether an effect of this name is a term of an equation that a search has composed."""
+    return name.partition("_")[0] == LAW
 
 
-def law_values(model: Model, name: str) -> dict[str, float]:
-    """The constants of the effect ``name`` by its own names."""
-    bound = next(b for b in model.bound_effects if b.effect.name == name)
-    return {inner: model.values[in_model] for inner, in_model in bound.model_names.items() if in_model in model.values}
+def claimed_name(effect: Effect) -> str:
+    """What an effect is called where something is claimed of it: a law by its formula, any other by its name."""
+    if not is_law(effect.name):
+        return effect.name
+    called = _call_law(effect.equation, bool(effect.states))
+    # A second branch of a law is called after it.
+    return re.sub(rf"^{LAW}(_\d+)?", lambda _: called, effect.name)
 
 
-def _write(model: Model, name: str, term: LawTerm) -> str:
-    values = law_values(model, name)
-    text = term.formula
+def _call_law(formula: str, has_memory: bool) -> str:
+    return f"lag({formula})" if has_memory else formula
+
+
+def write_effect(model: Model, effect: Effect) -> str:
+    """A law with its constants as numbers (``-0.6*a*b``); of any other effect its name."""
+    if not is_law(effect.name):
+        return effect.name
+    text, values = effect.equation, _own_values(model, effect)
     for inner, value in values.items():
         number = number_text(value)
         text = re.sub(rf"\b{re.escape(inner)}\b", f"({number})" if value < 0 else number, text)
     if text.startswith("(-"):  # the amplitude, which comes first
         text = text[1:].replace(")", "", 1)
-    lag = values.get(term.constants.lag) if term.has_memory else None
-    return text if lag is None else f"lag({text}, {number_text(lag)})"
+    return f"lag({text}, {number_text(list(values.values())[-1])})" if effect.states else text
+
+
+def _own_values(model: Model, effect: Effect) -> dict[str, float]:
+    """The constants of an effect of ``model`` by its own names."""
+    return {q.name: model.values[model.names_of(effect.name)[q.name]] for q in effect.parameters}
 
 
 # What a law behaves as, where the field has a word for it.
@@ -447,140 +459,100 @@ class Likeness:
     variable: str = ""
 
 
-def find_likeness(model: Model, name: str, term: LawTerm) -> Likeness | None:
-    """The word for a law; None where there is none."""
-    kind = _kind_of(model, term)
-    if kind is None:
-        return None
-    values = law_values(model, name)
-    place = values.get(term.constants.shape) if term.shape is not None else None
-    variable = term.shape.variables[0] if term.shape is not None else (term.variables or ("",))[0]
-    unit = term.shape_unit if place is not None else ""
-    return Likeness(kind, values[term.constants.amplitude], term.amplitude_unit, place, unit, variable)
+# What formulas behave as, the first that fits; ``k`` and ``c`` stand for the constants, ``s`` for the balance's own state.
+KINDS: tuple[tuple[str, LikenessKind], ...] = (
+    (r"k", LikenessKind.BIAS),
+    (r"k\*\w+\*\w+", LikenessKind.MASS_ACTION),
+    (r"k\*max\(.*\)", LikenessKind.STOP),
+    (r"k\*(tanh\(\w+/c\)|sign\(\w+\))", LikenessKind.DRY_FRICTION),
+    (r".*\((\w+)/\(c \+ (abs\(\1\)|\1)\)\)", LikenessKind.SATURATION),
+    (r".*\*\*([24])/\(c\*\*\1.*", LikenessKind.SWITCH),
+    (r"k\*\w+", LikenessKind.LINEAR),
+    (r"k\*s\*\*2", LikenessKind.CROWDING),
+    (r"k\*\w+\*\*[35]", LikenessKind.HARDENING),
+    (r"k\*abs\((\w+)\)\*\1", LikenessKind.QUADRATIC_DRAG),
+    (r"k\*(sin|cos)\(\w+(/c)?\)", LikenessKind.PERIODIC),
+)
 
 
-def _kind_of(model: Model, term: LawTerm) -> LikenessKind | None:
-    if term.has_memory:
-        return LikenessKind.MEMORY
-    texts = [f.text for f in term.factors]
-    state = next((b.state for b in model.system.balances if b.name == term.site), "")
-    if not texts:
-        return LikenessKind.BIAS
-    if len(texts) == 2 and all(f.text == f.variables[0] for f in term.factors):
-        return LikenessKind.MASS_ACTION
-    shape = term.shape.text if term.shape is not None else ""
-    if len(texts) == 1 and shape.startswith("max"):
-        return LikenessKind.STOP
-    if shape.startswith("tanh") and len(texts) == 1:
-        return LikenessKind.DRY_FRICTION
-    if "/({c} + " in shape and term.shape is not None and term.shape.power == 0:
-        return LikenessKind.SATURATION
-    if "**2/({c}**2" in shape or "**4/({c}**4" in shape:
-        return LikenessKind.SWITCH
-    if len(texts) > 1:
-        return None
-    text, variable = texts[0], term.factors[0].variables[0]
-    if text == variable:
-        return LikenessKind.LINEAR
-    if text == f"{variable}**2" and variable == state:
-        return LikenessKind.CROWDING
-    if text in (f"{variable}**3", f"{variable}**5"):
-        return LikenessKind.HARDENING
-    if text == f"abs({variable})*{variable}":
-        return LikenessKind.QUADRATIC_DRAG
-    if text == f"sign({variable})":
-        return LikenessKind.DRY_FRICTION
-    return LikenessKind.PERIODIC if text.startswith(("sin(", "cos(")) else None
+@dataclass(frozen=True, eq=False)
+class Law(ReadOnly):
+    """One term of the answer as an equation.
 
+    Parameters
+    ----------
+    name, site
+        The effect in the model that it is, and the balance that it acts on.
+    equation
+        The term with its constants as numbers, in the names of the model, as SymPy reads it.
+    formula
+        The same with its constants by name.
+    unit
+        Unit of the balance.
+    seen
+        Variable -> least and largest value in the records: beyond that range the law is a guess.
+    units
+        Their units.
+    likeness
+        What it behaves as, where that has a name.
+    memory
+        Unit of what passes through its lag; empty for a law without memory.
+    """
 
-# A free curve in the place of one factor of a law: what a law must not be beaten by.
-
-LAW_CURVE = "law_curve"
-
-
-# Heights of the free curve that stands in the place of a law's factor.
-CURVE_HEIGHTS = 9
-
-
-def curve_effects(
-    model: Model, terms: Sequence[LawTerm], seen: Mapping[str, tuple[float, float]]
-) -> Iterator[tuple[Model, dict[str, float]]]:
-    """For each variable of the last term the model with a curve over it, its other factors kept, and start values: the law itself."""
-    names = [e.name for e in model.effects if e.name.partition("_")[0] == LAW]
-    name, term = names[-1], terms[-1]
-    if term.has_memory:
-        return
-    values = law_values(model, name)
-    for variable in term.variables:
-        mine = [f for f in term.factors if f.variables == (variable,)]
-        others = [f for f in term.factors if f.variables != (variable,)]
-        if not mine or any(variable in f.variables for f in others):
-            continue
-        shape = values.get(term.constants.shape, 1.0)
-        low, high = seen[variable]
-        pitch = (high - low) / (CURVE_HEIGHTS - 1) or 1.0
-        z = np.linspace(low, high, 8 * CURVE_HEIGHTS)
-        target = values[term.constants.amplitude] * _product_of(term, mine, {variable: z}, shape)
-        bumps = np.exp(-(((z[:, None] - low) / pitch - np.arange(CURVE_HEIGHTS)) ** 2))
-        heights = decompose_columns(np.vstack([bumps, 1e-6 * np.eye(CURVE_HEIGHTS)])).solve(
-            np.append(target, np.zeros(CURVE_HEIGHTS))
-        )
-        unit = term.site_unit if not others else f"({term.site_unit})/({_unit_of(term, others)})"
-        effect = _curve_effect(term, variable, others, shape, low, pitch, unit, heights)
-        curved = model.without(name) + effect
-        names_in_model = curved.names_of(LAW_CURVE)
-        start = {n: v for n, v in model.values.items() if n in curved.values}
-        yield curved, start | {names_in_model[f"h{k}"]: float(v) for k, v in enumerate(heights)}
-
-
-def _product_of(term: LawTerm, factors: Sequence, values: Mapping[str, np.ndarray], shape: float) -> np.ndarray:
-    part = LawTerm(term.site, tuple(factors), term.units, term.site_unit, term.constants)
-    return part.evaluate(values, shape)
-
-
-def _unit_of(term: LawTerm, factors: Sequence) -> str:
-    return LawTerm(term.site, tuple(factors), term.units, term.site_unit, term.constants).product_unit
-
-
-def _curve_effect(
-    term: LawTerm,
-    variable: str,
-    others: Sequence,
-    shape: float,
-    low: float,
-    pitch: float,
-    unit: str,
-    heights: np.ndarray,
-) -> Effect:
-    variable_unit = dict(term.units)[variable]
-    names = [f"h{k}" for k in range(len(heights))]
-    rest = LawTerm(term.site, tuple(others), term.units, term.site_unit, term.constants)
-    parameters = [
-        Parameter("lowest", variable_unit, low, fixed=True),
-        Parameter("pitch", variable_unit, pitch, fixed=True),
-        Parameter(term.constants.shape, rest.shape_unit, shape, fixed=True),
-        *(Parameter(n, unit, float(v)) for n, v in zip(names, heights, strict=True)),
-    ]
-
-    def curve(x: NamedValues, u: NamedValues, p: NamedValues) -> Expression:
-        value = x[variable] if variable in x else u[variable]
-        t = (value - p["lowest"]) / p["pitch"]
-        total: Expression = 0
-        for k, n in enumerate(names):
-            total = total + p[n] * ca.exp(-((t - k) ** 2))
-        if not others:
-            return total
-        known = {v: (x[v] if v in x else u[v]) for v in rest.variables}
-        known[term.constants.shape] = p[term.constants.shape]
-        return total * evaluate_formula("law", rest.product, _Known(known))
-
-    return Effect(LAW_CURVE, term.site, parameters, terms=curve, amplitudes=names, equation=f"curve over {variable}")
-
-
-class _Known(dict):
-    """Values by name, as a formula asks for them."""
+    name: str
+    site: str
+    equation: str
+    formula: str
+    unit: str
+    seen: Mapping[str, tuple[float, float]]
+    units: Mapping[str, str]
+    likeness: Likeness | None = None
+    memory: str = ""
 
     @property
-    def names(self) -> list[str]:
-        """Every name."""
-        return list(self)
+    def claimed(self) -> str:
+        """What it is called where something is claimed of it."""
+        return _call_law(self.formula, bool(self.memory))
+
+
+def describe_laws(model: Model, ranges: Mapping[str, tuple[float, float]]) -> tuple[Law, ...]:
+    """The laws that a model holds; ``ranges``: variable -> least and largest value of each state and input in the records."""
+    units = {s.name: s.unit for s in model.all_states} | {i.name: i.unit for i in model.inputs}
+    laws = []
+    for effect in (e for e in model.effects if is_law(e.name)):
+        used = list_formula_names(effect.name, effect.equation)
+        seen = {name: ranges[name] for name in used if name in ranges}
+        balance = next(b for b in model.system.balances if b.name == effect.site)
+        laws.append(
+            Law(
+                effect.name,
+                effect.site,
+                write_effect(model, effect),
+                effect.equation,
+                balance.unit,
+                seen,
+                {name: units[name] for name in seen},
+                _find_likeness(model, effect, balance.state, list(seen)),
+                effect.states[0].unit if effect.states else "",
+            )
+        )
+    return tuple(laws)
+
+
+def _find_likeness(model: Model, effect: Effect, state: str, variables: Sequence[str]) -> Likeness | None:
+    """The word for a law; None where there is none."""
+    values = _own_values(model, effect)
+    names = ConstantNames.beside([*(s.name for s in model.all_states), *(i.name for i in model.inputs)])
+    # In the letters of `KINDS`: a variable of such a name has its own letter.
+    letters = {names.amplitude: "k", names.shape: "c"} | {v: f"v_{k}" for k, v in enumerate(variables)} | {state: "s"}
+    text = re.sub(r"[A-Za-z_][\w.]*", lambda name: letters.get(name[0], name[0]), effect.equation)
+    kind = next((kind for pattern, kind in KINDS if re.fullmatch(pattern, text)), None)
+    kind = LikenessKind.MEMORY if effect.states else kind
+    if kind is None:
+        return None
+    units = {q.name: q.unit for q in effect.parameters}
+    place = values.get(names.shape)
+    # A function with a constant stands last in its product.
+    return Likeness(
+        kind, values[names.amplitude], units[names.amplitude], place, units.get(names.shape, ""), ("", *variables)[-1]
+    )

@@ -78,13 +78,14 @@ def _brief(d: Discovery) -> Iterator[doc.Block]:
 
 def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str], str] = str) -> Iterator[str]:
     """Each effect with where it acts and its constants, and what speaks for it."""
+    called = {law.name: law.claimed for law in discovery.laws}
     for effect in discovery.effects:
         constants = [
             words.constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()
         ]
         equation = f"{effect['equation']}, " if "equation" in effect else ""
         yield f"{effect['name']} -> {effect['site']}: {equation}{', '.join(constants)}"
-        claim = name_claim(discovery.claims, effect["name"])
+        claim = name_claim(discovery.claims, called.get(effect["name"], effect["name"]))
         if claim is not None:
             yield f"{indent}{words.name_text(claim)}"
 

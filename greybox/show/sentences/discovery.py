@@ -568,16 +568,11 @@ register(
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
         DiscoveryCode.LAW_ESTABLISHED: _law_established,
         DiscoveryCode.LAW_PROBABLE: lambda f: (
-            f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established, as it leaves"
-            " too much."
+            f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established."
         ),
         DiscoveryCode.LAWS_TIED: lambda f: (
             f"The plain model lacks one of these laws: {'; '.join((_laws_text(f.values['laws']), *f.values['rivals']))}. The records cannot"
             " distinguish them."
-        ),
-        DiscoveryCode.LAW_STAND_IN: lambda f: (
-            f"The law {' + '.join(f.values['equations'])} follows the records, but a free curve in its place does better: it only stands in"
-            " for something else."
         ),
         DiscoveryCode.LAW_LIKENESS: _law_likeness,
         DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
@@ -742,9 +737,6 @@ register(
         ),
         DiscoveryRule.TEST_INCREASE: _check("increase over blocks of the test records, in standard errors", "<"),
         DiscoveryRule.REFINED_ERROR: _check("validation misfit, against the model with corrected shapes,", "<="),
-        DiscoveryRule.LAW_CURVE: _check(
-            "share of the law's validation error that a free curve in its place takes away", "<="
-        ),
         DiscoveryRule.ESTABLISHED: _check("established, with probability", ">="),
     }
 )

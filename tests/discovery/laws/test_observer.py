@@ -31,7 +31,7 @@ def watched():
     time = np.linspace(0, 4, 30)
     y = 2 * np.exp(-0.5 * time) + NOISE * np.random.default_rng(1).normal(size=len(time))
     problem = DiscoveryProblem(tank(), (Experiment("run", time, {}, {"x": y}),), {"x": NOISE[0]}, (), FitOptions())
-    (record,) = observe_records(problem, problem.model, {}, ["x"], {}, 600)
+    (record,) = observe_records(problem.prepare(problem.model), {}, ["x"], {}, 600)
     return StateObserver(problem.model, ["a"], [("store", "1/s")], 1), record
 
 
