@@ -119,6 +119,12 @@ def test_what_always_wins_is_claimed_to_its_name():
     assert deepest_established(claims).name == "coulomb_friction"
 
 
+def test_an_effect_takes_all_of_the_error_where_the_run_without_it_goes_astray():
+    """The plain model has no place on the table then."""
+    name = weigh_claims(draws((fitted("coulomb_friction"), 10)), (), (), 0.0)[-1]
+    assert (name.name, name.share, name.size, name.is_established) == ("coulomb_friction", 1.0, 1.0, True)
+
+
 def test_names_that_take_turns_share_their_place_and_variable():
     claims = claims_of((fitted("coulomb_friction"), 6), (fitted("quadratic_damping"), 4))
     assert frequencies(claims, Depth.VARIABLES) == {(("balance force",), ("v",), (), ""): 1.0}
