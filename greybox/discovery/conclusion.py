@@ -565,7 +565,11 @@ def _weigh(
     tried = len(rivals.candidates) + MOST_SIGNALS * any(map(is_law, answer.effects))
     contests = ContestTable(table, taking_part, answer, location.sets, tried)
     rates = measure_false_names(contests, without, rivals.signals, claims)
-    return lower_common(claims, rates, answer.model), rates
+    claims = lower_common(claims, rates, answer.model)
+    # The terms of a law are one equation, and none is certain where another is not: what the one has too much the other takes back.
+    terms = {claimed[name] for name in answer.effects if is_law(name)}
+    is_certain = all((c := name_claim(claims, term)) is not None and c.is_established for term in terms)
+    return (claims if is_certain else tuple(lower_grade(c) if c.name in terms else c for c in claims)), rates
 
 
 def _finish(judged: JudgedSelection, fit: Fit) -> tuple[Fit, tuple[Finding, ...]]:
