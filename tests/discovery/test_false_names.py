@@ -117,9 +117,10 @@ def test_a_signal_that_would_leave_too_much_is_not_refitted(monkeypatch):
         false_names, "_refit", lambda scores, rest, site, hopeful: asked.extend(hopeful) or (None, None)
     )
     table = SimpleNamespace(slopes=lambda rest: (), scores=None)
-    signal = SimpleNamespace(site="balance force")
+    signal = SimpleNamespace(site="balance force", effect="cubic_stiffness")
     for cost, expected in ((10.0, starts[2:]), (100.0, starts[1:])):
-        contests = SimpleNamespace(table=table, tried=3, answer=SimpleNamespace(cost=cost))
+        named = SimpleNamespace(cost=cost, model=micro_actuator + gb.effect("cubic_stiffness"))
+        contests = SimpleNamespace(table=table, tried=3, answer=named, candidates=())
         rest = SimpleNamespace(model=micro_actuator, cost=1000.0)
         assert false_names._hold_contests(contests, rest, signal, Depth.NAME, 0) is None
         assert asked == expected
