@@ -256,8 +256,10 @@ def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequen
     with_law = replace(_weigh_answer(judged, candidates, further=False), terms=terms)
     made = [name_claim(with_law.claims, claimed_name(e)) for e in list_added_effects(judged) if is_law(e.name)]
     is_probable = any(claim is not None and claim.grade is not Grade.STAND_IN for claim in made)
-    # One of several that do the same may be said too; and a plain model that only was stuck lacks nothing.
-    return with_law if is_probable or with_law.verdict is not Verdict.UNKNOWN else replace(answer, terms=terms)
+    # One of several that do the same may be said too, or no more than where it acts and of what; and a plain model that only was stuck
+    # lacks nothing.
+    says_more = is_probable or with_law.verdict is not Verdict.UNKNOWN or (with_law.is_deeper and not answer.is_deeper)
+    return with_law if says_more else replace(answer, terms=terms)
 
 
 def _look_for_laws(answer: SearchAnswer, problem: DiscoveryProblem) -> tuple[JudgedSelection, int]:

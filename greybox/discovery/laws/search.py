@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,7 @@ from greybox.discovery.execution import RefitJob, SearchStage
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import HoldoutScores
 from greybox.discovery.laws import screening
-from greybox.discovery.laws.terms import LAW, LawTerm
+from greybox.discovery.laws.terms import LAW, LawTerm, is_law, own_values
 from greybox.discovery.problem import DiscoveryProblem, FittedCandidate, clean_cost_limit
 from greybox.model.model import Model
 
@@ -102,6 +102,7 @@ def propose_laws(
         with_law = search.observe(ranked[0].candidate.model, _first_states(ranked[0].candidate))
         if with_law is not None:
             search.find_terms(with_law, ranked[0].terms, SECOND_TERMS)
+            search.refit_second_terms()
     laws = search.finish_leading()
     if laws:
         # Once more from the constants of the best law: a model that is stuck elsewhere would make a law of nothing.
@@ -188,6 +189,24 @@ class _LawSearch:
                 self.fits.append(FittedLaw((*terms, start.term), fit))
                 is_any_clean = is_any_clean or self.is_clean(fit)
         return is_any_clean
+
+    def refit_second_terms(self) -> None:
+        """The second term of each of the leading laws of two terms alone: the first may have stood in for it."""
+        jobs: dict[LawTerm, RefitJob] = {}
+        for law in [law for law in self.ranked() if len(law.terms) > 1][:SECOND_TERMS]:
+            model = law.candidate.model
+            first, second = [e for e in model.effects if is_law(e.name)][-2:]
+            alone = model.without(second.name).without(first.name) + replace(second, name=LAW)
+            kept = {name: value for name, value in model.values.items() if name in alone.values}
+            own = {alone.names_of(LAW)[name]: value for name, value in own_values(model, second).items()}
+            first_states = _first_states(law.candidate)
+            jobs.setdefault(law.terms[-1], RefitJob(alone, ({**kept, **own},), 1, LAW_REFIT_ITERATIONS, first_states))
+        known = {law.terms for law in self.fits}
+        jobs = {term: job for term, job in jobs.items() if (term,) not in known}
+        fits = self.problem.refit_all(list(jobs.values()))
+        self.fits += [FittedLaw((term,), fit) for term, fit in zip(jobs, fits, strict=True) if fit is not None]
+        if any(len(law.terms) == 1 and self.is_clean(law.candidate) for law in self.fits):
+            self.fits = [law for law in self.fits if len(law.terms) == 1]
 
     def ranked(self) -> list[FittedLaw]:
         return sorted(self.fits, key=lambda law: law.criterion())

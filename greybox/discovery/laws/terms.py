@@ -401,7 +401,7 @@ def write_effect(model: Model, effect: Effect) -> str:
     """A law with its constants as numbers (``-0.6*a*b``); of any other effect its name."""
     if not is_law(effect.name):
         return effect.name
-    text, values = effect.equation, _own_values(model, effect)
+    text, values = effect.equation, own_values(model, effect)
     for inner, value in values.items():
         number = number_text(value)
         text = re.sub(rf"\b{re.escape(inner)}\b", f"({number})" if value < 0 else number, text)
@@ -410,7 +410,7 @@ def write_effect(model: Model, effect: Effect) -> str:
     return f"lag({text}, {number_text(list(values.values())[-1])})" if effect.states else text
 
 
-def _own_values(model: Model, effect: Effect) -> dict[str, float]:
+def own_values(model: Model, effect: Effect) -> dict[str, float]:
     """The constants of an effect of ``model`` by its own names."""
     return {q.name: model.values[model.names_of(effect.name)[q.name]] for q in effect.parameters}
 
@@ -541,7 +541,7 @@ def describe_laws(model: Model, ranges: Mapping[str, tuple[float, float]]) -> tu
 
 def _find_likeness(model: Model, effect: Effect, state: str, variables: Sequence[str]) -> Likeness | None:
     """The word for a law; None where there is none."""
-    values = _own_values(model, effect)
+    values = own_values(model, effect)
     names = ConstantNames.beside([*(s.name for s in model.all_states), *(i.name for i in model.inputs)])
     # In the letters of `KINDS`: a variable of such a name has its own letter.
     letters = {names.amplitude: "k", names.shape: "c"} | {v: f"v_{k}" for k, v in enumerate(variables)} | {state: "s"}
