@@ -211,7 +211,7 @@ def _refit_linear_paths(search: RivalSearch) -> None:
     input shows no name and no place.
     """
     problem, plain, scales = search.problem, search.baseline, search.scales
-    loops = {found.subject for e in problem.experiments for found in find_loops(e.inputs, e.outputs)}
+    loops = {loop.subject for e in problem.experiments for loop in find_loops(e.inputs, e.outputs)}
     answering = [i for i in plain.model.inputs if i.name in loops]
     if not answering:
         return

@@ -193,7 +193,7 @@ def test_a_linear_path_beside_the_plant_denies_every_place_but_not_that_somethin
     path = make_linear_path(micro_actuator.outputs[0], micro_actuator.inputs)
     model = micro_actuator + path
     assert describe_effect(model, model.bound_effects[-1]) == EffectForm("", "", ("u",), WITH_MEMORY, ())
-    linear = replace(fitted(), candidate=SimpleNamespace(model=model, free=8, effects=(path.name,)))
+    linear = replace(fitted(), candidate=SimpleNamespace(model=model, free=8, effects=(path.name,), laws=()))
     claims = claims_of((linear, 7), (fitted("coulomb_friction"), 3))
     assert frequencies(claims, Depth.MISSING) == {((), (), (), ""): 1.0}
     assert {c.sites: c.frequency for c in claims if c.depth is Depth.PLACE} == {("balance force",): 0.3}

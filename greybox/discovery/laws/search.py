@@ -198,9 +198,11 @@ class _LawSearch:
             first, second = [e for e in model.effects if is_law(e.name)][-2:]
             alone = model.without(second.name).without(first.name) + replace(second, name=LAW)
             kept = {name: value for name, value in model.values.items() if name in alone.values}
-            own = {alone.names_of(LAW)[name]: value for name, value in own_values(model, second).items()}
+            constants = {alone.names_of(LAW)[name]: value for name, value in own_values(model, second).items()}
             first_states = _first_states(law.candidate)
-            jobs.setdefault(law.terms[-1], RefitJob(alone, ({**kept, **own},), 1, LAW_REFIT_ITERATIONS, first_states))
+            jobs.setdefault(
+                law.terms[-1], RefitJob(alone, ({**kept, **constants},), 1, LAW_REFIT_ITERATIONS, first_states)
+            )
         known = {law.terms for law in self.fits}
         jobs = {term: job for term, job in jobs.items() if (term,) not in known}
         fits = self.problem.refit_all(list(jobs.values()))
