@@ -473,6 +473,17 @@ def _title(forms: Sequence[EffectForm]) -> str:
     return " + ".join(dict.fromkeys(f.name or (CURVE if f.site else LINEAR_DYNAMICS) for f in forms)) or PLAIN
 
 
+def split_names(rival: str) -> list[str]:
+    """The names in the text of a rival; the sum within a formula is a part of it."""
+    names: list[str] = []
+    for part in rival.split(" + "):
+        if names and names[-1].count("(") > names[-1].count(")"):
+            names[-1] += f" + {part}"
+        else:
+            names.append(part)
+    return names
+
+
 # From the raw weight to a probability
 
 # Weights closer to 0 and 1 than this are as good as these: of two hundred resamples none says more.

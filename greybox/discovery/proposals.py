@@ -12,7 +12,7 @@ from greybox.base import TINY, Finding, Severity, decompose_symmetric, pseudo_in
 from greybox.data.experiment import Experiment
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import InputKind, chirp, multisine
-from greybox.discovery.claims import PLAIN, Claim
+from greybox.discovery.claims import PLAIN, Claim, split_names
 from greybox.discovery.curve_shape import CurveShape, Dependence, ShapeKind
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import is_level_measured
@@ -246,7 +246,7 @@ def explain_doubt(claim: Claim) -> Finding | None:
 
 def _other_effect(claim: Claim) -> str:
     """The effect that the best rival of a name has and that is not this one; "" where the rival has no other."""
-    return next((name for name in claim.rival.split(" + ") if name not in ("", PLAIN, claim.name)), "")
+    return next((name for name in split_names(claim.rival) if name not in ("", PLAIN, claim.name)), "")
 
 
 def list_detection_limits(candidates: Sequence[FittedCandidate]) -> tuple[Finding, ...]:

@@ -70,7 +70,7 @@ def summarise(
     deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY else None
     headline: list[Finding] = []
     if deepest is not None:
-        headline.append(Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=deepest.output, values=to_values(deepest)))
+        headline.append(_say_claim(deepest))
     probable = {e: c.probability for e, c in made.items() if c.grade is Grade.PROBABLE}
     if probable and error.share > 0:
         values = {"probabilities": probable, "others": [e for e in effects if e not in probable]}
@@ -159,6 +159,9 @@ def summarise_laws(
     certain = DiscoveryCode.LAW_ESTABLISHED if is_established else DiscoveryCode.LAW_PROBABLE
     code = DiscoveryCode.LAWS_TIED if alternatives else certain
     output = worst_output(judged.holdout)
+    # What is certain comes first.
+    deepest = deepest_established(claims) if decided.verdict is Verdict.PARTLY and not is_established else None
+    headline = [] if deepest is None else [_say_claim(deepest)]
     reduced = _error_reduced([law.name for law in laws], judged.holdout, VALIDATION_SHARE)
     likeness = [
         Finding(
@@ -172,7 +175,11 @@ def summarise_laws(
         for o, each in left.items()
         if decided.verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS) and o == output
     ]
-    return (Finding(code, values=values), *likeness, *reduced, *remaining)
+    return (*headline, Finding(code, values=values), *likeness, *reduced, *remaining)
+
+
+def _say_claim(claim: Claim) -> Finding:
+    return Finding(DiscoveryCode.CLAIM_ESTABLISHED, subject=claim.output, values=to_values(claim))
 
 
 def list_law_ranges(laws: Sequence[Law]) -> tuple[Finding, ...]:

@@ -22,6 +22,7 @@ from greybox.discovery.claims import (
     place_within_sensor_class,
     read_certainty,
     read_verdict,
+    split_names,
     to_features,
     to_grade,
     to_probability,
@@ -290,3 +291,12 @@ def test_of_rivals_that_the_records_cannot_separate_the_probabilities_add_up():
     tie = Conclusion(Verdict.AMBIGUOUS, ())
     assert read_verdict(tie, claims, ["a"], [["b"]]).verdict is Verdict.AMBIGUOUS
     assert read_verdict(tie, claims, ["a"]).verdict is Verdict.UNKNOWN
+
+
+def test_the_sum_within_a_formula_is_no_second_name_of_a_rival():
+    assert split_names("coulomb_friction + k*(v/(c + abs(v))) + cogging") == [
+        "coulomb_friction",
+        "k*(v/(c + abs(v)))",
+        "cogging",
+    ]
+    assert split_names("") == [""] and split_names("plain_model") == ["plain_model"]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from greybox.base import Check, Finding, format_unit
 from greybox.base.json_shape import to_values
 from greybox.data.signals import InputKind
-from greybox.discovery.claims import Depth
+from greybox.discovery.claims import Depth, split_names
 from greybox.discovery.curve_shape import TIME, Parity, ShapeKind
 from greybox.discovery.decision import Grade
 from greybox.discovery.disturbance_sites import SiteKind
@@ -317,7 +317,7 @@ def rival_text(rival: str) -> str:
     """The sets of effects that win where a claim does not hold."""
     if not rival:
         return ""
-    return join_names([effect_title(name) for name in rival.split(" + ")])
+    return join_names([effect_title(name) for name in split_names(rival)])
 
 
 def _claim_established(finding: Finding) -> str:
