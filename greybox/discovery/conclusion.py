@@ -245,7 +245,7 @@ def _weigh_answer(judged: JudgedSelection, candidates: Sequence[Effect], further
 
 
 def _add_law(answer: SearchAnswer, of_laws: DiscoveryProblem, candidates: Sequence[Effect]) -> SearchAnswer:
-    """The answer with the equation that is missing, weighed as any other; as it was where none is at least probable."""
+    """The answer with the equation that is missing, weighed as any other; as it was where that says no more."""
     look = partial(_look_for_laws, answer, of_laws)
     looked: tuple[JudgedSelection, int] | None = answer.problem.failures.attempt(
         SearchStage.LAWS, answer.judged.selected.effects, look, None

@@ -48,7 +48,7 @@ from greybox.discovery.effect_signal import EffectSignal
 from greybox.discovery.execution import SearchStage
 from greybox.discovery.holdout import HoldoutScores, measure_structure
 from greybox.discovery.problem import FittedCandidate
-from greybox.discovery.rivals import HOPELESS_COST
+from greybox.discovery.selection import HOPELESS_COST
 from greybox.discovery.surrogate_effects import SOURCE
 from greybox.discovery.table import RIDGE, FitTable, FittedSet, LinearisedSet, draw_sets, linearise_set
 from greybox.model import Effect, Model

@@ -367,7 +367,9 @@ class DiscoveryProblem:
             return candidate
         again = self.refit_best(candidate.model, [candidate.model.values], 1, iterations, like=candidate)
         better = again if again is not None and again.cost < candidate.cost else candidate
-        self.settled.add(better.key)
+        # A refit that the time limit left out says nothing of where it would have ended: there may be a reserve.
+        if not self.executor.is_late:
+            self.settled.add(better.key)
         return better
 
     def refit_all(self, jobs: Sequence[RefitJob]) -> list[FittedCandidate | None]:

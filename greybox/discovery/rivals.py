@@ -28,7 +28,7 @@ from greybox.discovery.residual_noise import (
     prepare_curve,
     prepare_power,
 )
-from greybox.discovery.selection import list_extension_starts, rank_extensions
+from greybox.discovery.selection import HOPELESS_COST, list_extension_starts, rank_extensions
 from greybox.discovery.surrogate import QUICK_ITERATIONS, refit_free_curves
 from greybox.discovery.surrogate_effects import CURVE, make_linear_path
 from greybox.model.effect import Effect
@@ -123,10 +123,6 @@ def _refit_without(search: RivalSearch, name: str) -> FittedCandidate | None:
 
 # Effects of other families that are fitted in the place of each effect.
 MOST_RIVALS = 4
-# A rival may still come near if after a short refit its cost is at most so many times that of the answer: five times the rms error. Where
-# an effect is left out that takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that
-# it is no rival.
-HOPELESS_COST = 25.0
 
 
 def _refit_others(search: RivalSearch, name: str, rest: FittedCandidate) -> None:

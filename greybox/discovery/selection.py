@@ -144,9 +144,12 @@ AUTOCORRELATION_LAGS = 30
 SCREENING_ITERATIONS = 4
 # Share of its cost that a further step must promise for a look to go on: it was stopped in the middle of a descent...
 FALLING_SHARE = 0.1
-# ...or so much of it, where its cost is no more than so many times that of the best: five times the rms error.
+# ...or so much of it, where it may still come near the best.
 NEGLIGIBLE_SHARE = 1e-3
-NEAR_COST = 25.0
+# A model may still come near if after a short refit its cost is at most so many times that of the best: five times the rms error. Where
+# an effect is left out that takes almost everything, the others turn stiff in its place, and each refit would take minutes to show that
+# it is no rival.
+HOPELESS_COST = 25.0
 # Leading candidates that are refitted to convergence.
 REFIT_TOP = 5
 # Generations of children that are tried (Coulomb friction, then Stribeck, then LuGre).
@@ -513,7 +516,7 @@ class StepwiseSelection:
 
     def _carry_on(self, keys: Sequence[Key]) -> None:
         """Looks that were stopped in the middle of a descent go on, and those that may still come near the best of all."""
-        near = NEAR_COST * min((self.fits[key].cost for key in keys), default=0.0)
+        near = HOPELESS_COST * min((self.fits[key].cost for key in keys), default=0.0)
         jobs = {}
         for key in keys:
             fit = self.fits[key]

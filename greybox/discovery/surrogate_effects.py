@@ -216,11 +216,12 @@ def _curve_effect(
 
 def make_linear_path(output: Output, inputs: Sequence[Input]) -> Effect:
     """Linear dynamics of the first order from all ``inputs`` to the reading of one output, beside the plant."""
+    # z' = -a z + b u, y + d u + z in the place of y: with a plant of the first order any linear one of the second.
     unit, state, rate = output.unit, f"z_{output.name}", "a"
     direct, gain = ({i.name: f"{letter}_{i.name}" for i in inputs} for letter in "db")
     units = {i.name: f"({unit})/({i.unit})" for i in inputs}
     parameters = [
-        Parameter(rate, "1/s", 1.0, (0.0, np.inf), source="zero, until fitted", description="rate of the path"),
+        Parameter(rate, "1/s", 1.0, (0.0, np.inf), source=SOURCE, description="rate of the path"),
         *(Parameter(direct[n], units[n], 0.0, source=SOURCE, description=f"direct path from {n}") for n in direct),
         *(Parameter(gain[n], f"{units[n]}/s", 0.0, source=SOURCE, description=f"path from {n}") for n in gain),
     ]

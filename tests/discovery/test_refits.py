@@ -78,3 +78,12 @@ def test_what_is_known_under_one_noise_is_not_known_under_another():
     problem.predicted[problem.baseline.key] = 1.0
     other = replace(problem, noise={"y": 0.1})
     assert not other.settled and not other.predicted
+
+
+def test_a_refit_that_the_time_limit_leaves_out_may_still_be_made_in_its_reserve():
+    problem = tone_problem()
+    start = problem.refit_best(problem.model, [{"k": 1.9, "a": 0.4, "w": 6.9}], 1, 1)
+    problem.executor.deadline = 0.0
+    assert problem.converge(start) is start
+    problem.executor.release_reserve()
+    assert problem.converge(start).cost < start.cost
