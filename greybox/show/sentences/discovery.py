@@ -568,7 +568,7 @@ register(
         DiscoveryCode.SURROGATE_FITTED: lambda f: f"As a surrogate, {surrogate_text(f.values)}.",
         DiscoveryCode.LAW_ESTABLISHED: _law_established,
         DiscoveryCode.LAW_PROBABLE: lambda f: (
-            f"No effect is established. The most probable law is {_laws_text(f.values['laws'])}; it is not established."
+            f"The most probable law is {_laws_text(f.values['laws'])}; it is not established."
         ),
         DiscoveryCode.LAWS_TIED: lambda f: (
             f"The plain model lacks one of these laws: {'; '.join((_laws_text(f.values['laws']), *f.values['rivals']))}. The records cannot"

@@ -125,7 +125,7 @@ FINDINGS = [
     (
         Code.LAW_PROBABLE,
         *("", {"laws": [{"equation": "-0.3*abs(v)*v", "site": "force", "unit": "N"}], "rivals": []}),
-        "No effect is established. The most probable law is -0.3*abs(v)*v (N) in the force balance; it is not established.",
+        "The most probable law is -0.3*abs(v)*v (N) in the force balance; it is not established.",
     ),
     (
         Code.LAWS_TIED,
