@@ -32,8 +32,8 @@ from greybox.discovery.claims import (
     Features,
     describe_effect,
     to_features,
-    to_probability,
 )
+from greybox.discovery.decision import Grade
 from greybox.model.effects.catalogue import all_effects
 
 RIDGE = 0.3  # inverse variance of the prior of each number
@@ -174,7 +174,7 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
         " `python -m fits.hidden_study FOLDER --page`.",
         f"A claim is established from a probability of {ESTABLISHED_FROM:g} on.",
         _depth_table(rows),
-        *(f"## {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d), d)}" for d in Depth if d),
+        *(f"## {TITLES[d].capitalize()}\n\n{_reliability_table(list_claims(rows, d))}" for d in Depth if d),
         "![Stated probability against observed frequency, by depth](figures/claims.svg)",
         "## Established and wrong",
         _wrong(rows),
@@ -182,26 +182,25 @@ def write_claims(rows: Sequence[Row], docs: Path) -> None:
     (docs / "claims.md").write_text("\n\n".join(text) + "\n", encoding="utf-8")
 
 
-def state(claims: Sequence[Row], depth: Depth) -> tuple[np.ndarray, np.ndarray]:
-    """Stated probabilities (N,) of claims, by the map of the library, and whether they are right (N,)."""
-    # As in an answer: nothing is likelier than how often it would be said again.
-    stated = [min(to_probability(depth, _features(c)), c["frequency"]) for c in claims]
-    return np.array(stated), np.array([c["right"] for c in claims], float)
+def state(claims: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
+    """Stated probabilities (N,) of claims, and whether they are right (N,)."""
+    return np.array([c["probability"] for c in claims]), np.array([c["right"] for c in claims], float)
 
 
 def _depth_table(rows: Sequence[Row]) -> str:
     lines = ["| claim | made | Brier score | established | of these wrong |", "|---|---|---|---|---|"]
     for d in Depth:
-        stated, right = state(list_claims(rows, d), d)
-        sure = stated >= ESTABLISHED_FROM
-        brier = f"{np.mean((stated - right) ** 2):.3f}" if len(stated) else "-"
-        wrong = int(np.sum(1 - right[sure]))
-        lines.append(f"| {TITLES[d]} | {len(stated)} | {brier} | {sure.sum()} | {wrong} |")
+        claims = list_claims(rows, d)
+        stated, right = state(claims)
+        brier = f"{np.mean((stated - right) ** 2):.3f}" if claims else "-"
+        sure = [c for c in claims if c["grade"] == Grade.ESTABLISHED]
+        wrong = sum(not c["right"] for c in sure)
+        lines.append(f"| {TITLES[d]} | {len(claims)} | {brier} | {len(sure)} | {wrong} |")
     return "\n".join(lines)
 
 
-def _reliability_table(claims: Sequence[Row], depth: Depth) -> str:
-    stated, right = state(claims, depth)
+def _reliability_table(claims: Sequence[Row]) -> str:
+    stated, right = state(claims)
     lines = ["| stated | claims | mean stated | right |", "|---|---|---|---|"]
     for low, high in pairwise(BINS):
         chosen = (stated >= low) & (stated < high)
@@ -217,9 +216,8 @@ def _wrong(rows: Sequence[Row]) -> str:
         f"| {c['case']} | {TITLES[d]} | {c['site']} | {', '.join(c['variables'])} | {c['name'] or ', '.join(c['family'][:1])} |"
         f" {'taken away' if c['left_out'] else ''} |"
         for d in Depth
-        for claims in [list_claims(rows, d)]
-        for c, stated in zip(claims, state(claims, d)[0], strict=True)
-        if not c["right"] and stated >= ESTABLISHED_FROM
+        for c in list_claims(rows, d)
+        if not c["right"] and c["grade"] == Grade.ESTABLISHED
     ]
     head = ["| case | claim | where | of | which | the truth |", "|---|---|---|---|---|---|"]
     return "\n".join([*head, *lines]) if lines else "None in these cases."
@@ -231,7 +229,7 @@ def _figure(rows: Sequence[Row]) -> Figure:
     axis = figure.subplots()
     axis.plot([0, 1], [0, 1], color="0.7")
     for d in Depth:
-        stated, right = state(list_claims(rows, d), d) if d else (np.zeros(0), np.zeros(0))
+        stated, right = state(list_claims(rows, d) if d else ())
         places = [
             (stated[k].mean(), right[k].mean(), k.sum())
             for low, high in pairwise(BINS)
