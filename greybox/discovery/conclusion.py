@@ -556,8 +556,8 @@ def _weigh(
     standing = [
         rest
         for name, rest in without.items()
-        # Of a law dozens of other formulas were tried: where it leaves only noise, a curve has nothing to add.
-        if (c := made[name]) is not None and c.is_established and not (is_law(name) and not c.left)
+        # Of a law dozens of other formulas were tried: one that is established leaves hardly anything for a curve to add.
+        if (c := made[name]) is not None and c.is_established and not is_law(name)
     ]
     for rest in standing:
         refit_curves_in_place(rivals, rest)
