@@ -1,7 +1,7 @@
 """How probable is a claim of `greybox.discover`? The map from its weight to a probability, and how far that map can be trusted.
 
 Every claim of every answer of `fits.hidden_study` is one observation: how often it won when the records were drawn again, what was left
-and whether it is true. ``calibrate`` fits five numbers a depth to one draw of cases and writes them to the library
+and whether it is true. ``calibrate`` fits four numbers a depth to one draw of cases and writes them to the library
 (``greybox/discovery/certainty.json``); ``write_claims`` judges the numbers of the library on the answers of another draw, ``claims.md``.
 """
 
@@ -39,8 +39,8 @@ from greybox.model.effects.catalogue import all_effects
 RIDGE = 0.3  # inverse variance of the prior of each number
 # What wins more often is likelier, however few rare winners a draw has seen.
 LEAST_SLOPE = 0.2
-# Where the draw says nothing: about even odds at half of the resamples, doubt from what is left, of sensors and beside another place.
-PRIOR = (-0.5, 0.8, -1.0, -1.0, -1.0)
+# Where the draw says nothing: about even odds at half of the resamples, doubt from what is left and of sensors.
+PRIOR = (-0.5, 0.8, -1.0, -1.0)
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 1.01)
 Row = Mapping[str, Any]
 # What no entry of the catalogue comes near: an effect that acts at the same place, and of the same variables.
@@ -97,7 +97,6 @@ def describe_claims(case: Case, model: gb.Model, claims: Sequence[Claim]) -> lis
             **to_values(claim),
             "frequency": claim.frequency,
             "left": claim.left,
-            "elsewhere": claim.elsewhere,
             "right": is_right(claim, forms),
         }
         for claim in claims
@@ -119,11 +118,11 @@ def _features(claim: Row) -> Features:
     """What the probability of a claim is computed from."""
     sites = tuple(claim["site"].split(" or ")) if claim["site"] else ()
     made = Claim(Depth(claim["depth"]), claim["output"], sites, form=claim["form"], share=claim["share"])
-    return to_features(replace(made, frequency=claim["frequency"], left=claim["left"], elsewhere=claim["elsewhere"]))
+    return to_features(replace(made, frequency=claim["frequency"], left=claim["left"]))
 
 
 def fit_map(claims: Sequence[Row]) -> np.ndarray:
-    """Intercept and slopes (5,) of a logistic regression, drawn towards `PRIOR` where the claims say nothing."""
+    """Intercept and slopes (4,) of a logistic regression, drawn towards `PRIOR` where the claims say nothing."""
     x = np.array([(1.0, *_features(c)) for c in claims]).reshape(len(claims), len(PRIOR))
     right, prior = np.array([c["right"] for c in claims], float), np.array(PRIOR)
 
@@ -133,7 +132,7 @@ def fit_map(claims: Sequence[Row]) -> np.ndarray:
         value = np.sum(np.logaddexp(0, score) - right * score) + 0.5 * RIDGE * distance @ distance
         return float(value), x.T @ (expit(score) - right) + RIDGE * distance
 
-    # More resamples for it, less that is left, a place in the plant, no other place never speak against a claim.
+    # More resamples for it, less that is left, a place in the plant never speak against a claim.
     bounds = [(None, None), (LEAST_SLOPE, None), *[(None, 0.0)] * (len(PRIOR) - 2)]
     return np.asarray(minimize(cost, prior, jac=True, method="L-BFGS-B", bounds=bounds).x)
 

@@ -3,10 +3,9 @@
 Every resample of the records has a winner on the table of fitted sets (`greybox.discovery.table`). A claim holds in a resample if it holds
 in the winner, so its raw weight is how often it would be made again if the records were drawn again; sets that win by nothing share
 the resample. A curve in the winner beside an effect at the same place says that the effect has not the right form: it supports the
-place and the variable, and denies the name. A map of five numbers a depth, fitted to a study of cases with known answers, turns that
-weight, what is left, whether only sensors are accused of it, and whether another place is claimed beside it, into a probability
-(`certainty.json`): where the true effect is not in the catalogue more than noise is left, a sensor can imitate whatever the plant does,
-and several wrong effects at several places do together what the one true effect does.
+place and the variable, and denies the name. A map of four numbers a depth, fitted to a study of cases with known answers, turns that
+weight, whether more than noise is left, and whether only sensors are accused of it, into a probability (`certainty.json`): where the true
+effect is not in the catalogue something is left, and a sensor can imitate whatever the plant does.
 """
 
 from __future__ import annotations
@@ -88,10 +87,9 @@ class Claim(ReadOnly):
         Of a name: how probable it is that it or one of its equals is right.
     size
         What is claimed, rms in the output, as a share of the range of its readings.
-    frequency, left, elsewhere
+    frequency, left
         What the probability was computed from, beside the sites: the share of the resamples in which the claim
-        holds; of the set that won most often, the share of the rms error that is no noise; and the largest
-        share of the resamples in which another place is claimed.
+        holds; and of the set that won most often, the share of the rms error that is no noise.
     """
 
     depth: Depth
@@ -110,7 +108,6 @@ class Claim(ReadOnly):
     size: float = 0.0
     frequency: float = 0.0
     left: float = 0.0
-    elsewhere: float = 0.0
 
     KEYS: ClassVar[str] = "depth output site variables form family name probability grade share size rival equals"
 
@@ -280,7 +277,7 @@ def weigh_claims(
     names = [o.name for o in leading.candidate.model.outputs]
     context = _Context(draws, weights, forms, groups, names, left)
     missing = context.claim(Depth.MISSING, (), lambda f: ())
-    found = [missing] if missing else []
+    claims = [missing] if missing else []
     for depth, key in KEYS.items():
         keys = Counter(
             {
@@ -293,21 +290,8 @@ def weigh_claims(
         )
         for value, frequency in keys.most_common():
             if frequency >= LEAST_FREQUENCY and (made := context.claim(depth, value, key)):
-                found.append(made)
-    claims: list[Claim] = []
-    for claim in found:
-        claims.append(_hold_below(_weigh(claim, found), claims))
+                claims.append(_hold_below(made, claims))
     return _allow_for_sensors(claims)
-
-
-def _weigh(claim: Claim, found: Sequence[Claim]) -> Claim:
-    """The claim with its probability, beside the places that are claimed as well."""
-    others = [c.frequency for c in found if c.depth is Depth.PLACE and c.sites != claim.sites]
-    claim = replace(claim, elsewhere=max(others, default=0.0) if claim.sites else 0.0)
-    probability = weigh_claim(claim)
-    # What comes in as the frequency of a name and its equals goes out as their probability.
-    joint = weigh_claim(replace(claim, frequency=claim.joint)) if claim.name else 0.0
-    return replace(claim, probability=probability, grade=to_grade(probability), joint=joint)
 
 
 def _hold_below(claim: Claim, claims: Sequence[Claim]) -> Claim:
@@ -393,9 +377,7 @@ class _Context:
         return self.weights.share(self.holds(depth, value))
 
     def claim(self, depth: Depth, value: Hashable, key: Key | Callable[[EffectForm], Hashable]) -> Claim | None:
-        """The claim with this content, of no probability yet; None where no winner makes it. Of a name ``joint`` is the share of the
-        resamples in which it or one of its equals holds.
-        """
+        """The claim with this content; None where no winner makes it."""
         holds = self.holds(depth, value)
         frequency = self.weights.share(holds)
         if not frequency:
@@ -423,11 +405,13 @@ class _Context:
             frequency=frequency,
             left=self.left,
         )
+        probability = weigh_claim(claim)
+        claim = replace(claim, probability=probability, grade=to_grade(probability))
         if depth < Depth.NAME or shown is None:
             return claim
         equals = self._equals(best, shown)
         either = [h or any(f.name in equals for f in forms) for h, forms in zip(holds, self.forms, strict=True)]
-        return replace(claim, equals=equals, joint=self.weights.share(either))
+        return replace(claim, equals=equals, joint=weigh_claim(replace(claim, frequency=self.weights.share(either))))
 
     def _equals(self, best: int, form: EffectForm) -> tuple[str, ...]:
         """The effects of other families with which a set that is good does without this one, as often as not."""
@@ -532,9 +516,6 @@ class Features(NamedTuple):
     sensors: float
     """The same of a claim about sensors alone, 0 of any other: where something is left, a sensor imitates it best."""
 
-    elsewhere: float
-    """The same times how often another place is claimed: where something is left, effects at several places imitate one."""
-
 
 def to_features(claim: Claim) -> Features:
     """The features of a claim."""
@@ -542,7 +523,7 @@ def to_features(claim: Claim) -> Features:
     # The true effect leaves nothing, another something: how much of it says little more.
     left = max(claim.left, 0.0) / (max(claim.left, 0.0) + SOME_LEFT)
     is_of_sensors = bool(claim.sites) and all(map(_is_sensor, claim.sites))
-    return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors, left * claim.elsewhere)
+    return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors)
 
 
 def to_probability(depth: Depth, features: Features) -> float:

@@ -201,18 +201,6 @@ def test_a_linear_path_beside_the_plant_denies_every_place_but_not_that_somethin
     assert name_claim(claims, "coulomb_friction").rival == LINEAR_DYNAMICS
 
 
-def test_where_something_is_left_a_place_is_less_certain_beside_another():
-    alone, both = fitted("coulomb_friction"), fitted("coulomb_friction", "input_saturation")
-
-    def certainty(won, left):
-        claims = claims_of((won, 10), left=left)
-        return next(c for c in claims if c.depth is Depth.PLACE and c.sites == ("balance force",))
-
-    assert certainty(both, 0.0).is_established and certainty(alone, 0.5).is_established
-    assert not certainty(both, 0.5).is_established
-    assert (certainty(both, 0.5).elsewhere, certainty(alone, 0.5).elsewhere) == (1.0, 0.0)
-
-
 def test_the_effects_of_the_user_are_claimed_by_nobody():
     one = fitted("coulomb_friction", "cubic_stiffness")
     claims = weigh_claims(draws((one, 10), PLAIN), (), ("cubic_stiffness",), 0.0)
@@ -230,8 +218,8 @@ def test_sets_that_differ_by_nothing_win_together():
 def test_a_probability_rises_with_the_weight_and_falls_with_what_is_left(depth):
     assert set(read_certainty()) == {int(d) for d in Depth}
 
-    def probability(frequency=0.9, left=0.0, sites=("balance force",), elsewhere=0.0):
-        made = Claim(depth, "x", sites, frequency=frequency, left=left, elsewhere=elsewhere)
+    def probability(frequency=0.9, left=0.0, sites=("balance force",)):
+        made = Claim(depth, "x", sites, frequency=frequency, left=left)
         return to_probability(depth, to_features(made))
 
     weights = [probability(frequency=f) for f in (0.2, 0.5, 0.9, 1.0)]
@@ -242,9 +230,6 @@ def test_a_probability_rises_with_the_weight_and_falls_with_what_is_left(depth):
     assert probability(left=0.8, sites=sensors) <= probability(left=0.8)
     assert probability(sites=sensors) == probability()
     assert probability(left=0.8, sites=("balance force", "sensor of x")) == probability(left=0.8)
-    # Another place beside it is no doubt where only noise is left: two effects may be there.
-    assert probability(left=0.8, elsewhere=1.0) <= probability(left=0.8)
-    assert probability(elsewhere=1.0) == probability()
 
 
 def test_grades_follow_the_probability():
