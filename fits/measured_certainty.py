@@ -20,6 +20,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import process_time
@@ -134,7 +135,8 @@ def round_trip(found: gb.Discovery, learn: gb.Experiment, records: Mapping[str, 
     with TemporaryDirectory() as folder:
         answer = found.extended
         read = load(gb.export.to_python(answer, Path(folder) / "model.py"))
-        refit = gb.fit(read, learn, options=found.options)
+        # From these constants alone: other starts answer another question.
+        refit = gb.fit(read, learn, options=replace(found.options, other_starts=0))
         again = load(gb.export.to_python(refit, Path(folder) / "again.py"))
         said = [str(f) for f in found.findings if f.code is DiscoveryCode.REFIT_ELSEWHERE]
         return {
