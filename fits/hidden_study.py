@@ -27,6 +27,7 @@ from fits.hidden_claims import calibrate, describe_claims, write_claims
 from fits.hidden_page import VISIBLE, write
 from fits.plant_cases import make as make_plant
 from greybox.base.files import write_file
+from greybox.base.json_shape import to_values
 from greybox.base.parallel.jobs import JobResult, open_workers, run_jobs
 from greybox.discovery import claims
 from greybox.discovery.candidates import estimate_scales, family_of
@@ -150,6 +151,7 @@ def _describe(case: Case, model: gb.Model, discovery: Discovery, right: set[str]
             for e in discovery.effects
         ],
         "claims": describe_claims(case, model, discovery.claims),
+        "rates": [to_values(rate) for rate in discovery.false_names],
         "said": [e["name"] for e in discovery.effects],
         "alternatives": discovery.alternatives,
         "sites": list(discovery.sites),

@@ -99,6 +99,7 @@ def study(case: Case, root: Path, limit: float) -> dict[str, Any]:
         "verdict": str(found.verdict),
         "says": found.story,
         "claims": [{**claim, "right": judge_claim(rig, claim)} for claim in claims],
+        "rates": [to_values(rate) for rate in found.false_names],
         "effects": [
             {
                 "name": e["name"],
