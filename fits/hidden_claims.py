@@ -133,7 +133,7 @@ def fit_map(claims: Sequence[Row]) -> np.ndarray:
         return float(value), x.T @ (expit(score) - right) + RIDGE * distance
 
     # More resamples for it, less that is left, a place in the plant never speak against a claim.
-    bounds = [(None, None), (LEAST_SLOPE, None), *[(None, 0.0)] * (len(PRIOR) - 2)]
+    bounds = [(None, None), (LEAST_SLOPE, None), (None, 0.0), (None, 0.0)]
     return np.asarray(minimize(cost, prior, jac=True, method="L-BFGS-B", bounds=bounds).x)
 
 

@@ -37,6 +37,7 @@ from greybox.base.texts import to_identifier
 from greybox.discovery.claims import TIMING as TIMING_FORM
 from greybox.discovery.claims import Depth
 from greybox.discovery.findings import DiscoveryCode
+from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.validate import validate
 from greybox.model.effects.placement import AT
 from greybox.shell.project import load_model_file
@@ -240,6 +241,9 @@ def count_claims(lines: Iterable[Mapping[str, Any]]) -> Counter[tuple[int, str, 
 
 def is_same(trip: Mapping[str, Any]) -> bool:
     """Whether the refit leaves the answer's error within 1 % on every record, or the search said that it may not."""
+    # That another fit ends elsewhere was said, and not that none begins.
+    if trip["status"] == TerminationStatus.NO_START:
+        return False
     return bool(trip["said"]) or all(abs(ratio - 1) <= SAME for ratio in trip["ratio"].values())
 
 

@@ -488,7 +488,7 @@ def split_names(rival: str) -> list[str]:
 
 # Weights closer to 0 and 1 than this are as good as these: of two hundred resamples none says more.
 LEAST_WEIGHT = 0.005
-# Share of the rms error that is no noise at which something is half as good as certainly left: 0.1 % of its square.
+# Share of the rms error that is no noise at which something is half as good as certainly left: a quarter of a per cent of its square.
 SOME_LEFT = 0.05
 
 
@@ -521,7 +521,8 @@ def to_features(claim: Claim) -> Features:
     """The features of a claim."""
     weight = min(max(claim.frequency, LEAST_WEIGHT), 1 - LEAST_WEIGHT)
     # The true effect leaves nothing, another something: how much of it says little more.
-    left = max(claim.left, 0.0) / (max(claim.left, 0.0) + SOME_LEFT)
+    excess = max(claim.left, 0.0)
+    left = excess / (excess + SOME_LEFT)
     is_of_sensors = bool(claim.sites) and all(map(_is_sensor, claim.sites))
     return Features(math.log(weight / (1 - weight)), left, left * is_of_sensors)
 
