@@ -304,16 +304,24 @@ class _Search:
         )
 
     def return_to(self, begun: DecisionVector) -> None:
-        """Search on from where the search began, if that follows the whole record better than its end: parts of it led away then."""
-        if self.over or self.known is None or self.known.noise_ratio <= AT_NOISE:
+        """Search once more from where the search began, if that follows the whole record better than its end: parts led it away then.
+
+        Of the start only the constants count: its initial states are a guess, and are adapted first. The better of the two ends stands.
+        """
+        interrupted = minimisation.TerminationStatus.INTERRUPTED
+        if self.status is interrupted or (self.known is not None and self.known.noise_ratio <= AT_NOISE):
             return
-        end, self.variables = self.variables, begun
-        at_start = self.measure(1.0)
-        if at_start.cost < self.known.cost:
-            self.known = at_start
+        ended = self.variables, self.known, self.word, self.status
+        # An end over a part from which the whole cannot be run is none.
+        cost = np.inf if self.known is None else self.known.cost
+        self.variables, self.known, self.status = begun, None, minimisation.TerminationStatus.CONVERGED
+        self.fit(1.0, holds_constants=True)
+        if self.known is not None and self.known.cost < cost:
             self.fit(1.0)
-        else:
-            self.variables = end
+        if self.known is None or not self.known.cost < cost:
+            was_interrupted = self.status is interrupted
+            self.variables, self.known, self.word, self.status = ended
+            self.status = interrupted if was_interrupted else self.status
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
@@ -365,8 +373,8 @@ class _Search:
         self.status = outcome.status
         return share, outcome
 
-    def fit(self, share: float) -> minimisation.MinimisationResult | None:
-        """One minimisation over part of the record; None where it cannot begin."""
+    def fit(self, share: float, holds_constants: bool = False) -> minimisation.MinimisationResult | None:
+        """One minimisation over part of the record, of the initial states alone if it holds the constants; None where it cannot begin."""
         if self.over:
             self.known = None
             return None
@@ -375,13 +383,17 @@ class _Search:
         if not np.isfinite(start.cost):
             self.status = minimisation.TerminationStatus.NO_START
             return None
-        self.shares.append(share)
+        if not holds_constants:
+            self.shares.append(share)
         # Variables in which a step of one changes the cost by about itself, and the evaluation along them.
         variables = self.variables.rescale(start.cost, np.diag(start.hessian) / 2)
         ratio = variables.units / self.variables.units
         start = replace(start, gradient=start.gradient * ratio, hessian=start.hessian * ratio[:, None] * ratio)
         shooting = self.problem.shooting(variables, share)
         is_whole, low_high = share == 1, variables.bounds()
+        if holds_constants:
+            for bound in low_high:
+                bound[variables.slices.parameters] = 0.0
         # A weak prior on positive constants, in units of the residual variance at the start, where part of the record leaves some open.
         held = variables.here
         variance = max(1.0, start.cost / max(start.count, 1))
@@ -392,7 +404,7 @@ class _Search:
             cost, gradient = e.cost + held @ z**2, e.gradient + 2 * held * z
             return replace(e, cost=cost, gradient=gradient, hessian=e.hessian + np.diag(2 * held))
 
-        thorough = self.options.thorough
+        thorough = self.options.thorough and not holds_constants
         policy = (CONVERGENCE if thorough else CONVERGENCE_OF_CANDIDATES) if is_whole else CONVERGENCE_IN_PART
         outcome = minimise(
             shooting.evaluate if is_whole else evaluate_part,
