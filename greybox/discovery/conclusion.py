@@ -13,6 +13,7 @@ import numpy as np
 from greybox.base import Check, Finding, Severity
 from greybox.discovery.claims import (
     Claim,
+    Depth,
     Weights,
     deepest_established,
     list_tied_sets,
@@ -325,13 +326,15 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         return replace(answer, decided=replace(decided, checks=checks), is_worse=is_worse)
     refinement = answer.refinement
     holdout = compare_holdout_errors(judged.base, judged.base)
+    # Records that took no part speak against the model, and so against its names; where something acts, and of what, is still probable.
+    claims = [c for c in answer.claims if c.depth <= Depth.VARIABLES] if is_worse else []
     judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
     return replace(
         answer,
         judged=judged,
         final=FinalModel(judged.scores, judged.baseline, judged.base),
         decided=replace(_decide(judged), checks=checks),
-        claims=(),
+        claims=tuple(c if c.depth is Depth.MISSING else lower_grade(c) for c in claims),
         rates=(),
         signals=(),
         refinement=None if refinement is None else Refinement(judged.base, (), refinement.checks),

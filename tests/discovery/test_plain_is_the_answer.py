@@ -9,8 +9,9 @@ import pytest
 import greybox as gb
 from greybox.base.errors import DataError, FitError
 from greybox.base.findings import with_code
+from greybox.discovery.claims import Depth
 from greybox.discovery.conclusion import judge_against_plain, judge_on_test
-from greybox.discovery.decision import Verdict
+from greybox.discovery.decision import Grade, Verdict
 from greybox.discovery.execution import FailureLog
 from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.holdout import ValidationSet
@@ -186,4 +187,9 @@ def test_a_third_record_takes_no_part_and_holds_the_answer_against_the_plain_mod
         (said,) = with_code(found.conclusion, DiscoveryCode.WORSE_ON_TEST)
         assert "sensor_drift" in said.subject
         assert found.test["y"].after == found.test["y"].before
+        # No name and nothing certain, but that something is missing on the two days; where it acts there is said all the same.
+        certain = [c.depth for c in found.claims if c.is_established]
+        assert certain == [Depth.MISSING] and max(c.depth for c in found.claims) is Depth.VARIABLES
+        places = [c for c in found.claims if c.depth is Depth.PLACE and c.grade is Grade.PROBABLE]
+        assert any("sensor of y" in c.sites for c in places)
     assert len(quoted) == 1
