@@ -326,7 +326,7 @@ def _keep_if_better(answer: SearchAnswer, test: ValidationSet) -> SearchAnswer:
         return replace(answer, decided=replace(decided, checks=checks), is_worse=is_worse)
     refinement = answer.refinement
     holdout = compare_holdout_errors(judged.base, judged.base)
-    # Records that took no part speak against the model, and so against its names; where something acts, and of what, is still probable.
+    # Records that took no part speak against the model, and so against its names; where something acts, and of what, is probable at most.
     claims = [c for c in answer.claims if c.depth <= Depth.VARIABLES] if is_worse else []
     judged = replace(judged, selected=judged.baseline, rivals=(), best=judged.base, holdout=holdout)
     return replace(

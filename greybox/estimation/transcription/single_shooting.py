@@ -311,7 +311,7 @@ class _Search:
         interrupted = minimisation.TerminationStatus.INTERRUPTED
         if self.status is interrupted or (self.known is not None and self.known.noise_ratio <= AT_NOISE):
             return
-        ended = self.variables, self.known, self.word, self.status
+        ended, status = (self.variables, self.known, self.word), self.status
         # An end over a part from which the whole cannot be run is none.
         cost = np.inf if self.known is None else self.known.cost
         self.variables, self.known, self.status = begun, None, minimisation.TerminationStatus.CONVERGED
@@ -319,9 +319,8 @@ class _Search:
         if self.known is not None and self.known.cost < cost:
             self.fit(1.0)
         if self.known is None or not self.known.cost < cost:
-            was_interrupted = self.status is interrupted
-            self.variables, self.known, self.word, self.status = ended
-            self.status = interrupted if was_interrupted else self.status
+            self.variables, self.known, self.word = ended
+            self.status = self.status if self.status is interrupted else status
 
     def refine(self, solution: Solution) -> Refinement:
         """A smaller step if need be, but for one of many candidates that would take all the time: it has strayed to stiff constants."""
