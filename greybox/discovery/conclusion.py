@@ -202,7 +202,10 @@ def conclude(
     answer = _weigh_answer(judged, candidates, further)
     if of_laws is not None and (answer.is_open or not is_level_known(of_laws.noise_model)):
         answer = _add_law(answer, of_laws, candidates)
-    answer = _keep_if_better(_finish_answer(replace(answer, findings=findings)), test)
+    answer = replace(answer, findings=findings)
+    # A model that follows the records no better than the plain one is not handed over: to finish it may cost as much as the search.
+    brief = _keep_if_better(answer, test)
+    answer = _keep_if_better(_finish_answer(brief if brief.rejected else answer), test)
     surrogate = _fit_stand_in(answer, test)
     return _describe(answer, candidates, surrogate, test)
 
