@@ -138,6 +138,8 @@ def estimate_covariance(
     # An offset that a free initial state can take the place of has no information left but rounding, of either sign.
     lost = np.diag(information) <= LOST_INFORMATION * np.diag(data)[inside]
     information[lost], information[:, lost] = 0.0, 0.0
+    # Nor have the scores: beside a wide prior what is left of them would be a variance of either sign.
+    projector[lost] = 0.0
     decomposition = decompose_symmetric(information + held)
     inverse = decomposition.pseudo_inverse
     degrees = float(max(evaluation.count - colour.unknowns + int(variables.has_prior.sum()), 1))

@@ -264,3 +264,23 @@ def test_a_prior_survives_saving(tmp_path):
 def test_priors_that_cannot_be_are_refused_in_words(change, message):
     with pytest.raises(ModelError, match=message):
         change(micro_actuator.tie(Kv="Kf"))
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_a_constant_that_free_first_states_take_the_place_of_keeps_the_spread_of_its_prior(seed):
+    """An offset of the reading of an integrator: in a coloured residual the rounding of its scores passed for a variance of either sign."""
+    offset = Model(
+        "integrator",
+        [State("x", "m")],
+        [Input("u", "m/s")],
+        [Output("y", "m", lambda x, u, p: x.x + p.b)],
+        [Parameter("k", "1", 1.0), Parameter("b", "m", 0.0, prior=(0.0, 1e6))],
+        lambda x, u, p: [Balance("way", "m/s", 1, "x", speed=p.k * u.u)],
+    )
+    rng = np.random.default_rng(seed)
+    time, u = np.arange(400) * 0.01, np.repeat(rng.normal(size=40), 10)
+    way = 1e3 + 2 * np.concatenate([[0], np.cumsum(u)[:-1] * 0.01])
+    drift = 0.01 * np.convolve(rng.normal(size=449), np.ones(50) / 50, "valid")
+    found = fit(offset, Experiment("a", time, {"u": u}, {"y": way + drift}), noise={"y": 1e-4})
+    assert found.parameters["b"].std == pytest.approx(1e6, rel=1e-6)
+    assert found.parameters["k"].value == pytest.approx(2.0, abs=5 * found.parameters["k"].std)

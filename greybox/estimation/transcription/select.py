@@ -167,6 +167,7 @@ def _propose(
 GROWTH_POINTS = 1000
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a transition that overflows grows without end
 def _compute_lyapunov_exponent(jacobians: np.ndarray, duration: float) -> float:
     """Largest Lyapunov exponent (1/s) over the second half of the record, from the product of the transitions.
 

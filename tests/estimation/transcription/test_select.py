@@ -5,7 +5,11 @@ import pytest
 
 from greybox.estimation.options import TranscriptionPolicy
 from greybox.estimation.transcription.problem import TranscriptionReason
-from greybox.estimation.transcription.select import estimate_error_growth, propose_transcription
+from greybox.estimation.transcription.select import (
+    _compute_lyapunov_exponent,
+    estimate_error_growth,
+    propose_transcription,
+)
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -82,3 +86,9 @@ def test_the_growth_of_errors_is_the_real_part_of_the_eigenvalue():
     model = first_order(4.0)
     p = np.array(list(model.values.values()))
     assert estimate_error_growth(model.system, p, standing_still()) == pytest.approx(4.0)
+
+
+def test_errors_that_overflow_within_a_step_grow_without_end():
+    """A candidate that has gone astray; a warning would be an error here."""
+    jacobian = 1e9 * np.array([[0.0, 1.0, 0.0], [50.0, 1.0, 3.0], [2.0, 1.0, 4.0]])
+    assert _compute_lyapunov_exponent(np.tile(jacobian, (10, 1, 1)), 10.0) == np.inf
