@@ -200,19 +200,24 @@ def _is_timing(effect: Effect) -> bool:
 
 def _find_variables(model: Model, bound: BoundEffect) -> tuple[str, ...]:
     """The states of the plant and the inputs that what an effect adds depends on: those of its slopes along its own constants."""
-    system, own_states = model.system, {s.name for s in bound.states}
+    system = model.system
     dry = [system.state_names[d.state] for d in system.dry if d.effect == bound.effect.name]
     if dry:
         return tuple(dry)
     index = [system.parameter_names.index(n) for n in bound.model_names.values() if n in system.parameter_names]
-    updates = [u for u in system.updates if system.state_names[u.state] in own_states]
     # d (rates, outputs, states that are set) / d constants.
     equations = ca.vertcat(system.rhs, system.outputs, *(u.value for u in system.updates))
     slopes = ca.jacobian(equations, system.p)[:, index]
-    # What drives the effect's own states drives the effect.
-    rows = [k for k, name in enumerate(system.state_names) if name in own_states]
-    used = {s.name() for s in ca.symvar(ca.vertcat(ca.vec(slopes), system.rhs[rows], *(u.value for u in updates)))}
-    names = [*(name for name in system.state_names if name not in own_states), *system.input_names]
+    used = {s.name() for s in ca.symvar(ca.vec(slopes))}
+    # What drives a state of an effect, its own or that of another through which its signal comes (a lag before it), drives the effect.
+    places = {s.name: system.state_names.index(s.name) for each in model.bound_effects for s in each.states}
+    followed = set[str]()
+    while driving := ({s.name for s in bound.states} | (used & places.keys())) - followed:
+        followed |= driving
+        rows = [places[name] for name in driving]
+        updates = [u.value for u in system.updates if u.state in rows]
+        used |= {s.name() for s in ca.symvar(ca.vertcat(system.rhs[rows], *updates))}
+    names = [*(name for name in system.state_names if name not in places), *system.input_names]
     # A delay, or a signal between its samples, is of the input at which it acts.
     return tuple(n for n in names if n in used) or tuple(n for n in system.input_names if n == bound.site)
 

@@ -368,7 +368,9 @@ def find_option_issues(
 ) -> tuple[Finding, ...]:
     """Findings about what was asked of a fit: priors, parameters of each experiment, ties, a robust loss, excluded outputs."""
     result = find_prior_conflicts(problem.model, priors)
-    held = [name for name, check in priors.items() if check.variance_reduction < PRIOR_VARIANCE_REDUCTION]
+    # Where the data contradict a prior they do say something of its constant, however much the misfit widens the interval.
+    contradicted = {finding.subject for finding in result}
+    held = [n for n, c in priors.items() if c.variance_reduction < PRIOR_VARIANCE_REDUCTION and n not in contradicted]
     result += _list_parameters(EstimationCode.HELD_BY_PRIOR, held, Severity.NOTE)
     for name, e in tied.items():
         low, high = next(q.bounds for q in problem.model.stated_parameters if q.name == name)

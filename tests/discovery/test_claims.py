@@ -58,6 +58,16 @@ def test_an_effect_says_where_it_acts_and_of_what(rig, name, site, variables, ex
     assert name in form.family
 
 
+@pytest.mark.parametrize(
+    ("first", "second", "variables"),
+    [("drive_lag", "input_saturation", ("u",)), ("sensor_lag", "reading_curve", ("x",))],
+)
+def test_a_signal_that_comes_through_another_effect_is_of_what_drives_that(first, second, variables):
+    """Nobody knows the state of a lag by its name."""
+    model = micro_actuator + gb.effect(first) + gb.effect(second)
+    assert describe_effect(model, model.bound_effects[-1]).variables == variables
+
+
 def test_lags_and_delays_are_one_family():
     model = micro_actuator + gb.effect("transport_delay")
     assert {"transport_delay", "drive_lag", "sensor_lag", "valve_lag"} <= set(

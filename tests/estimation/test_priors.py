@@ -75,6 +75,15 @@ def test_agreement_with_the_data_is_judged_by_what_they_say_alone():
     assert find(found.findings, EstimationCode.PRIOR_CONFLICT).subject == "a"
 
 
+def test_a_prior_that_the_data_contradict_is_not_said_to_say_all_however_much_the_misfit_widens_the_interval():
+    data, _, _ = regression(louder=3)
+    found = fit(LINE.prior(a=(2.0, 0.05)), data, noise={"y": NOISE}, options=REST)
+    check = found.constraints.priors["a"]
+    assert check.variance_reduction == 0.0 and check.conflict < -4
+    codes = [finding.code for finding in found.findings]
+    assert EstimationCode.PRIOR_CONFLICT in codes and EstimationCode.HELD_BY_PRIOR not in codes
+
+
 def test_the_factor_between_data_and_prior_is_that_of_the_regression_without_it():
     data, design, y = regression(louder=0.8)
     found = fit(LINE.prior(a=(1.5, 0.05), b=(-0.4, 0.02)), data, noise={"y": NOISE}, options=REST)
