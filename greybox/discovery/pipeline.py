@@ -245,7 +245,7 @@ def discover(
             listed = list_candidates(problem.model, scales, problem.failures, given, without)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
-        if problem.options.at_rest and not refits.is_late and _shows_on_validation_only(judged):
+        if not refits.is_late and _shows_on_validation_only(judged):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             half = min(record.rows for record in validation_set.records) // 2
             first_halves = tuple(record.window(0, half) for record in validation_set.records)

@@ -143,3 +143,10 @@ def test_no_curve_takes_the_place_of_an_established_law(monkeypatch):
         laws=True,
     )
     assert [law.formula for law in answer.laws] == ["k*a*b"] and not asked
+
+
+@pytest.mark.parametrize("name", ["spruce_budworm", "chemostat"])
+def test_constants_that_the_first_record_leaves_open_are_no_missing_law(name):
+    """Two resting places, or slopes that multiply: a little in the constants is much on the other record."""
+    case = run_case(next(s for s in SYSTEMS if s.name == name), "complete", "1")
+    assert (case["verdict"], case["laws"]) == ("complete", [])

@@ -158,7 +158,8 @@ FINDINGS = [
     (
         Code.LEARNT_FROM_VALIDATION,
         *("", {}),
-        "the estimation records do not show the effect: it was identified from the first half of the validation records",
+        "the plain model follows the estimation records and not the validation records: the first half of these was fitted as well,"
+        " and their second half judges",
     ),
     (
         Code.TIME_OVER,
