@@ -578,8 +578,8 @@ register(
         DiscoveryCode.NO_LAW: "No equation among {terms} terms explains it.",
         # What a reader should know.
         DiscoveryCode.LAW_RANGE: _law_range,
-        DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first half"
-        " of these was fitted as well, and their second half judges",
+        DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first"
+        " half of these was fitted as well, and their second half judges",
         DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (
