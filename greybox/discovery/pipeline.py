@@ -37,7 +37,7 @@ from greybox.discovery.judged_selection import JudgedSelection
 from greybox.discovery.localisation import localise_residual
 from greybox.discovery.plant_search import search_plant
 from greybox.discovery.policy import DiscoveryPolicy
-from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate
+from greybox.discovery.problem import DiscoveryProblem, FitSettings, FittedCandidate, clean_cost_limit
 from greybox.discovery.refinement import VALIDATION_SHARE
 from greybox.discovery.result import Discovery
 from greybox.discovery.selection import MessageCallback, StepKind, StepwiseSelection, checks_of
@@ -245,7 +245,11 @@ def discover(
             listed = list_candidates(problem.model, scales, problem.failures, given, without)
         findings: tuple[Finding, ...] = ()
         judged = _select_and_judge(problem, listed.effects, scales, validation_set, policy, on_message)
-        if not refits.is_late and _shows_on_validation_only(judged):
+        if (
+            not refits.is_late
+            and _shows_on_validation_only(judged)
+            and (problem.options.at_rest or _explains_all(judged))
+        ):
             on_message(str(Finding(DiscoveryCode.LEARNING_FROM_VALIDATION)))
             half = min(record.rows for record in validation_set.records) // 2
             first_halves = tuple(record.window(0, half) for record in validation_set.records)
@@ -386,6 +390,14 @@ def _shows_on_validation_only(judged: JudgedSelection) -> bool:
     if judged.selected.effects:
         return False
     return judge_validation_only(judged.baseline, judged.holdout, judged.noise_limits).passed
+
+
+def _explains_all(judged: JudgedSelection) -> bool:
+    """Whether one set of constants of the plain model explains the records that were fitted and those that judge."""
+    problem = judged.selection.problem
+    everywhere = replace(problem, experiments=(*problem.experiments, *judged.scores.validation.records))
+    fitted = problem.failures.attempt(SearchStage.HOLDOUT, (), lambda: everywhere.baseline, None)
+    return fitted is not None and fitted.per_sample <= clean_cost_limit(fitted.count)
 
 
 def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[Effect]) -> Sequence[Effect]:

@@ -194,8 +194,8 @@ def refine_step(
 
 def compute_change_over_noise(problem: EstimationProblem, runs: Runs, finer: Runs) -> np.ndarray:
     """Root-mean-square change of each output from ``runs`` to ``finer`` ones, over its noise (ny,)."""
-    change = np.concatenate([a - b for (a, _), (b, _) in zip(runs, finer, strict=True)])
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # of runs that go astray
+        change = np.concatenate([a - b for (a, _), (b, _) in zip(runs, finer, strict=True)])
         return np.sqrt(np.mean(change**2, axis=0)) / problem.noise.std
 
 
