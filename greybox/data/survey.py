@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
@@ -292,7 +293,9 @@ def _guess_use(column: Column, values: np.ndarray, held: bool) -> str:
 
 def _make_name(text: str, used: set[str]) -> str:
     """The last part of a name as an identifier, with more of it where the last part is taken."""
-    parts = [p for p in re.split(r"[^0-9A-Za-z_]+", text) if p] or ["signal"]
+    # An accent is left out, its letter is not: Füllstand is Fullstand.
+    plain = "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+    parts = [p for p in re.split(r"[^0-9A-Za-z_]+", plain) if p] or ["signal"]
     for count in range(1, len(parts) + 1):
         name = "_".join(parts[-count:])
         name = f"s_{name}" if name[0].isdigit() else name

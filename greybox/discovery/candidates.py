@@ -54,6 +54,8 @@ def list_candidates(
         For a name in ``without`` that neither ``effects`` nor the catalogue has, and where none of ``effects`` has a place.
     """
     entries = tuple(effects) if effects else tuple(applicable_effects(model))
+    if names := [e for e in entries if isinstance(e, str)]:
+        raise ModelError(f"effects: {names[0]!r} is a name; give the effect, as in gb.effect({names[0]!r})")
     _check_names(without, [e.name for e in (*entries, *all_effects())])
     left_out = [e.name for e in entries if {e.name, e.name.partition(AT)[0]} & set(without)]
     not_tried = {name: Finding(DiscoveryCode.EFFECT_LEFT_OUT, subject=name) for name in left_out}

@@ -163,6 +163,11 @@ def discover(
             f"noise of {', '.join(growing)} grows with the signal; a search takes a standard deviation for each row: fit the plain model,"
             " and give the records the noise of its run (Experiment.noise)"
         )
+    learnt = {record.fingerprint for record in _as_tuple(estimation)}
+    if used := [record.name for record in validation_set.records if record.fingerprint in learnt]:
+        raise DataError(
+            f"validation record {', '.join(used)}: it is fitted too, and what was fitted cannot judge; give another one"
+        )
     test_set = ValidationSet(_as_tuple(test) if test else (), skip, beginning)
     known = {record.fingerprint: record.name for record in (*_as_tuple(estimation), *validation_set.records)}
     if used := [record.name for record in test_set.records if record.fingerprint in known]:

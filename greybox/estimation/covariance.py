@@ -454,6 +454,11 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             row = without[j]
             # A^-1 S A^-1 of the estimate without this prior, S over the scores of the data and the other priors.
             variance = float(row @ (covariance.scores[block] + np.diag(others)) @ row)
+            if (
+                not variance >= 0
+            ):  # lost in rounding, as of heights that no record determines: the data say nothing by themselves
+                result[variables.names[k]] = PriorCheck(mean, std, shift, variance_reduction, None)
+                continue
             # The estimate without the prior lies shift / left from its mean (in its standard deviations): what is
             # seen is that pulled back by it.
             conflict = float(shift / left / np.sqrt(1 + w * variance))

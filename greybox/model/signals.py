@@ -196,6 +196,8 @@ class Parameter:
 
 
 def _check_prior(name: str, unit: str, prior: tuple[float, float], bounds: tuple[float, float]) -> None:
+    if not isinstance(prior, tuple | list) or len(prior) != 2:
+        raise ModelError(f"parameter {name!r}: prior {prior!r}: give the mean and the standard deviation, (mean, std)")
     mean, std = prior
     if not (math.isfinite(mean) and math.isfinite(std) and std > 0):
         raise ModelError(

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.base.errors import DataError, FitError
+from greybox.base.errors import DataError, FitError, ModelError
 from greybox.base.findings import with_code
 from greybox.discovery import conclusion
 from greybox.discovery.claims import Depth
@@ -161,6 +161,18 @@ def test_a_record_of_the_search_is_no_test_record():
     learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0 * t) for seed in (1, 2))
     with pytest.raises(DataError, match="test record day 2: it takes part in the search already"):
         gb.discover(first_order(), learnt, validation=chosen, test=chosen)
+
+
+def test_a_record_that_is_fitted_is_no_validation_record():
+    learnt, again = (lag_record(name, 1, lambda t: 0 * t) for name in ("day 1", "copy"))
+    with pytest.raises(DataError, match="validation record copy: it is fitted too"):
+        gb.discover(first_order(), learnt, validation=again)
+
+
+def test_effects_are_given_as_effects():
+    learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0 * t) for seed in (1, 2))
+    with pytest.raises(ModelError, match="'input_offset' is a name; give the effect, as in gb.effect"):
+        gb.discover(first_order(), learnt, validation=chosen, effects=["input_offset"])
 
 
 def search_drift(**more):

@@ -268,6 +268,7 @@ def test_a_prior_survives_saving(tmp_path):
             lambda m: Parameter("a", "m", 1.0, (0.0, 2.0), prior=(3.0, 1.0)),
             r"prior mean 3 m lies outside its bounds \[0, 2\] m",
         ),
+        (lambda m: Parameter("a", "m", 1.0, prior=0.1), r"'a': prior 0.1: give the mean and the standard deviation"),
     ],
 )
 def test_priors_that_cannot_be_are_refused_in_words(change, message):

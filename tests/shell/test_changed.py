@@ -101,3 +101,23 @@ def test_bad_input_is_one_sentence_and_exit_code_two(folder: Path, arguments: li
     assert done.exit_code == 2, done.output
     assert message in done.stderr and done.stderr.count("\n") == 1
     assert not list(Path().iterdir())
+
+
+@pytest.mark.parametrize("layout", [["--column", "u=1", "--column", "y=Reading"], ["--columns", "t,u,y"]])
+@pytest.mark.parametrize("command", ["changed", "design", "fleet"])
+def test_columns_of_other_names_are_read_as_by_a_fit(folder: Path, command: str, layout: list[str]) -> None:
+    """What a fit was given of a logger's file is given to what follows it."""
+    _, *rows = (folder / "days/day 2.csv").read_text().splitlines()
+    if layout[0] == "--column":  # time last, and headers that say nothing to the model
+        rows = [
+            "Drive (V);Reading;time [s]".replace(";", ","),
+            *(",".join([*r.split(",")[1:], r.split(",")[0]]) for r in rows),
+        ]
+    Path("today.csv").write_text("\n".join(rows) + "\n")
+    given = {
+        "changed": [str(folder / "fit.json"), "today.csv"],
+        "design": ["silverbox", "today.csv", "--noise", "y=1e-3", "--limit", "u=-0.1:0.1", "--duration", "0.1"],
+        "fleet": ["silverbox", "today.csv", "--noise", "y=1e-3"],
+    }
+    done = CliRunner().invoke(app, [command, *given[command], *layout, "--no-report"])
+    assert done.exit_code == 0, done.output

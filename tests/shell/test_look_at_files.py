@@ -31,6 +31,12 @@ def test_a_file_is_looked_at_and_nothing_is_written(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
 
 
+def test_a_header_with_accents_keeps_its_letters(tmp_path):
+    file = tmp_path / "tank.csv"
+    file.write_text("t [s],Füllstand [cm]\n" + "".join(f"{k},{np.sin(k):.6f}\n" for k in range(50)), encoding="utf-8")
+    assert 'gb.Output("Fullstand", "cm")' in run("check", str(file)).stdout
+
+
 def test_several_files_as_json(tmp_path):
     file = write(tmp_path / "run.csv")
     one = json.loads(run("check", file, "--json").stdout)

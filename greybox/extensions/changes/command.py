@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from greybox.shell import inputs
 from greybox.shell.progress import show_search_progress
-from greybox.shell.study import SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
+from greybox.shell.study import LAYOUT, SHARING, SHOWING, VALIDATING, Answer, Command, Excludes, Idle, Option, Study
 from greybox.shell.study_values import Switch
 from greybox.shell.terminal import write_report
 
@@ -67,9 +67,9 @@ def _detect(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.extensions.changes.detect import detect_changes
 
     files = list_record_files(study.estimation)
-    records = read_like(known, files, study.sampling_time)
+    records = read_like(known, files, study)
     inputs.refuse_repeated_records(files, records)
-    validation = read_like(known, study.validation, study.sampling_time) if study.validation else ()
+    validation = read_like(known, study.validation, study) if study.validation else ()
     inputs.check_skip(study, validation)
     inputs.print_record_notes(records, validation)
     with open_workers(study.workers, study.cluster) as executor, show_search_progress() as (say, report):
@@ -90,9 +90,7 @@ def _survey(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.data.file_kinds import list_record_files
     from greybox.extensions.changes.survey import survey_population
 
-    machines = {
-        str(path): read_like(known, list_record_files([path]), study.sampling_time) for path in study.estimation
-    }
+    machines = {str(path): read_like(known, list_record_files([path]), study) for path in study.estimation}
     inputs.refuse_repeated_records(study.estimation, (record for records in machines.values() for record in records))
     inputs.print_record_notes(*machines.values())
     return survey_population(known, machines)
@@ -103,18 +101,18 @@ def _chart(known: Fit, study: ChangeStudy) -> ChangeDetection:
     from greybox.extensions.changes.survey import chart_changes
 
     files = list_record_files(study.estimation)
-    records = read_like(known, files, study.sampling_time)
+    records = read_like(known, files, study)
     inputs.refuse_repeated_records(files, records)
     inputs.print_record_notes(records)
     return chart_changes(known, records)
 
 
-def read_like(known: Fit, files: Sequence[Path], sampling_time: float) -> tuple[Experiment, ...]:
+def read_like(known: Fit, files: Sequence[Path], study: Study) -> tuple[Experiment, ...]:
     """Records as those of the fit were read: with their hold, and conditions from each file. Raises GreyboxError."""
     from greybox.data.read import read_experiments
 
     first = next(iter(known.traces), None)
-    layout: dict = {"sampling_time": sampling_time} if sampling_time else {}
+    layout = inputs.layout_of(study)
     if first is not None:
         layout |= {"hold": first.hold, "conditions": dict.fromkeys(first.conditions)}
     return read_experiments(files, known.model, **layout)
@@ -135,6 +133,7 @@ CHANGED = Command(
         ),
         *(ChangeStudy.population, ChangeStudy.chart, ChangeStudy.no_effects),
         Study.skip.but(help="Rows at the start of validation records left out."),
+        *(Study.columns, Study.headers),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         Study.model.but(
             usage="--model MODEL",
@@ -152,6 +151,7 @@ CHANGED = Command(
     ),
     (
         Excludes(ChangeStudy.population, ChangeStudy.chart, "several machines, or one over time"),
+        LAYOUT,
         *VALIDATING,
         Idle(
             (Study.validation, *SHARING),

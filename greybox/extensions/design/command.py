@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from greybox.base import DataError, ExitCode, GreyboxError, ModelError
 from greybox.shell.inputs import limits_of, load_fit_with_model, result_folder, set_parameters
-from greybox.shell.study import SHARING, SHOWING, Answer, Command, Idle, Option, Study
+from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
 from greybox.shell.terminal import exit_with_error, print_note, write_report
 
@@ -96,11 +96,11 @@ def read_source(study: DesignStudy) -> tuple[Model | Fit, Fit | None, list[str]]
             return load_fit_with_model(Path(source), study.model), None, []
         if study.fixed or study.start:
             raise GreyboxError(f"{source}: a discovery knows its parameters; leave out --fix and --start")
-        return _from_discovery(Path(source), data, study.model)
+        return _from_discovery(Path(source), data, study)
     plant = build_plain_model(source, study)
     if not data:
         return plant, None, []
-    records = read_data(data, plant, study.sampling_time)
+    records = read_data(data, plant, study, study.sampling_time)
     return _fit(plant, records, dict(study.noise), _options(study)), None, []
 
 
@@ -111,18 +111,19 @@ def build_plain_model(name: str, study: Study) -> Model:
     return set_parameters(find_model(name), study)
 
 
-def read_data(paths: Sequence[Path], model: Model, sampling_time: float = 0.0) -> tuple[Experiment, ...]:
+def read_data(paths: Sequence[Path], model: Model, study: Study, sampling_time: float = 0.0) -> tuple[Experiment, ...]:
     """The records; what is to be said of them goes to stderr. Raises GreyboxError."""
     from greybox.data.read import read_experiments
-    from greybox.shell.inputs import print_record_notes, refuse_repeated_records
+    from greybox.shell.inputs import layout_of, print_record_notes, refuse_repeated_records
 
-    layout = {"sampling_time": sampling_time} if sampling_time else {}
+    # The sampling time is one of the record to be designed: it counts for these where they have no time.
+    layout = {**layout_of(study), "sampling_time": sampling_time or None}
     try:
-        records = read_experiments(paths, model, **layout)  # type: ignore[arg-type]
+        records = read_experiments(paths, model, **layout)
     except DataError:
-        if not layout:
+        if not sampling_time:
             raise
-        records = read_experiments(paths, model)
+        records = read_experiments(paths, model, **{**layout, "sampling_time": None})
     refuse_repeated_records(paths, records)
     print_record_notes(records)
     return records
@@ -156,7 +157,7 @@ def _kind_of(path: Path) -> str:
     return "discovery" if isinstance(data, dict) and "verdict" in data else "fit"
 
 
-def _from_discovery(path: Path, data: Sequence[Path], name: str) -> tuple[Fit, Fit, list[str]]:
+def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit, Fit, list[str]]:
     """The best explanation of a discovery fitted again to the records, the fit of its plain model, and the alternatives."""
     from greybox.base import read_json
     from greybox.discovery.result import Discovery
@@ -169,17 +170,17 @@ def _from_discovery(path: Path, data: Sequence[Path], name: str) -> tuple[Fit, F
         raise GreyboxError(
             f"{path}: a discovery does not hold its records; give them too, as in greybox design {path} train.csv"
         )
-    if not name and is_model_path(content["model"]):
+    if not study.model and is_model_path(content["model"]):
         raise DataError(f"{path}: its model is a file; give --model MODEL")
     try:
-        plain = find_model(name or content["model"])
+        plain = find_model(study.model or content["model"])
     except ModelError as error:
         raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
     parameters = {n: e for n, e in content["parameters"].items() if n in plain.values and e["value"] is not None}
     plain = plain.free(*(n for n, e in parameters.items() if not e.get("fixed")))
     plain = plain.start(**{n: e["value"] for n, e in parameters.items()})
     plain = plain.fix(*(n for n, e in parameters.items() if e.get("fixed")))
-    records = read_data(data, plain)
+    records = read_data(data, plain, study)
     options = FitOptions.from_data(content.get("options", {}))
     base = _fit(plain, records, {n: s for n, s in content["noise"].items() if s}, options)
     best = "+".join(e["name"] for e in content["effects"])
@@ -221,7 +222,7 @@ def campaign(study: DesignStudy) -> Answer:
         study.duration,
         study.sampling_time,
         dict(study.noise),
-        read_data(study.estimation, plain) if study.estimation else (),
+        read_data(study.estimation, plain, study) if study.estimation else (),
         study.width or None,
         study.effects,
         study.hold,  # type: ignore[arg-type]
@@ -280,6 +281,7 @@ DESIGN = Command(
         Study.estimation.but(help="Records taken so far: needed with discovery.json, fitted with a model."),
         *(*RIG, MODEL_VALUES, OWN.goal, OWN.criterion, OWN.counted, OWN.rivals, OWN.sensors),
         Study.noise.but(help=f"{SENSOR_NOISE} [default: that of the fit]"),
+        *(Study.columns, Study.headers),
         Study.sampling_time.but(help="Seconds between rows. [default: as measured]"),
         Study.duration.but(help="Duration of the record. [default: as measured]"),
         Study.effects.but(
@@ -301,6 +303,7 @@ DESIGN = Command(
         "greybox design my/rig.py --noise x=2e-7 --limit u=-1:1 --rate u=100 --duration 0.5 --sampling-time 2.5e-4",
     ),
     (
+        LAYOUT,
         Idle(
             (OWN.criterion, OWN.counted),
             "with --goal {s.goal}: it is for precision",
@@ -325,6 +328,7 @@ CAMPAIGN = Command(
         Study.estimation.but(help="Records that were taken before."),
         *(*RIG, MODEL_VALUES, OWN.rig, OWN.experiments, OWN.width),
         Study.noise.but(help=f"{SENSOR_NOISE} Needed for each sensor that is installed."),
+        *(Study.columns, Study.headers),
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),
         Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),
@@ -337,6 +341,7 @@ CAMPAIGN = Command(
         "greybox campaign my/rig.py --noise x=2e-7 --limit u=-1:1 --duration 0.5 --sampling-time 2.5e-4 --output rig",
         "greybox campaign my/rig.py ... --rig 'python play.py {input} {record}'",
     ),
+    (LAYOUT,),
     study=DesignStudy,
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from greybox.base import ExitCode, GreyboxError
 from greybox.shell.inputs import result_folder, set_parameters
 from greybox.shell.progress import show_progress
-from greybox.shell.study import SHARING, SHOWING, Answer, Command, Option, Study
+from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Option, Study
 from greybox.shell.study_values import Word
 from greybox.shell.terminal import write_report
 
@@ -44,6 +44,7 @@ def fleet(study: FleetStudy) -> Answer:
         study.estimation,
         record=study.record,
         hold=study.hold,  # type: ignore[arg-type]
+        columns=study.headers or dict(study.columns) or None,
         sampling_time=study.sampling_time or None,
     )
     journal = folder / JOURNAL
@@ -94,6 +95,7 @@ FLEET = Command(
         Study.start.but(help="Value of a parameter of MODEL."),
         Study.hold.but(help="How the input moves between samples."),
         Study.at_rest.but(help="Every record begins in the state that the model declares."),
+        *(Study.columns, Study.headers),
         Study.sampling_time.but(help="Seconds between rows, for records without a time."),
         Study.output.but(help="Folder for the results. [default: results/MODEL-fleet]"),
     ),
@@ -101,6 +103,7 @@ FLEET = Command(
         "greybox fleet micro_actuator bench/ --fix M=0.01 --fix Ra=8 --noise x=2e-7",
         "greybox fleet my/rig.py bench.parquet --record serial_number --output results/bench",
     ),
+    (LAYOUT,),
     study=FleetStudy,
 )
 

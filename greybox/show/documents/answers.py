@@ -32,7 +32,7 @@ def _fit_brief(answer: FitAnswer) -> Iterator[Block]:
         yield Details(title, answer.tests.describe().brief)
     for title, misfits in (("estimation record", answer.misfits), ("validation record", answer.validation_misfits)):
         if misfits:
-            rows = [[m.record, m.output, *misfit_cells(m.misfit)] for m in misfits]
+            rows = [[m.record, m.output, *misfit_cells(m.misfit, answer.fit.noise.bound(m.output))] for m in misfits]
             yield TableBlock(f"Misfit of each {title}", [title, "output", *MISFIT_HEADS], rows)
 
 

@@ -135,7 +135,8 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     " to continue through each, which is wrong if it moved there",
     RecordCode.TIME_IRREGULAR: "time is irregular: steps from {shortest:.6g} to {longest:.6g} s; each interval is used as it is",
     RecordCode.TIME_JITTER: "time stamps jitter by {jitter:.2g} s (standard deviation; usual step {usual_step:.4g} s), and the readings do"
-    " not: they were taken regularly and stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
+    " not: they were taken regularly and stamped late or early. Leave the time out and give the step (shell: '-' in its place in --columns,"
+    " and --sampling-time SECONDS), or each error of a stamp counts as motion",
     RecordCode.PIECES_LEFT_OUT: _pieces_left_out,
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
     RecordCode.UNITS_ASSUMED: lambda f: (

@@ -496,7 +496,7 @@ _INPUTS = {
 
 def _noise_from_residual(finding: Finding) -> str:
     shown = ", ".join("white" if not colour else f"correlation {colour[0]:.3g}" for colour in finding.values["colours"])
-    return f"noise estimated from the residual of {finding.subject}: {shown}"
+    return f"candidates are weighed by the colour of the residual of {finding.subject}: {shown}"
 
 
 def _test_error(finding: Finding) -> str:

@@ -346,7 +346,7 @@ FINDINGS = [
     (
         Code.NOISE_FROM_RESIDUAL,
         *("micro_actuator", {"colours": [[], [0.81]], "std": [1e-7, 1e-3]}),
-        "noise estimated from the residual of micro_actuator: white, correlation 0.81",
+        "candidates are weighed by the colour of the residual of micro_actuator: white, correlation 0.81",
     ),
     (
         Code.FIRST_EFFECT,

@@ -94,7 +94,8 @@ GOLDEN = {
         "",
         {"jitter": 1.02e-3, "usual_step": 0.016},
         "time stamps jitter by 0.001 s (standard deviation; usual step 0.016 s), and the readings do not: they were taken regularly and"
-        " stamped late or early. Give them equal steps, or each error of a stamp counts as motion",
+        " stamped late or early. Leave the time out and give the step (shell: '-' in its place in --columns, and --sampling-time SECONDS),"
+        " or each error of a stamp counts as motion",
     ),
     RecordCode.SENSOR_DEAD: (
         "x",
