@@ -171,7 +171,7 @@ def test_a_record_that_is_fitted_is_no_validation_record():
 
 def test_effects_are_given_as_effects():
     learnt, chosen = (lag_record(f"day {seed}", seed, lambda t: 0 * t) for seed in (1, 2))
-    with pytest.raises(ModelError, match="'input_offset' is a name; give the effect, as in gb.effect"):
+    with pytest.raises(ModelError, match=r"'input_offset' is a name; give the effect, as in gb\.effect"):
         gb.discover(first_order(), learnt, validation=chosen, effects=["input_offset"])
 
 

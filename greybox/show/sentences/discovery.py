@@ -390,9 +390,9 @@ def _effects_probable(finding: Finding) -> str:
 
 
 def constant_text(name: str, values: Mapping[str, Any]) -> str:
-    """``Fc = 0.05 +- 0.001 N``."""
+    """``Fc = 0.05 +- 0.001 N``; a pure number has no unit."""
     std = "" if values["std"] is None else f" +- {values['std']:.2g}"
-    return f"{name} = {values['value']:.5g}{std} {values['unit']}".rstrip()
+    return with_unit(f"{name} = {values['value']:.5g}{std}", values["unit"])
 
 
 # Findings

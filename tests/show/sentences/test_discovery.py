@@ -11,6 +11,7 @@ from greybox.discovery.holdout import HoldoutError
 from greybox.discovery.localisation import MisfitTiming
 from greybox.discovery.refinement import RefinementStep
 from greybox.show.sentences.discovery import (
+    constant_text,
     dependence_text,
     explained_share_text,
     false_names_text,
@@ -666,3 +667,8 @@ def test_errors_and_steps_fit_on_a_line():
 )
 def test_a_share_is_never_written_as_a_power_of_ten(share: float, text: str) -> None:
     assert percent_text(share, 2) == text
+
+
+def test_a_constant_that_is_a_pure_number_has_no_unit():
+    assert constant_text("mu", {"value": 0.0, "std": None, "unit": "1"}) == "mu = 0"
+    assert constant_text("Fc", {"value": 0.05, "std": 0.001, "unit": "N"}) == "Fc = 0.05 +- 0.001 N"
