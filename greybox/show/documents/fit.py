@@ -11,6 +11,7 @@ from greybox.base import document as doc
 from greybox.estimation import Fit, errors, optimum, result_parts
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.identifiability.practical import recommend_after_fit
+from greybox.estimation.options import Transcription
 from greybox.estimation.residuals import ALARM_LEVEL, ResidualTests, residual_tests
 from greybox.show.documents import tables
 from greybox.show.figures import fit as figures
@@ -278,16 +279,23 @@ RECORDS_OF_FIT = 20
 
 
 def _misfits(fit: Fit) -> Iterator[doc.TableBlock]:
-    """The misfit by output: of the free run, of a prediction, and on the validation records."""
-    estimation, noise = "on the estimation records", fit.noise
-    yield tables.misfit_table(f"Free run {estimation}", fit.misfit, noise, "misfit (free run)")
+    """The misfit by output: of the run that was fitted, of a prediction, and on the validation records.
+
+    The states of segments that meet, in which an unstable model is run, and those of arcs are fitted to the record: that is no free run.
+    """
+    estimation, noise, how = "on the estimation records", fit.noise, fit.solver.statistics
+    in_arcs = how.get("transcription") == Transcription.ARCS
+    in_segments = not (how.get("free_run", True) or in_arcs or fit.prediction.process_noise)
+    run = "run in segments" if in_segments else "run in arcs" if in_arcs else "free run"
+    yield tables.misfit_table(f"{run.capitalize()} {estimation}", fit.misfit, noise, f"misfit ({run})")
     if ahead := fit.prediction.one_step:
         yield tables.misfit_table(
             f"Prediction one sample ahead {estimation}", ahead, noise, "prediction (1 step ahead)"
         )
     if fit.validation:
-        corner = "on validation records (free run)"
-        yield tables.misfit_table("Free run on the validation records", fit.validation.misfit, noise, corner)
+        run = "run in segments" if in_segments else "free run"  # arcs are of the estimation alone
+        corner = f"on validation records ({run})"
+        yield tables.misfit_table(f"{run.capitalize()} on the validation records", fit.validation.misfit, noise, corner)
 
 
 def _misfit(fit: Fit, skip: int) -> Iterator[doc.Block]:

@@ -34,6 +34,7 @@ from greybox.show.figures.records import plot_residual
 from greybox.show.printers.html import LARGEST_PAGE, cell, label, render_page, say, write_page
 from models.micro_actuator import micro_actuator
 from tests.support.findings import codes
+from tests.support.first_order import first_order
 
 HOSTILE = """</script><script>alert(1)</script><img src=x onerror="alert(2)">{{ 7 * 7 }}'&amp;"""
 
@@ -365,3 +366,19 @@ def test_commands_leave_their_page_and_say_where(tmp_path: Path, monkeypatch: py
 )
 def test_a_unit_behind_a_number_of_a_cell_is_typeset(written, shown):
     assert cell(written).replace("\N{NO-BREAK SPACE}", " ") == shown
+
+
+@pytest.mark.parametrize(
+    ("how", "estimation", "validation"),
+    [
+        ({"transcription": "single", "free_run": True}, "misfit (free run)", "validation records (free run)"),
+        ({"transcription": "multiple", "free_run": False}, "misfit (run in segments)", "records (run in segments)"),
+        ({"transcription": "arcs", "free_run": False}, "misfit (run in arcs)", "validation records (free run)"),
+    ],
+)
+def test_a_run_whose_states_were_fitted_is_not_called_free(how, estimation, validation):
+    time = np.arange(50) * 0.1
+    record = gb.Experiment("a", time, {"u": np.sin(time)}, {"y": np.sin(time - 0.3)})
+    found = gb.fit(first_order(), record, validation=record, noise={"y": 0.01})
+    text = str(replace(found, solver=replace(found.solver, statistics={**found.solver.statistics, **how})))
+    assert estimation in text and validation in text
