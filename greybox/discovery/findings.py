@@ -61,6 +61,7 @@ class DiscoveryCode(StrEnum):
     NO_LAW = "no_law"
     # What a reader should know.
     LEARNT_FROM_VALIDATION = "learnt_from_validation"
+    ERRORS_GROW = "errors_grow"
     TIME_OVER = "time_over"
     SHAPE_CORRECTED = "shape_corrected"
     REFIT_ELSEWHERE = "refit_elsewhere"

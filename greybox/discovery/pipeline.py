@@ -46,6 +46,8 @@ from greybox.estimation import Fit, FitOptions
 from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.record_trends import shared_conditions
+from greybox.estimation.transcription.problem import TranscriptionReason
+from greybox.estimation.transcription.select import select_transcription
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, applicable_effects
 from greybox.simulation.plant import Plant, PlantModel, as_model
@@ -262,6 +264,7 @@ def discover(
             second_halves = ValidationSet(validation_set.records, half)
             judged = _select_and_judge(wider, listed.effects, scales, second_halves, policy, on_message)
             findings = (Finding(DiscoveryCode.LEARNT_FROM_VALIDATION),)
+        findings = (*findings, *_tell_if_errors_grow(judged.baseline, problem.options))
         result = conclude(judged, listed.effects, test_set, findings, further, problem if laws else None)
         result = add_test_error(result, problem, test_set)
         witnesses = (*judged.selection.problem.experiments, *judged.scores.validation.records)
@@ -403,6 +406,17 @@ def _explains_all(judged: JudgedSelection) -> bool:
     everywhere = replace(problem, experiments=(*problem.experiments, *judged.scores.validation.records))
     fitted = problem.failures.attempt(SearchStage.HOLDOUT, (), lambda: everywhere.baseline, None)
     return fitted is not None and fitted.per_sample <= clean_cost_limit(fitted.count)
+
+
+def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions) -> tuple[Finding, ...]:
+    """That the records are too long for free runs of the plain model, which is unstable: claims rest on such runs."""
+    fitted = replace(plain.problem, variables=plain.variables)
+    choice = select_transcription(fitted, replace(options, progressive=False))
+    if choice.reason is None or choice.reason.code != TranscriptionReason.UNSTABLE:
+        return ()
+    # exp(rate duration) is the factor by which an error grows.
+    longest = math.log(options.policy.transcription.max_error_growth) / choice.reason.values["rate"]
+    return (Finding(DiscoveryCode.ERRORS_GROW, Severity.WARNING, values={**choice.reason.values, "longest": longest}),)
 
 
 def _with_own(model: Model, effects: Sequence[Effect] | None, beside: Sequence[Effect]) -> Sequence[Effect]:

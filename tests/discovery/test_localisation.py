@@ -5,9 +5,11 @@ import pytest
 
 import greybox as gb
 from greybox import Balance, Input, Model, Output, Parameter, State
+from greybox.base.findings import with_code
 from greybox.discovery.curve_shape import Parity, ShapeKind, classify_shape, rank_dependences
 from greybox.discovery.disturbance_sites import linearise_run
 from greybox.discovery.execution import RefitOutcome
+from greybox.discovery.findings import DiscoveryCode
 from greybox.discovery.localisation import (
     CONCENTRATED_TIME,
     LOCALISATION_WINDOWS,
@@ -188,3 +190,32 @@ def test_windows_share_out_the_misfit():
 def test_a_misfit_that_is_nowhere_or_everywhere_is_not_concentrated(share, stretches):
     timing = find_concentration([MisfitWindow("a", k, k + 1.0, share, 2.0) for k in range(20)])
     assert (None if timing is None else len(timing.stretches)) == stretches
+
+
+def in_a_loop(name: str, seed: int, rows: int) -> gb.Experiment:
+    """``x' = 5 x + u``, exact over a held input that a controller makes of x, with a push that nobody measured."""
+    rng, x, u, step = np.random.default_rng(seed), [0.1], np.zeros(rows), 0.01
+    for k in range(rows - 1):
+        u[k] = -9.0 * x[-1] + 0.5 * rng.standard_normal()
+        x.append(x[-1] * np.exp(5 * step) + u[k] * (np.exp(5 * step) - 1) / 5 + 1e-4 * rng.standard_normal())
+    return gb.Experiment(name, np.arange(rows) * step, {"u": u}, {"x": np.array(x) + 1e-3 * rng.standard_normal(rows)})
+
+
+@pytest.mark.parametrize(("rows", "is_told"), [(400, True), (50, False)])
+def test_a_record_over_which_an_unstable_plant_loses_its_free_run_is_told(rows, is_told):
+    plant = gb.Model(
+        "plant",
+        [gb.State("x", "m")],
+        [gb.Input("u", "m/s")],
+        [gb.Output("x", "m")],
+        [gb.Parameter("a", "1/s", 4.0, (0.1, 50.0))],
+        lambda x, u, p: [gb.Balance("motion", "m/s", 1, "x", own=p.a * x.x, push=u.u)],
+    )
+    learnt, chosen = (in_a_loop(name, seed, rows) for seed, name in enumerate(("one", "other")))
+    found = gb.discover(
+        plant, learnt, validation=chosen, noise={"x": 1e-3}, effects=[gb.effect("input_offset")], workers=1
+    )
+    told = with_code(found.findings, DiscoveryCode.ERRORS_GROW)
+    assert bool(told) is is_told
+    if told:  # e^(5 t) is 20 after 0.6 s
+        assert told[0].values["longest"] == pytest.approx(0.6, rel=0.05)

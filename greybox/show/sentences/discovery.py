@@ -580,6 +580,9 @@ register(
         DiscoveryCode.LAW_RANGE: _law_range,
         DiscoveryCode.LEARNT_FROM_VALIDATION: "the plain model follows the estimation records and not the validation records: the first"
         " half of these was fitted as well, and their second half judges",
+        DiscoveryCode.ERRORS_GROW: "the plain model is unstable: an error grows by e^{exponent:.3g} over a record of {duration:.4g} s."
+        " Where something acts and what is claimed rests on free runs, which lose such a plant: take it for a guess, or cut the records"
+        " (up to {longest:.2g} s they are run freely)",
         DiscoveryCode.TIME_OVER: "from {seconds:.3g} s on, as asked, the search began no further fit: this is the best answer so far,"
         " and no effect of it is established; repeat the command to continue with its finished refits, or give it more time",
         DiscoveryCode.SEEN_THROUGH_RESPONSE: lambda f: (

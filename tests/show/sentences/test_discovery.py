@@ -163,6 +163,12 @@ FINDINGS = [
         " and their second half judges",
     ),
     (
+        Code.ERRORS_GROW,
+        *("", {"rate": 4.75, "exponent": 47.5, "duration": 9.995, "longest": 0.631}),
+        "the plain model is unstable: an error grows by e^47.5 over a record of 9.995 s. Where something acts and what is claimed"
+        " rests on free runs, which lose such a plant: take it for a guess, or cut the records (up to 0.63 s they are run freely)",
+    ),
+    (
         Code.TIME_OVER,
         *("", {"seconds": 60.0, "skipped": 12}),
         "from 60 s on, as asked, the search began no further fit: this is the best answer so far, and no effect of it is"
