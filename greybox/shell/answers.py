@@ -24,13 +24,16 @@ class RecordMisfit:
         Their names.
     misfit
         The error there.
+    at_least
+        The same over the noise where that is only bounded: it is at least so many times the noise.
     """
 
     record: str
     output: str
     misfit: result_parts.Misfit
+    at_least: float | None = None
 
-    KEYS: ClassVar[str] = "record output misfit.*"
+    KEYS: ClassVar[str] = "record output misfit.* at_least?"
 
 
 @dataclass(frozen=True)

@@ -173,9 +173,10 @@ def _misfits(result: Fit, traces: Sequence[Trace], skip: int) -> list[RecordMisf
     if len(traces) < 2:
         return []
     return [
-        RecordMisfit(t.name, output, misfit)
+        RecordMisfit(t.name, output, misfit, None if bound is None else bound.least_ratio(misfit.rmse))
         for t in traces
         for output, misfit in compute_record_misfits(result, t, skip).items()
+        for bound in (result.noise.bound(output),)
     ]
 
 

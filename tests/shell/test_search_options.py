@@ -27,6 +27,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     inputs = {"time": 2.5e-4 * np.arange(800), "u": multisine(rng, 800, 2.5e-4, 5, 800, 2.0)}
     record = simulate(micro_actuator, inputs).record({"x": 2e-7, "i": 5e-3}, rng)
     write_csv(record, micro_actuator, folder / "train.csv")
+    again = simulate(micro_actuator, inputs).record({"x": 2e-7, "i": 5e-3}, rng)
+    write_csv(again, micro_actuator, folder / "again.csv")
     return folder / "train.csv"
 
 
@@ -87,7 +89,9 @@ def test_bad_choices_end_with_2_and_nothing_is_written(
 
 def test_a_discovery_keeps_ties_and_counts_priors(run: Run, data: Path, tmp_path: Path) -> None:
     options = [*KNOWN, "--tie", "Kv=Kf", "--prior", "B=20+-1e-5", "--effects", "input_offset", "--no-report"]
-    result = run("discover", "micro_actuator", data, "--validate", data, *options, "--output", "out")
+    result = run(
+        "discover", "micro_actuator", data, "--validate", data.parent / "again.csv", *options, "--output", "out"
+    )
     assert result.exit_code == 0, result.output
     parameters = json.loads((tmp_path / "out" / "discovery.json").read_text())["parameters"]
     assert "Kv" not in parameters and "Kf" in parameters

@@ -68,7 +68,13 @@ class Text(SimpleNamespace):
 
 
 def answer(**more: Any) -> FitAnswer:
-    fit = Text(text="the fit", provenance=SimpleNamespace(equations="dx/dt = v"), model=SimpleNamespace(title="rig"))
+    noise = SimpleNamespace(bound=lambda _: None)
+    fit = Text(
+        text="the fit",
+        provenance=SimpleNamespace(equations="dx/dt = v"),
+        model=SimpleNamespace(title="rig"),
+        noise=noise,
+    )
     return FitAnswer(fit, **more)  # type: ignore[arg-type]
 
 
