@@ -100,7 +100,7 @@ def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> fig
 
 
 def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> fig.Figure:
-    """Measured outputs and the model's free run over one record, a panel for each output."""
+    """Measured outputs and the model's run over one record, a panel for each output."""
     panels, description = [], []
     for output, measured in trace.measured.items():
         simulated = trace.simulated[output]
@@ -120,7 +120,7 @@ def plot_run(trace: Trace, units: Mapping[str, str], name: str) -> fig.Figure:
     return fig.Figure(
         name,
         tuple(panels),
-        f"{capitalise(record_text(trace.name))}: measured outputs and the model's free run from the first row.",
+        f"{capitalise(record_text(trace.name))}: measured outputs and the model's run over it.",
         tuple(description),
     )
 
