@@ -47,7 +47,6 @@ from greybox.estimation.findings import EstimationCode
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.record_trends import shared_conditions
 from greybox.estimation.transcription.problem import TranscriptionReason
-from greybox.estimation.transcription.select import select_transcription
 from greybox.model import Effect, Model
 from greybox.model.effects import Scales, applicable_effects
 from greybox.simulation.plant import Plant, PlantModel, as_model
@@ -171,7 +170,7 @@ def discover(
             f"validation record {', '.join(used)}: it is fitted too, and what was fitted cannot judge; give another one"
         )
     test_set = ValidationSet(_as_tuple(test) if test else (), skip, beginning)
-    known = {record.fingerprint: record.name for record in (*_as_tuple(estimation), *validation_set.records)}
+    known = learnt | {record.fingerprint for record in validation_set.records}
     if used := [record.name for record in test_set.records if record.fingerprint in known]:
         raise DataError(f"test record {', '.join(used)}: it takes part in the search already; give another one")
     if not validation_set:
@@ -410,8 +409,7 @@ def _explains_all(judged: JudgedSelection) -> bool:
 
 def _tell_if_errors_grow(plain: FittedCandidate, options: FitOptions) -> tuple[Finding, ...]:
     """That the records are too long for free runs of the plain model, which is unstable: claims rest on such runs."""
-    fitted = replace(plain.problem, variables=plain.variables)
-    choice = select_transcription(fitted, replace(options, progressive=False))
+    choice = plain.choose_transcription(options)
     if choice.reason is None or choice.reason.code != TranscriptionReason.UNSTABLE:
         return ()
     # exp(rate duration) is the factor by which an error grows.

@@ -24,7 +24,7 @@ from greybox.estimation.options import FitOptions, Transcription
 from greybox.estimation.result import Fit
 from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
-from greybox.estimation.transcription.select import select_transcription
+from greybox.estimation.transcription.select import TranscriptionChoice, select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
 from greybox.model.model import Model
 
@@ -106,6 +106,10 @@ class FittedCandidate:
         bounds = [noise.bound(noise.outputs[j]) for j in measured]
         levels = [noise.std[j] if bound is None else bound.level for j, bound in zip(measured, bounds, strict=True)]
         return float(np.max(errors / np.array(levels), initial=0.0))
+
+    def choose_transcription(self, options: FitOptions) -> TranscriptionChoice:
+        """The transcription that suits the model where its fit ended, and why."""
+        return select_transcription(replace(self.problem, variables=self.variables), options)
 
     @property
     def is_noise_bounded(self) -> bool:

@@ -54,7 +54,6 @@ from greybox.discovery.surrogate_effects import (
 )
 from greybox.estimation.fit import fit as estimate
 from greybox.estimation.result import Fit
-from greybox.estimation.transcription.select import select_transcription
 from greybox.estimation.validate import FIRST_ROWS, validate
 from greybox.model.model import Model
 
@@ -400,8 +399,7 @@ def _refit_free_curve(
 
 def _needs_segments(problem: DiscoveryProblem, candidate: FittedCandidate) -> bool:
     """Whether the model is too unstable for a free run; a curve that makes a stable model unstable is rejected."""
-    fitted = replace(candidate.problem, variables=candidate.variables)
-    return select_transcription(fitted, replace(problem.options, progressive=False)).transcription == "multiple"
+    return candidate.choose_transcription(problem.options).transcription == "multiple"
 
 
 # Intervals of the curve.

@@ -454,15 +454,12 @@ def check_priors(variables: DecisionVector, covariance: ParameterCovariance) -> 
             row = without[j]
             # A^-1 S A^-1 of the estimate without this prior, S over the scores of the data and the other priors.
             variance = float(row @ (covariance.scores[block] + np.diag(others)) @ row)
-            if (
-                not variance >= 0
-            ):  # lost in rounding, as of heights that no record determines: the data say nothing by themselves
-                result[variables.names[k]] = PriorCheck(mean, std, shift, variance_reduction, None)
-                continue
+            # Of heights that no record determines it is lost in rounding, and the data say nothing by themselves.
+            is_known = variance >= 0
             # The estimate without the prior lies shift / left from its mean (in its standard deviations): what is
             # seen is that pulled back by it.
-            conflict = float(shift / left / np.sqrt(1 + w * variance))
-            if mean != 0:
+            conflict = float(shift / left / np.sqrt(1 + w * variance)) if is_known else None
+            if is_known and mean != 0:
                 # The same estimate and its standard deviation, both over the mean.
                 factor = float(1 + shift / left * std / mean)
                 factor_std = float(std / abs(mean) * np.sqrt(w * variance))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from greybox.base import ExitCode, GreyboxError
-from greybox.shell.inputs import result_folder, set_parameters
+from greybox.shell.inputs import layout_of, result_folder, set_parameters
 from greybox.shell.progress import show_progress
 from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Option, Study
 from greybox.shell.study_values import Word
@@ -44,8 +44,7 @@ def fleet(study: FleetStudy) -> Answer:
         study.estimation,
         record=study.record,
         hold=study.hold,  # type: ignore[arg-type]
-        columns=study.headers or dict(study.columns) or None,
-        sampling_time=study.sampling_time or None,
+        **layout_of(study),
     )
     journal = folder / JOURNAL
     with open_workers(study.workers, study.cluster) as executor, show_progress() as show:
