@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar
 
+import casadi as ca
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import chdtrc, fdtrc
 
 from greybox.base import Printable
-from greybox.base.linear_algebra import RankTolerance, decompose_symmetric
+from greybox.base.linear_algebra import RankTolerance, decompose_symmetric, eliminate
 from greybox.base.numerics import REDUNDANT_VARIANCE, ROWS_AT_A_TIME
 from greybox.data.noise.noise_model import AutoRegression, fit_autoregression, join_series
 from greybox.estimation.objective import SimulationErrorObjective
@@ -119,30 +120,51 @@ def _blocks(rows: int) -> Iterator[slice]:
     return (slice(first, min(first + ROWS_AT_A_TIME, rows)) for first in range(0, rows, ROWS_AT_A_TIME))
 
 
-def input_independence_test(
+def correlate_with_inputs(
     residuals: Sequence[np.ndarray], regressors: Sequence[Columns], colour: AutoRegression
-) -> tuple[float, float]:
-    """``c' P^+ c`` with ``c = sum U'r`` of the regressors U (N, m) and its covariance ``P = sum U' R U``, chi-square if unrelated.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """``c = sum U'r`` (m,) of the regressors U (N, m), its covariance ``P = sum U' R U`` (m, m) if unrelated, and ``G = sum U'U`` (m, m).
 
     R is the covariance of the residual as the autoregression ``colour`` has it: for coloured residuals the white-noise
     formula takes chance for dependence (Ljung, System identification, 2nd ed., section 16.6).
     """
     size = regressors[0][:0].shape[1]
-    c, p = np.zeros(size), np.zeros((size, size))
+    c, p, g = np.zeros(size), np.zeros((size, size)), np.zeros((size, size))
     variance, _ = measure_mean(residuals, 2)
     if variance == 0 or not np.isfinite(variance):
-        return 0.0, 1.0
+        return c, p, g
     for r, u in zip(residuals, regressors, strict=True):
         inside = _WhereMeasured(u, np.isfinite(r))
         for rows in _blocks(len(r)):
-            c += inside[rows].T @ np.where(inside.measured[rows], r[rows], 0.0)
+            block = inside[rows]
+            c += block.T @ np.where(inside.measured[rows], r[rows], 0.0)
+            g += block.T @ block
         # P = sum U'R U with R_ij = s^2 rho(i - j).
         p += variance * compute_toeplitz_form(inside, compute_correlations(colour, len(r)))
+    return c, p, g
+
+
+def input_independence_test(c: np.ndarray, p: np.ndarray) -> tuple[float, float]:
+    """``c' P^+ c`` of what `correlate_with_inputs` gives, chi-square if residual and input are unrelated."""
     spread = decompose_symmetric(p, LAGGED_SIGNALS)
     if not spread.rank:
         return 0.0, 1.0
     statistic = float(c @ spread.solve(c))
     return statistic, float(chdtrc(spread.rank, statistic))
+
+
+def same_row_test(c: np.ndarray, p: np.ndarray, g: np.ndarray) -> tuple[float, float]:
+    """Whether the residual follows what the other regressors do not tell of the first; chi-square with one degree of freedom if not.
+
+    A model that lacks part of what an input did before leaves a residual of the other regressors, which that part is orthogonal to.
+    """
+    # c0 - b' c1 with b = G11^+ G10, whose variance is [1, -b'] P [1, -b']'.
+    row = eliminate(g, np.arange(1), np.arange(1, len(g)))[0]
+    # A sweep or a sum of sines is told by its own past, and nothing is left but rounding.
+    if float(row @ g[:, 0]) <= REDUNDANT_VARIANCE * g[0, 0]:
+        return 0.0, 1.0
+    statistic = float((row @ c) ** 2 / (row @ p @ row))
+    return statistic, float(chdtrc(1, statistic))
 
 
 # Fewest values of a test of normality: below, its statistic is nowhere near chi-square, and hardly ever large.
@@ -225,6 +247,7 @@ class ResidualTestKind(StrEnum):
 
     WHITENESS = "whiteness"
     INPUT_INDEPENDENCE = "input_independence"
+    SAME_ROW = "same_row"
     NORMALITY = "normality"
     EQUAL_VARIANCE = "equal_variance"
     EQUAL_MEAN = "equal_mean"
@@ -324,7 +347,9 @@ class ResidualTests(Printable):
         for output, series in self.residuals.items():
             made = {t.kind for t in self.tests if t.output == output}
             is_driven = any(np.ptp(u) > 0 for records in series.inputs.values() for u in records)
-            wanted = [k for k in ResidualTestKind if is_driven or k is not ResidualTestKind.INPUT_INDEPENDENCE]
+            # What is tested of the same row is so only where the input has no direct path to the output.
+            wanted = [k for k in ResidualTestKind if k is not ResidualTestKind.SAME_ROW]
+            wanted = [k for k in wanted if is_driven or k is not ResidualTestKind.INPUT_INDEPENDENCE]
             if missing := tuple(k for k in wanted if k not in made):
                 result[output] = missing
         return result
@@ -346,10 +371,10 @@ def residual_tests(fit: Fit) -> ResidualTests:
     """Test the free-run residual of each output over all records of a fit, or its innovations where the model has process noise.
 
     Whiteness over 5, 10 and 20 lags (Ljung and Box); independence of each input over 20 lags, with the covariance that the
-    residual's colour gives and the fitted constants allowed for; normality (Jarque and Bera); equal variance and equal mean over
-    blocks. Normality and the block tests look at the residual whitened by an autoregression, because they need independent samples.
-    After a robust fit all tests but normality look at the residual as its loss sees it, without the pull of outliers. Each test
-    alone raises a false alarm in one fit of a hundred.
+    residual's colour gives and the fitted constants allowed for; of the input in the same row by itself where it cannot act on that
+    reading; normality (Jarque and Bera); equal variance and equal mean over blocks. Normality and the block tests look at the residual
+    whitened by an autoregression, because they need independent samples. After a robust fit all tests but normality look at the residual
+    as its loss sees it, without the pull of outliers. Each test alone raises a false alarm in one fit of a hundred.
 
     Parameters
     ----------
@@ -396,7 +421,8 @@ def residual_tests(fit: Fit) -> ResidualTests:
                 continue
             slopes.append(np.zeros((len(r), objective.variables.size)))
             slopes[e][:, lanes] = jacobian[:, j]
-        tests += run_residual_tests(output.name, residuals, inputs, slopes, None if raw is rows else unbounded)
+        unbound = None if raw is rows else unbounded
+        tests += run_residual_tests(output.name, residuals, inputs, slopes, unbound, _find_later_inputs(fit, j))
         tested[output.name] = ResidualSeries(
             tuple(residuals),
             tuple(unbounded),
@@ -406,6 +432,19 @@ def residual_tests(fit: Fit) -> ResidualTests:
         )
     whitened = tuple(name for name, reflection in fit.noise.colour.items() if len(reflection))
     return ResidualTests(tuple(tests), whitened, tested)
+
+
+def _find_later_inputs(fit: Fit, output: int) -> list[str]:
+    """The inputs that cannot act on an output in their own row: those held between rows, without a direct path to it."""
+    model = fit.model
+    if (
+        not model.has_equations
+        or any(trace.hold != "zero" for trace in fit.traces)
+        or any(e.hold for e in model.effects)
+    ):
+        return []
+    direct = ca.jacobian(model.system.outputs[output], model.system.u).sparsity().get_col()
+    return [name for k, name in enumerate(model.system.input_names) if k not in direct]
 
 
 # p-value below which a test raises an alarm: one false alarm in a hundred good fits for each test.
@@ -430,6 +469,7 @@ def run_residual_tests(
     inputs: Mapping[str, list[np.ndarray]],
     slopes: Sequence[np.ndarray] | None = None,
     raw: Sequence[np.ndarray] | None = None,
+    later: Collection[str] = (),
 ) -> list[ResidualTest]:
     """The tests of one output.
 
@@ -445,6 +485,8 @@ def run_residual_tests(
         For each record an array (N, m): sensitivities to what was fitted, which the residual cannot contain any more.
     raw
         The residuals with their outliers, if ``residuals`` are without.
+    later
+        The inputs that act on later rows only.
     """
     colour = fit_autoregression(join_series(residuals), overwrite_input=True)
     square, count = measure_mean(residuals, 2)
@@ -465,8 +507,13 @@ def run_residual_tests(
             regressors = [LaggedInput.of(signal, RESIDUAL_TEST_INPUT_LAGS) for signal in records]
             if slopes is not None and slopes[0].shape[1]:
                 regressors = _take_off(regressors, slopes, [np.isfinite(r) for r in residuals])
-            result = input_independence_test(residuals, regressors, colour)
+            c, p, g = correlate_with_inputs(residuals, regressors, colour)
+            # An input that cannot act on the reading of its own row may still answer it: that is a loop, and no lack of the model.
+            first = int(name in later)
+            result = input_independence_test(c[first:], p[first:, first:])
             tests.append(make_test(ResidualTestKind.INPUT_INDEPENDENCE, result, RESIDUAL_TEST_INPUT_LAGS, name))
+            if first:
+                tests.append(make_test(ResidualTestKind.SAME_ROW, same_row_test(c, p, g), 0, name))
     del series
     white = [colour.whiten(r / rms, overwrite_input=True) for r in residuals]
     unbounded = white if raw is None else [colour.whiten(r / rms, overwrite_input=True) for r in raw]

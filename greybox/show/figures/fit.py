@@ -32,12 +32,7 @@ def plot_residual_tests(tests: ResidualTests, output: str, name: str) -> fig.Fig
     moving = [u for u, records in series.inputs.items() if any(np.ptp(record) > 0 for record in records)]
     panels = (
         _autocorrelation(series, _of_kind(of_output, ResidualTestKind.WHITENESS)),
-        *(
-            _input_correlation(
-                series, u, [t for t in _of_kind(of_output, ResidualTestKind.INPUT_INDEPENDENCE) if t.input == u]
-            )
-            for u in moving
-        ),
+        *(_input_correlation(series, u, [t for t in of_output if t.input == u]) for u in moving),
         _normal_plot(series, _of_kind(of_output, ResidualTestKind.NORMALITY)),
         _along_records(series, _of_kind(of_output, ResidualTestKind.EQUAL_VARIANCE, ResidualTestKind.EQUAL_MEAN)),
     )

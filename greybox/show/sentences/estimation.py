@@ -690,6 +690,13 @@ _SENTENCES: dict[ResidualTestKind, tuple[Callable[[ResidualTest], str], Callable
         lambda t: f"independent of the input {t.input}",
         lambda t: f"correlated with the input {t.input}: the model lacks part of its effect",
     ),
+    ResidualTestKind.SAME_ROW: (
+        lambda t: f"the input {t.input} does not answer the reading of its own row",
+        lambda t: (
+            f"correlated with the input {t.input} in the same row, which the model gives no path: a controller answers the reading (the"
+            " loop is closed), or a direct path is missing"
+        ),
+    ),
     ResidualTestKind.NORMALITY: (
         lambda t: "normally distributed",
         lambda t: "not normal: look for outliers, quantisation or two regimes",
@@ -708,6 +715,8 @@ def name_test(test: ResidualTest) -> str:
         return f"whiteness, {test.lags} lags"
     if test.kind is ResidualTestKind.INPUT_INDEPENDENCE:
         return f"independence of {test.input}"
+    if test.kind is ResidualTestKind.SAME_ROW:
+        return f"{test.input} in the same row"
     return test.kind.value.replace("_", " ")
 
 

@@ -14,6 +14,7 @@ from greybox.estimation.fit import fit
 from greybox.estimation.options import FitOptions
 from greybox.estimation.residuals import (
     LaggedInput,
+    correlate_with_inputs,
     input_independence_test,
     ljung_box_test,
     normality_test,
@@ -61,7 +62,7 @@ def test_input_independence_is_the_textbook_statistic_for_white_noise():
     u = np.column_stack([np.concatenate([np.zeros(k), signal[: 300 - k]]) for k in range(5)])
     lagged = LaggedInput.of(signal + 7.0, 4)
     assert np.concatenate([lagged[:130], lagged[130:300]]) == pytest.approx(u, abs=1e-14)
-    figure, p = input_independence_test([r], [u], AutoRegression())
+    figure, p = input_independence_test(*correlate_with_inputs([r], [u], AutoRegression())[:2])
     c = u.T @ r
     expected = c @ np.linalg.inv(u.T @ u * np.mean(r**2)) @ c
     assert figure == pytest.approx(expected, rel=1e-9)
@@ -76,10 +77,54 @@ def test_input_independence_has_its_size_under_coloured_noise(rho):
     p, blind = [], []
     for _ in range(300):
         r = lfilter([1.0], [1.0, -rho], rng.normal(size=1000))[200:]
-        p.append(input_independence_test([r], [u], AutoRegression((rho,) if rho else ()))[1])
-        blind.append(input_independence_test([r], [u], AutoRegression())[1])
+        p.append(
+            input_independence_test(*correlate_with_inputs([r], [u], AutoRegression((rho,) if rho else ()))[:2])[1]
+        )
+        blind.append(input_independence_test(*correlate_with_inputs([r], [u], AutoRegression())[:2])[1])
     assert kstest(p, "uniform").pvalue > 0.01
     assert rho == 0 or np.mean(np.array(blind) < 0.01) > 0.3
+
+
+def controlled(seed, controller, rows=1500):
+    """Innovations of a plant with a walking disturbance, and the input that a controller or nobody made of its readings."""
+    rng = np.random.default_rng(seed)
+    e, u, y = rng.normal(size=rows), np.zeros(rows), np.zeros(rows)
+    for k in range(1, rows):
+        y[k] = 0.9 * y[k - 1] + 0.3 * u[k - 1] + e[k]
+        u[k] = controller(y, k, rng)
+    return e, u
+
+
+LOOPS = {
+    "proportional, this row": (lambda y, k, rng: -0.8 * y[k], True),
+    "relay, this row": (lambda y, k, rng: -2.0 * np.sign(y[k]), True),
+    "integral with dither, this row": (lambda y, k, rng: -0.2 * y[: k + 1].sum() + rng.normal(), True),
+    "proportional, the row before": (lambda y, k, rng: -0.8 * y[k - 1] + 0.1 * rng.normal(), False),
+    "open, steps": (lambda y, k, rng: float((k // 40) % 2), False),
+    "open, noise": (lambda y, k, rng: rng.normal(), False),
+}
+
+
+@pytest.mark.parametrize("name", LOOPS)
+def test_a_controller_that_answers_the_same_row_is_told_from_a_lack_of_the_model(name):
+    controller, answers = LOOPS[name]
+    found = {True: [], False: []}
+    for seed in range(20):
+        e, u = controlled(seed, controller)
+        tests = run_residual_tests("y", [e], {"u": [u]}, later=["u"])
+        for test in tests:
+            if test.input == "u":
+                found[test.kind is Kind.SAME_ROW].append(test.alarm)
+    assert np.mean(found[False]) <= 0.05
+    assert np.mean(found[True]) == 1.0 if answers else np.mean(found[True]) <= 0.05
+
+
+def test_a_missing_lag_is_no_answer_to_the_same_row():
+    rng = np.random.default_rng(8)
+    u = np.repeat(rng.uniform(-1, 1, 500), 4)
+    lacking = lfilter([0.0, 0.5], [1.0, -0.8], u) + 0.1 * rng.normal(size=2000)
+    by_kind = {t.kind: t for t in run_residual_tests("y", [lacking], {"u": [u]}, later=["u"])}
+    assert by_kind[Kind.INPUT_INDEPENDENCE].alarm and not by_kind[Kind.SAME_ROW].alarm
 
 
 def test_false_alarms_on_white_noise_are_one_in_a_hundred():
@@ -102,6 +147,7 @@ def test_false_alarms_on_white_noise_are_one_in_a_hundred():
 
 def test_the_right_model_raises_few_alarms_whatever_the_colour():
     kinds = [kind for kind in Kind if kind is not Kind.WHITENESS]
+    assert any(kind is Kind.SAME_ROW for kind in kinds)
     alarms, whiteness = [], {0.0: [], 0.9: []}
     for seed in range(7):
         for rho in (0.0, 0.9):
@@ -182,6 +228,6 @@ def test_a_test_that_too_few_values_allow_is_not_made():
     record = Experiment("six values", time, {"u": 0 * time}, {"y": np.r_[0.0, 8.3, 10.3, 19.0, 16.0, 15.6, 19.8]})
     tests = residual_tests(fit(rooney_biegler(), record, options=FitOptions(at_rest=True)))
     assert tests.tests == ()
-    kinds = {kind for kind in Kind if kind != "input_independence"}  # the input does not move
+    kinds = {kind for kind in Kind if kind not in ("input_independence", "same_row")}  # the input does not move
     assert {output: set(missing) for output, missing in tests.not_made.items()} == {"y": kinds}
     assert str(tests) == "not tested: y has too few values for whiteness, normality, equal variance, equal mean"

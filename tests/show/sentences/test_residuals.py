@@ -19,6 +19,12 @@ GOLDEN = {
         "independence of u",
         "correlated with the input u: the model lacks part of its effect",
     ),
+    (ResidualTestKind.SAME_ROW, False): ("u in the same row", "the input u does not answer the reading of its own row"),
+    (ResidualTestKind.SAME_ROW, True): (
+        "u in the same row",
+        "correlated with the input u in the same row, which the model gives no path: a controller answers the reading (the loop is"
+        " closed), or a direct path is missing",
+    ),
     (ResidualTestKind.NORMALITY, False): ("normality", "normally distributed"),
     (ResidualTestKind.NORMALITY, True): (
         "normality",
