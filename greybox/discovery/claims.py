@@ -205,9 +205,11 @@ def _find_variables(model: Model, bound: BoundEffect) -> tuple[str, ...]:
     if dry:
         return tuple(dry)
     index = [system.parameter_names.index(n) for n in bound.model_names.values() if n in system.parameter_names]
-    # d (rates, outputs, states that are set) / d constants.
+    # d (rates, outputs, states that are set) / d constants. Without a constant an effect on a reading adds what the reading depends on.
     equations = ca.vertcat(system.rhs, system.outputs, *(u.value for u in system.updates))
     slopes = ca.jacobian(equations, system.p)[:, index]
+    if not index and bound.site in system.output_names:
+        slopes = system.outputs[system.output_names.index(bound.site)]
     used = {s.name() for s in ca.symvar(ca.vec(slopes))}
     # What drives a state of an effect, its own or that of another through which its signal comes (a lag before it), drives the effect.
     places = {s.name: system.state_names.index(s.name) for each in model.bound_effects for s in each.states}

@@ -260,6 +260,32 @@ sensor_gain = replace(
     source="calibration of a sensor, scale of a video",
 )
 
+TELLS_SIGN = (
+    "Push the plant by hand, or apply a small constant input, and look which way each reading goes. From the record alone a reversed input"
+    " and a plant whose every reading is reversed are the same."
+)
+
+reversed_input = Effect(
+    "reversed_input",
+    site="input",
+    parameters=[],
+    on_input=lambda value, x, u, p: -value,
+    equation="-u in the place of u",
+    parity="linear",
+    tells_apart=TELLS_SIGN,
+    source="polarity of a motor, of a valve or of the wires of an amplifier",
+)
+
+reversed_reading = replace(
+    reversed_input,
+    name="reversed_reading",
+    site="sensor",
+    on_input=None,
+    on_output=lambda value, x, u, p: -value,
+    equation="-y in the place of y",
+    source="direction in which an encoder counts, side from which a sensor looks",
+)
+
 gain_by_sign = Effect(
     "gain_by_sign",
     site="input",
@@ -362,6 +388,9 @@ backlash = Effect(
     probe=lambda s: {"gap": 0.01 * s.sensor},
 )
 
+# What a record may get wrong of any plant.
+REVERSED: tuple[Effect, ...] = (reversed_input, reversed_reading)
+
 SIGNAL_PATH: tuple[Effect, ...] = (
     input_saturation,
     soft_saturation,
@@ -374,9 +403,11 @@ SIGNAL_PATH: tuple[Effect, ...] = (
     transport_delay,
     input_offset,
     input_gain,
+    reversed_input,
     gain_by_sign,
     sensor_drift,
     sensor_gain,
+    reversed_reading,
     clock_skew,
     sensor_lag,
     backlash,

@@ -83,8 +83,9 @@ def _effects(discovery: Discovery, indent: str = "", write_unit: Callable[[str],
         constants = [
             words.constant_text(n, {**c, "unit": write_unit(c["unit"])}) for n, c in effect["parameters"].items()
         ]
-        equation = f"{effect['equation']}, " if "equation" in effect else ""
-        yield f"{effect['name']} -> {effect['site']}: {equation}{', '.join(constants)}"
+        # The equation of a law, the constants; an effect without a constant is all said by its name.
+        details = [*([effect["equation"]] if "equation" in effect else []), *constants]
+        yield f"{effect['name']} -> {effect['site']}" + (f": {', '.join(details)}" if details else "")
         claim = name_claim(discovery.claims, called.get(effect["name"], effect["name"]))
         if claim is not None:
             yield f"{indent}{words.name_text(claim)}"

@@ -211,16 +211,24 @@ ON_CYLINDER = """
 """
 
 
+def reversed_signals(model):
+    """What a record of any plant may get wrong: the first signal of each kind under the effect's own name."""
+    for base, signals in (("reversed_input", model.inputs), ("reversed_reading", model.outputs)):
+        yield base
+        yield from (f"{base}_at_{signal.name}" for signal in signals[1:])
+
+
 @pytest.mark.parametrize(("model", "names"), [(micro_actuator, ON_ACTUATOR), (pneumatic_cylinder, ON_CYLINDER)])
 def test_each_rig_is_offered_what_it_can_hide(model, names):
     found = [entry.name for entry in applicable_effects(model)]
-    assert sorted(found) == sorted(names.split())
-    assert found == [name for name in NAMES if name in found]
+    assert sorted(found) == sorted([*names.split(), *reversed_signals(model)])
+    assert [name for name in found if name in NAMES] == [name for name in NAMES if name in found]
 
 
 def test_all_candidates_of_a_model_fit_it():
     for model in (emps, silverbox, cascaded_tanks):
-        assert sorted(entry.name for entry in applicable_effects(model)) == sorted(model.candidates)
+        expected = sorted([*model.candidates, *reversed_signals(model)])
+        assert sorted(entry.name for entry in applicable_effects(model)) == expected
     assert "constant_load" not in {entry.name for entry in applicable_effects(emps + effect("constant_load"))}
     # the coil has no state of its own: neither heat nor eddy currents
     assert "winding_heating" not in {entry.name for entry in applicable_effects(micro_actuator_no_inductance)}
