@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from greybox.base.linear_algebra import decompose_columns, decompose_symmetric, pseudo_inverse
     from greybox.base.numerics import AT_BOUND, INTEGRATING_POLE, NUMBERS_AT_A_TIME, ROWS_AT_A_TIME, TIME_ROUNDING, TINY
     from greybox.base.texts import to_identifier, to_identifiers, to_line
-    from greybox.base.units import convert, format_unit, parse_unit, unit_converter
+    from greybox.base.units import convert, format_unit, is_unit, parse_unit, unit_converter
     from greybox.base.values import Printable
 
 __getattr__, __all__ = lazy_face(__name__)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
 from fractions import Fraction
 from functools import cache, lru_cache
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -240,6 +241,11 @@ BASE = {"kilogram": "kg", "meter": "m", "second": "s", "ampere": "A", "kelvin": 
 LONG = BASE | {"gram": "g", "kilogramme": "kg", "metre": "m", "liter": "l", "litre": "l", "minute": "min"}
 LONG |= {"newton": "N", "pascal": "Pa", "joule": "J", "watt": "W", "hertz": "Hz", "radian": "rad", "degree": "deg"}
 LONG |= {"volt": "V", "Ohm": "ohm", "henry": "H", "farad": "F", "tesla": "T", "weber": "Wb", "coulomb": "C"}
+# What a symbol counts. SI gives all of these the dimension 1, but numbers of one are not numbers of another: a turn is 2 pi radians, a
+# hertz one period of a rotation or of anything else, and a count is worth whatever the sensor is.
+COUNTED = {"rad": "angle", "deg": "angle", "rpm": "angle", "%": "share"}
+COUNTED |= {s: "period" for s in KNOWN if s.endswith("Hz")}
+COUNTED |= dict.fromkeys(("percent", "permille", "ppm"), "share")
 # Symbols written without a sign between them, which pint would read as something else or not at all.
 RUN_TOGETHER = {"Nm": "N*m", "Ns": "N*s", "Vs": "V*s", "As": "A*s", "Nms": "N*m*s", "Pas": "Pa*s", "VA": "V*A"}
 
@@ -270,21 +276,31 @@ def parse_unit(unit: str) -> Unit:
     True
     """
     factor, powers = parse_powers(unit)
-    offset = [symbol for symbol in powers if _symbol(symbol, unit)[1]]
+    offset = [symbol for symbol in powers if _symbol(symbol, unit).shifted]
     if offset and powers == {offset[0]: 1.0}:
         raise ModelError(
             f"unit {unit!r} has an offset, which an equation cannot contain; use K (data in {offset[0]} are converted)"
         )
     result = Unit(factor)
     for symbol, exponent in powers.items():
-        result = result * _symbol(symbol, unit)[0] ** exponent
+        result = result * _symbol(symbol, unit).unit ** exponent
     return result
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text stands for a unit, with a zero point of its own or not."""
+    try:
+        for symbol in parse_powers(text)[1]:
+            _symbol(symbol, text)
+    except ModelError:
+        return False
+    return True
 
 
 def has_zero_point(unit: str) -> bool:
     """Whether numbers in this unit count from another zero than SI (degC)."""
     powers = parse_powers(unit)[1]
-    return len(powers) == 1 and all(e == 1 and _symbol(s, unit)[1] for s, e in powers.items())
+    return len(powers) == 1 and all(e == 1 and _symbol(s, unit).shifted for s, e in powers.items())
 
 
 @cache
@@ -295,12 +311,23 @@ def registry() -> Any:
     return pint.get_application_registry()
 
 
+class _Symbol(NamedTuple):
+    """One symbol in SI, whether it has a zero point of its own (then the unit is that of a difference), and what it counts."""
+
+    unit: Unit
+    shifted: bool
+    counted: str
+
+
+# A prefix above this makes no unit of an angle: "Grad" is the German degree, not 1e9 rad.
+LARGEST_ANGLE_PREFIX = 1.0
+
+
 @lru_cache(maxsize=4096)
-def _symbol(symbol: str, unit: str) -> tuple[Unit, bool]:
-    """One symbol in SI, and whether it has a zero point of its own (then the unit is that of a difference)."""
+def _symbol(symbol: str, unit: str) -> _Symbol:
     plain = LONG.get(symbol, symbol)
     if plain in KNOWN:
-        return KNOWN[plain], False
+        return _Symbol(KNOWN[plain], False, COUNTED.get(plain, ""))
     if symbol in RUN_TOGETHER:
         raise ModelError(f"unit {unit!r}: {symbol!r} is not one symbol; write {RUN_TOGETHER[symbol]}")
     known = registry()
@@ -311,19 +338,71 @@ def _symbol(symbol: str, unit: str) -> tuple[Unit, bool]:
             base = known.Quantity(1.0, f"delta_{symbol}").to_base_units()
         if not 0 < base.magnitude < math.inf:
             raise ValueError(base.magnitude)
+        items = {name: float(e) for name, e in base.unit_items()}
+        prefix = known.parse_unit_name(symbol)[0][0]
+        if "radian" in items and prefix and known.Quantity(1.0, prefix + "meter").m_as("meter") > LARGEST_ANGLE_PREFIX:
+            raise ValueError(prefix)
     # Pint reads numbers and powers too. Its errors: AttributeError (unknown), ValueError (syntax), TypeError (zero points), KeyError (m⁰).
     except (AttributeError, TypeError, ValueError, LookupError, ArithmeticError, AssertionError):
         raise ModelError(f"unit {unit!r}: {symbol!r} is not a unit; {nearest(symbol, PREFIXED)}") from None
     # What is left out (radian, count, bit) has no dimension.
-    powers = tuple((BASE[unit_name], float(e)) for unit_name, e in base.unit_items() if unit_name in BASE)
-    return Unit(float(base.magnitude), add_exponents((), powers, 1.0)), shifted
+    result = Unit(
+        float(base.magnitude), add_exponents((), tuple((BASE[n], e) for n, e in items.items() if n in BASE), 1.0)
+    )
+    return _Symbol(result, shifted, COUNTED.get(symbol) or _find_counted(items, result))
+
+
+def _find_counted(items: Mapping[str, float], unit: Unit) -> str:
+    """What a symbol counts whose base units in the registry are ``items``."""
+    if "radian" in items:
+        return "angle"
+    if {"count", "bit"} & set(items):
+        return "count" if unit.factor == 1 and "bit" not in items else "number"
+    # A factor without a dimension (pi, dB) is a number, and nobody measures in it.
+    return "number" if not unit.dimensions and unit.factor != 1 else ""
 
 
 # Data from one unit into another.
 
 
-def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
+class Note(StrEnum):
+    """What a conversion takes for granted, for whoever reads the numbers."""
+
+    NONE = ""
+    TURNS = "turns"
+    """A period (Hz, 1/min) is one turn: 2 pi rad."""
+    COUNTS = "counts"
+    """A count is 1."""
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """From numbers in one unit to numbers in another: ``conversion(values)`` is an array of the same shape.
+
+    Attributes
+    ----------
+    apply
+        The function itself.
+    identical
+        Whether it leaves numbers as they are.
+    note
+        What it takes for granted.
+    """
+
+    apply: Callable[[np.ndarray], Any] = field(repr=False)
+    identical: bool
+    note: Note = Note.NONE
+
+    def __call__(self, values: Any) -> np.ndarray:
+        """``values`` in the unit converted to, as float64."""
+        return np.asarray(self.apply(np.asarray(values, dtype=np.float64)), dtype=np.float64)
+
+
+def unit_converter(source: str, target: str) -> Conversion:
     """The function that turns numbers in one unit into numbers in another, zero points (degC to K) included.
+
+    Units of one dimension that do not count the same are told apart. A period is one turn where hertz or ``1/min`` meet an angle over
+    time (``note`` says so); ``1/s`` may be turns or radians a second and is refused there, as are counts, pure numbers (pi) and percent.
 
     Parameters
     ----------
@@ -332,7 +411,7 @@ def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
 
     Returns
     -------
-    callable
+    Conversion
         Takes numbers or an array in ``source`` and returns an array of the same shape in ``target``.
 
     Raises
@@ -344,8 +423,8 @@ def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
 
     Examples
     --------
-    >>> float(unit_converter("kPa", "Pa")(2.0))
-    2000.0
+    >>> float(unit_converter("kPa", "Pa")(2.0)), round(float(unit_converter("Hz", "rad/s")(1.0)), 4)
+    (2000.0, 6.2832)
     """
     unlike = UnitError(
         f"{source or '1'} cannot be converted to {target or '1'}: they measure different things;"
@@ -360,12 +439,67 @@ def unit_converter(source: str, target: str) -> Callable[[Any], np.ndarray]:
             known.Quantity(1.0, first).to(second)
         except pint.DimensionalityError:
             raise unlike from None
-        return lambda values: np.asarray(known.Quantity(np.asarray(values, dtype=float), first).to(second).magnitude)
+        return Conversion(lambda values: known.Quantity(values, first).to(second).magnitude, first == second)
     given, wanted = parse_unit(source), parse_unit(target)
     if given.dimensions != wanted.dimensions:
         raise unlike
-    ratio = given.factor / wanted.factor
-    return lambda values: np.asarray(values, dtype=float) * ratio
+    turns, note = _compare_counted(source, target)
+    # Numbers of turns become numbers of radians.
+    ratio = given.factor / wanted.factor * (2 * math.pi) ** turns
+    return Conversion(lambda values: values * ratio, math.isclose(ratio, 1.0, rel_tol=1e-9), note)
+
+
+def _compare_counted(source: str, target: str) -> tuple[float, Note]:
+    """Power of 2 pi between two units of one dimension, and what it takes for granted. Raises UnitError for different quantities."""
+    first, second = _sum_counted(source), _sum_counted(target)
+    if first == second:
+        return 0.0, Note.NONE
+    for unit, mine, other in ((source, first, second), (target, second, first)):
+        if mine.get("number") and mine.get("number") != other.get("number"):
+            raise UnitError(f"{unit} is a number and no unit of a reading")
+    angles = first.get("angle", 0.0), second.get("angle", 0.0)
+    counts = first.get("count", 0.0) - second.get("count", 0.0)
+    note = Note.COUNTS if counts else Note.NONE
+    if not any(angles):
+        return 0.0, note
+    periods = [first.get("period", 0.0), second.get("period", 0.0)]
+    missing = angles[0] + periods[0] - angles[1] - periods[1]
+    if missing and not counts and not {"share"} & {*first, *second}:
+        # The side that names no angle; per minute it counts turns (1/min is rpm), else only a radian may be left out.
+        side, unit = (1, target) if abs(angles[0]) > abs(angles[1]) else (0, source)
+        per_minute = parse_powers(unit)[1].get("min", 0.0)
+        if per_minute == (-missing if side else missing):
+            periods[side] -= per_minute
+            missing = 0.0
+        elif _is_in_radians(target if side == 0 else source) and not _is_rate(unit):
+            return 0.0, note
+    if missing or counts or {"share"} & {*first, *second}:
+        raise UnitError(
+            f"{source or '1'} and {target or '1'} share a dimension and may count different things (turns, radians, counts, percent);"
+            " say which, in turn/s, rad/s, deg, rad, ..."
+        )
+    turns = periods[0] - periods[1]
+    return turns, Note.TURNS if turns else note
+
+
+def _sum_counted(unit: str) -> dict[str, float]:
+    """What a unit counts, with exponents."""
+    result: dict[str, float] = {}
+    for symbol, exponent in parse_powers(unit)[1].items():
+        counted = _symbol(symbol, unit).counted
+        # rpm and Hz are turns and periods by themselves.
+        result[counted] = result.get(counted, 0.0) + exponent
+    return {counted: exponent for counted, exponent in result.items() if counted and exponent}
+
+
+def _is_in_radians(unit: str) -> bool:
+    """Whether every angle in a unit is a radian, which SI allows to be left out."""
+    angles = [s for s in parse_powers(unit)[1] if _symbol(s, unit).counted == "angle"]
+    return all(s.endswith(("rad", "radian")) for s in angles)
+
+
+def _is_rate(unit: str) -> bool:
+    return {symbol for symbol, _ in parse_unit(unit).dimensions} == {"s"}
 
 
 def convert(values: Any, source: str, target: str) -> np.ndarray:

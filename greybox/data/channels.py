@@ -9,8 +9,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from greybox.base import DataError, Finding, shorten
-from greybox.data.columns import TIME, ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
+from greybox.data.columns import ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
 from greybox.data.experiment import Hold
+from greybox.data.headers import TIME
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.time_base import ChannelUse, Samples, bring_to_one_base, correct_clocks, find_stamp_problems

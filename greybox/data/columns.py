@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import difflib
 import re
+import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Protocol
 
 import numpy as np
 
-from greybox.base import Finding, convert, unit_converter
+from greybox.base import Finding
 from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shorten
+from greybox.base.units import Conversion, unit_converter
 from greybox.data.findings import RecordCode
+from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse_header, read_endings, read_time
+from greybox.data.notation import converts, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
 from greybox.model import Model
@@ -111,10 +115,8 @@ def _suggest_number_format(texts: Sequence[str]) -> str:
     return "correct it, or leave the field empty if nothing was measured"
 
 
-TIME = "time"  # the name of the time column
 ColumnMapping = Mapping[str, str | int]
-"""Signal -> header of its column, or its number counted from 1."""
-_BRACKETS = re.compile(r"^(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]$")
+"""Signal -> header of its column, or its number counted from 1; ``time [ms]`` says the unit of the column, too."""
 
 
 class SignalKind(StrEnum):
@@ -124,16 +126,6 @@ class SignalKind(StrEnum):
     INPUT = "input"
     OUTPUT = "output"
     CONDITION = "condition"
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a file: the whole ``header``, its ``name``, ``unit`` ("" when none is stated) and ``position``."""
-
-    header: str
-    name: str
-    unit: str
-    position: int
 
 
 @dataclass(frozen=True)
@@ -152,45 +144,109 @@ class RequestedSignal:
 
 @dataclass(frozen=True)
 class ColumnChoice:
-    """A signal and the column that it is or may be; ``column`` is empty where none is likely, ``matched`` if it is by name."""
+    """A signal and the column that it is or may be: empty where none is likely, ``matched`` if it is by name.
+
+    ``unit`` is that of the column where somebody has to say it.
+    """
 
     signal: RequestedSignal
     column: str
     matched: bool
+    unit: str = ""
 
 
 @dataclass(frozen=True)
 class ColumnMatch:
-    """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems."""
+    """Signals with their columns in the model's order, headers not asked for, outputs without a column, problems.
+
+    ``conversions`` turn the numbers of a column into the model's unit; ``unit_problems`` say where no unit is known.
+    """
 
     columns: Mapping[RequestedSignal, Column]
+    conversions: Mapping[RequestedSignal, Conversion]
     ignored: tuple[str, ...]
     unmeasured: tuple[str, ...]
     problems: tuple[str, ...]
+    unit_problems: tuple[str, ...]
 
     @property
     def unitless(self) -> tuple[RequestedSignal, ...]:
         """Signals taken in the model's unit because the header states none."""
         return tuple(s for s, c in self.columns.items() if not c.unit and s.unit not in ("", "-", "1"))
 
+    def with_stamps(self, arrays: Mapping[int, np.ndarray], problems: list[str]) -> ColumnMatch:
+        """The match where stamps since 1970 have the unit that their size tells; one that is stated otherwise goes to ``problems``.
 
-# Characters of a header; in a longer one neither unit nor name are looked for.
-LONGEST_HEADER = 200
+        ``arrays``: position -> column (N,) as it stands in the file.
+        """
+        signal, column = next(((s, c) for s, c in self.columns.items() if s.kind is SignalKind.TIME), (None, None))
+        if signal is None or column is None or not len(arrays[column.position]):
+            return self
+        unit = find_stamp_unit(arrays[column.position])
+        if not unit or (column.unit and self.conversions[signal](np.nanmax(arrays[column.position])) <= STAMPS[1]):
+            return self
+        stamped = replace(column, unit=unit, known=UnitSource.SIZE)
+        if column.unit:
+            problems.append(
+                f"column {shorten(column.header)!r} is stated in {column.unit}, and its numbers are those of {unit} since 1970;"
+                f" {_explain_mapping(signal, stamped)}"
+            )
+        conversion = read_conversion(unit, signal.unit)
+        return replace(
+            self, columns={**self.columns, signal: stamped}, conversions={**self.conversions, signal: conversion}
+        )
+
+    def describe_units(self) -> list[list[str]]:
+        """Header, unit and reason of each column whose unit was read otherwise than it is written."""
+        readings = []
+        for signal, column in self.columns.items():
+            unit = read_notation(column.unit, signal.unit)
+            stated = parse_header(column.header, 0).unit
+            if column.known is UnitSource.TOLD and stated not in ("", column.unit):
+                reason = "told"
+            elif self.conversions[signal].note:
+                reason = str(self.conversions[signal].note)
+            elif column.known in (UnitSource.NAME, UnitSource.SIZE):
+                reason = str(column.known)
+            elif unit != column.unit and not _is_same(unit, column.unit):
+                reason = "notation"
+            else:
+                continue
+            readings.append([shorten(column.header), unit, reason])
+        return readings
 
 
-def parse_header(header: str, position: int) -> Column:
-    """``x [um]`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
-    text = header.strip()
-    if len(text) > LONGEST_HEADER:
-        return Column(text, text, "", position)
-    square = _BRACKETS.match(text)
-    if square:
-        return Column(text, square["name"].strip(), square["unit"].strip(), position)
-    if text.endswith(")"):
-        for at in (k for k, letter in enumerate(text) if letter == "(" and k):
-            if _is_unit(text[at + 1 : -1]):
-                return Column(text, text[:at].strip(), text[at + 1 : -1].strip(), position)
-    return Column(text, text, "", position)
+# Seconds since 1970 that stamps of a record can be: the years 2000 to 2050, before and after which a counter is likelier.
+STAMPS = (9.46e8, 2.53e9)
+
+
+def find_stamp_unit(values: np.ndarray) -> str:
+    """The unit in which stamps (N,) count from 1970 to a day of a record; "" where they do not."""
+    known = values[np.isfinite(values)]
+    for unit, factor in (("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if len(known) and STAMPS[0] <= factor * known.min() and factor * known.max() <= STAMPS[1]:
+            return unit
+    return ""
+
+
+def _is_same(unit: str, text: str) -> bool:
+    """Whether a text is the unit to every reader."""
+    try:
+        return unit_converter(text, unit).identical
+    except ModelError:
+        return False
+
+
+def split_signal(key: str) -> tuple[str, str]:
+    """Name and unit of a signal as a mapping states them: ``time [ms]``; the unit is "" where it states none."""
+    column = parse_header(key, 0)
+    return (column.name, column.unit) if key.rstrip().endswith("]") else (key, "")
+
+
+def merge_mappings(first: Mapping[str, str | int], second: Mapping[str, str | int]) -> dict[str, str | int]:
+    """Both, of which the second says what each of its signals is."""
+    names = {split_signal(key)[0] for key in second}
+    return {key: header for key, header in first.items() if split_signal(key)[0] not in names} | dict(second)
 
 
 def match_columns(
@@ -201,11 +257,13 @@ def match_columns(
     *,
     has_clock: bool = False,
     inputs_only: bool = False,
+    are_named: bool = False,
 ) -> ColumnMatch:
     """Find time and the model's inputs and outputs among the headers of ``table``; ``mapping`` (signal -> header) goes first.
 
     An output may be missing as long as another is there, and so may ``conditions``. With ``has_clock`` the rows have a known
-    sampling time: then the table must have no time column. With ``inputs_only`` no outputs are looked for.
+    sampling time: then the table must have no time column. With ``inputs_only`` no outputs are looked for. The headers are those of
+    the caller where they ``are_named``. A unit that no header states and a name suggests is a problem, which says how to state it.
     """
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     clock = RequestedSignal(SignalKind.TIME, TIME, "s")
@@ -216,18 +274,32 @@ def match_columns(
     signals += conditions
     known = [s.name for s in signals]
     optional = {o.name for o in model.outputs} if inputs_only else set()
-    mapping = {name: header for name, header in (mapping or {}).items() if name in known or name not in optional}
+    named = [(*split_signal(key), header) for key, header in (mapping or {}).items()]
+    named = [entry for entry in named if entry[0] in known or entry[0] not in optional]
+    mapping = {name: header for name, _, header in named}
     problems = [
         f"columns names {n!r}, which model {model.name!r} does not have; {nearest(n, known)}"
         for n in mapping
         if n not in known and n != TIME
     ]
+    problems += [
+        f"columns names {n!r} {count} times; keep one" for n in mapping if (count := [e[0] for e in named].count(n)) > 1
+    ]
     matched, free = _apply_mapping(columns, signals, mapping, table.numbered, problems)
+    units = {name: unit for name, unit, _ in named if unit}
+    matched = {
+        s: replace(c, unit=units[s.name], known=UnitSource.TOLD) if s.name in units else c for s, c in matched.items()
+    }
     missing: list[RequestedSignal] = []
     for signal in signals:
         if signal.name in mapping:
             continue
-        hits = [c for c in free if _is_for(c, signal)]
+        hits = [c for c in free if _is_for(c, signal)] or [
+            reading
+            for c in free
+            for reading in read_endings(c)
+            if reading.known is UnitSource.NAME and _is_for(reading, signal) and converts(reading.unit, signal.unit)
+        ]
         if hits:
             matched[signal] = hits[0]
         else:
@@ -254,11 +326,16 @@ def match_columns(
             " time,u,x)"
         )
     problems += _describe_missing(missing, model, spare, inputs_only)
+    doubts: list[str] = []
+    matched = {s: _settle_unit(matched[s], s, s.name in mapping, are_named, doubts) for s in signals if s in matched}
+    conversions = {s: _find_conversion(c, s, are_named, doubts) for s, c in matched.items()}
     return ColumnMatch(
-        {s: matched[s] for s in signals if s in matched},
+        matched,
+        conversions,
         tuple(shorten(c.header) for c in spare),
         tuple(s.name for s in missing if s.kind is SignalKind.OUTPUT),
         tuple(problems),
+        tuple(doubts),
     )
 
 
@@ -271,11 +348,15 @@ def propose_columns(
     """
     known = {TIME, *(i.name for i in model.inputs), *(o.name for o in model.outputs)}
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
-    kept = {n: h for n, h in (mapping or {}).items() if n in known and _find_columns(columns, h, table.numbered)}
+    kept = {
+        n: h
+        for n, h in (mapping or {}).items()
+        if split_signal(n)[0] in known and _find_columns(columns, h, table.numbered)
+    }
     if table.headless or not any(c.header for c in columns):
         return None
     match = match_columns(table, model, kept, has_clock=has_clock)
-    if not match.problems and kept == dict(mapping or {}):
+    if not (match.problems or match.unit_problems) and kept == dict(mapping or {}):
         return None
     headers = [c.header for c in columns]
     names = {
@@ -288,26 +369,64 @@ def propose_columns(
     signals = [] if has_clock else [RequestedSignal(SignalKind.TIME, TIME, "s")]
     signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
     signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+    chosen = {split_signal(key)[0] for key in kept}
     choices = []
     for signal in signals:
         at = match.columns.get(signal)
-        likely = [] if at else _find_of_unit(signal, spare)
+        likely = [] if at else _find_called(signal, spare) or _find_of_unit(signal, spare)
         column = names.get(at.position, "") if at else names[likely[0].position] if likely else ""
-        choices.append(ColumnChoice(signal, column, at is not None and signal.name not in kept))
+        asked = [c for c in ([at] if at else likely[:1]) if c.known in (UnitSource.ENDING, UnitSource.TOLD)]
+        is_matched = at is not None and signal.name not in chosen and not asked
+        unit = read_notation(asked[0].unit, signal.unit) if asked else ""
+        choices.append(ColumnChoice(signal, column, is_matched, unit))
     return tuple(names.values()), tuple(choices)
 
 
-def convert_column(values: np.ndarray, signal: RequestedSignal, column: Column, problems: list[str]) -> np.ndarray:
-    """``values`` (N,) in the signal's unit; a unit that does not convert is added to ``problems``."""
-    if not column.unit or column.unit == signal.unit:
-        return values
-    try:
-        return np.asarray(convert(values, column.unit, signal.unit), dtype=np.float64)
-    except ModelError as error:
+# Endings that are words of names as well (x_min, p_bar): they ask nothing where they are of another quantity.
+_WORDS = frozenset(("min", "bar", "rad", "pa", "as", "day", "knot"))
+
+
+def _settle_unit(
+    column: Column, signal: RequestedSignal, is_chosen: bool, are_named: bool, problems: list[str]
+) -> Column:
+    """The column with the unit that its name states; one that it only suggests, and that changes numbers, goes to ``problems``."""
+    if column.unit:
+        return column
+    readings = read_endings(column)
+    for reading in readings:
+        if converts(reading.unit, signal.unit):
+            if reading.known is UnitSource.NAME or read_conversion(reading.unit, signal.unit).identical:
+                return reading
+            unit, how = read_notation(reading.unit, signal.unit), _explain_mapping(signal, reading, are_named)
+            problems.append(
+                f"column {shorten(column.header)!r} for {signal.label} ends like a unit: is it in {unit}? {how}, or with"
+                f" [{signal.unit or 1}] if its numbers are in {signal.unit or 1}"
+            )
+            return reading
+    other = [r.unit for r in readings if r.unit.lower() not in _WORDS and (len(r.unit) > 1 or r.unit in "%°‰")]
+    if is_chosen and other:
+        how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
         problems.append(
-            f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}"
+            f"column {shorten(column.header)!r} for {signal.label} ends like the unit {other[0]} of another quantity; choose another"
+            f" column, or {how} if its numbers are in {signal.unit or 1}"
         )
-        return values
+    return column
+
+
+def _find_conversion(column: Column, signal: RequestedSignal, are_named: bool, problems: list[str]) -> Conversion:
+    """From numbers of the column to the signal's unit; a unit that does not convert goes to ``problems``."""
+    as_it_is = Conversion(lambda values: values, True)
+    if not column.unit:
+        return as_it_is
+    try:
+        return read_conversion(column.unit, signal.unit)
+    except ModelError as error:
+        how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
+        problems.append(
+            f"column {shorten(column.header)!r} in {shorten(column.unit)} does not convert to {signal.label}: {error}; to take its"
+            f" numbers as {signal.unit or 1}, {how}"
+        )
+        return as_it_is
 
 
 def _apply_mapping(
@@ -360,9 +479,7 @@ def _find_columns(columns: list[Column], header: str | int, numbered: Sequence[i
 
 
 def _is_for(column: Column, signal: RequestedSignal) -> bool:
-    if signal.kind is not SignalKind.TIME:
-        return column.name == signal.name
-    return column.name == "t" or column.name.lower() == TIME  # "T" is a temperature
+    return column.is_time if signal.kind is SignalKind.TIME else column.name == signal.name
 
 
 def _describe_missing(
@@ -393,6 +510,10 @@ def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
         if c.name.lower() in close or wanted in re.split(r"[\W_]+", c.name.lower())
     ]
     near = near or [repr(shorten(c.header)) for c in _find_of_unit(signal, spare)]
+    called = _find_called(signal, spare)
+    if called:
+        unit = read_notation(called[0].unit, signal.unit)
+        return f"is it {shorten(called[0].header)!r}, in {unit}? {_explain_mapping(signal, called[0])}"
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
     listing = ", ".join(_list_headers(spare))
     if not listing:
@@ -400,40 +521,34 @@ def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     return f"{guess}unused headers: {listing}; rename one, or {_explain_mapping(signal)}"
 
 
+def _find_called(signal: RequestedSignal, spare: Sequence[Column]) -> list[Column]:
+    """Columns that are called like the signal and end like a unit of it: ``x_mm`` for ``x`` in m."""
+    if signal.kind is SignalKind.TIME:
+        return [r for c in spare if not c.unit and (r := read_time(c)) is not None and r.unit]
+    readings = [r for c in spare for r in read_endings(c)]
+    return [r for r in readings if r.name.lower() == signal.name.lower() and converts(r.unit, signal.unit)]
+
+
 def _find_of_unit(signal: RequestedSignal, spare: Sequence[Column]) -> list[Column]:
     """The only column of a unit that converts to the signal's; none where there are several."""
-    hits = [c for c in spare if c.unit and _converts(c.unit, signal.unit)]
+    hits = [c for c in spare if c.unit and converts(c.unit, signal.unit)]
     return hits if len(hits) == 1 else []
 
 
-def _converts(source: str, target: str) -> bool:
-    try:
-        unit_converter(source, target)
-    except ModelError:
-        return False
-    return True
-
-
-def _explain_mapping(signal: RequestedSignal) -> str:
-    """How to choose a column by hand, in Python and in the shell."""
-    return f"set columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
+def _explain_mapping(signal: RequestedSignal, column: Column | None = None, are_named: bool = False) -> str:
+    """How to choose a column by hand, in Python and in the shell; with the unit of the ``column`` where one is to be stated."""
+    if column is None:
+        return f"set columns={{{signal.name!r}: <header>}} (shell: --column {signal.name}=<header>)"
+    unit = read_notation(column.unit, signal.unit)
+    key, header = f"{signal.name} [{unit}]", shorten(column.header)
+    if are_named:
+        return f"write {key!r} for {header!r} in columns (shell: --columns)"
+    return f"write columns={{{key!r}: {header!r}}} (shell: --column {shlex.quote(f'{key}={header}')})"
 
 
 def _list_headers(columns: Sequence[Column], shown: int = 12) -> list[str]:
     headers = [shorten(c.header, 40) for c in columns if c.header]
     return headers[:shown] + ([f"... {len(headers) - shown} more"] if len(headers) > shown else [])
-
-
-def _is_unit(text: str) -> bool:
-    if text.strip() == "-":
-        return True
-    if not any(letter.isalpha() or letter in "%°" for letter in text):
-        return False  # channel numbers: Laser (1)
-    try:
-        unit_converter(text, text)
-    except ModelError:
-        return False
-    return True
 
 
 # Operating conditions that a file states itself: in a comment line, or in a column that does not move.
@@ -515,7 +630,7 @@ def _find_in_comments(signal: RequestedSignal, comments: Sequence[str], problems
     (line,) = lines
     unit = line["unit"].strip("[]() ") or parse_header(line["header"], 0).unit or signal.unit
     try:
-        return float(np.asarray(convert([float(line["value"])], unit, signal.unit))[0])
+        return float(read_conversion(unit, signal.unit)([float(line["value"])])[0])
     except (ValueError, ModelError) as error:
         problems.append(f"{signal.label}: the comment line {line[0].strip()!r} is not understood ({error})")
         return None

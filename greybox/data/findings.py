@@ -30,6 +30,7 @@ class RecordCode(StrEnum):
     PIECES_LEFT_OUT = "pieces_left_out"
     OUTPUT_NOT_MEASURED = "output_not_measured"
     UNITS_ASSUMED = "units_assumed"
+    UNITS_READ = "units_read"
     COLUMNS_IGNORED = "columns_ignored"
     CONDITION_READ = "condition_read"
     ONE_OF_RUNS = "one_of_runs"

@@ -15,12 +15,10 @@ import numpy as np
 from greybox.base import DataError, Finding, nearest
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import (
-    TIME,
     ColumnMapping,
     ColumnMatch,
     RequestedSignal,
     SignalKind,
-    convert_column,
     match_columns,
     read_conditions,
     request_conditions,
@@ -28,6 +26,7 @@ from greybox.data.columns import (
 from greybox.data.experiment import HOLDS, Experiment, Hold
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
+from greybox.data.headers import TIME
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
 from greybox.model import Model
@@ -65,7 +64,8 @@ def read_csv(
         Its inputs and outputs are looked for, and their units are those of the record.
     columns
         Signal -> header, where the file's headers are others: ``{"x": "Laser ch1 [um]", "time": "Zeit [ms]"}``; a number
-        counts columns from 1. Or the names of all columns in their order, for a file without a header or a matrix:
+        counts columns from 1. A key may state the unit of the column, which goes before that of its header:
+        ``{"time [ms]": "millis"}``. Or the names of all columns in their order, for a file without a header or a matrix:
         ``["time [ms]", "u", "-", "x"]``, with ``-`` for a column that is not wanted.
     sampling_time
         Seconds between rows, for a file without a time column; for a file whose signals have stamps of their own, the step of the
@@ -208,10 +208,18 @@ def read_arrays(
     channels = file.table if isinstance(file.table, ChannelTable) else None
     has_clock = sampling_time is not None and channels is None
     try:
-        match = match_columns(file.table, model, mapping, conditions, has_clock=has_clock, inputs_only=inputs_only)
+        match = match_columns(
+            file.table,
+            model,
+            mapping,
+            conditions,
+            has_clock=has_clock,
+            inputs_only=inputs_only,
+            are_named=by_name is not None,
+        )
     except DataError as error:
         raise DataError(f"{file.path.name}: {error}") from None
-    raise_problems(file.path.name, match.problems)
+    raise_problems(file.path.name, match.problems and (*match.problems, *match.unit_problems))
     if channels is not None:
         _check_interpolation(interpolation or {}, model)
         table = channels.for_signals(match, hold, interpolation or {}, sampling_time)
@@ -219,9 +227,12 @@ def read_arrays(
     raw, problems, findings = file.values([c.position for c in match.columns.values()])
     groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
     rows = 0
+    problems = [*problems, *match.unit_problems]
+    match = match.with_stamps(raw, problems)
     for signal, column in match.columns.items():
         # Each column is let go of as it is converted: a long record is in memory once.
-        values = convert_column(raw.pop(column.position), signal, column, problems)
+        values, conversion = raw.pop(column.position), match.conversions[signal]
+        values = values if conversion.identical else conversion(values)
         values.setflags(write=False)  # then no record needs a copy of its own
         groups[signal.kind][signal.name] = values
         rows = len(values)
@@ -325,6 +336,8 @@ def _inspect_columns(match: ColumnMatch) -> list[Finding]:
     findings = []
     if match.unmeasured:
         findings.append(Finding(RecordCode.OUTPUT_NOT_MEASURED, values={"outputs": list(match.unmeasured)}))
+    if units_read := match.describe_units():
+        findings.append(Finding(RecordCode.UNITS_READ, values={"columns": units_read}))
     if match.unitless:
         units = {signal.name: signal.unit for signal in match.unitless}
         findings.append(Finding(RecordCode.UNITS_ASSUMED, values={"units": units}))

@@ -12,10 +12,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, convert, unit_converter
+from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, format_unit, parse_unit
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
-from greybox.data.columns import TIME, Column, parse_header
+from greybox.data.columns import find_stamp_unit
 from greybox.data.findings import RecordCode
+from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
+from greybox.data.notation import COUNT, converts, read_conversion, read_notation
 from greybox.data.problems import is_constant
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
@@ -53,6 +55,10 @@ class SignalSurvey:
         ``input``, ``output``, ``constant``, ``time`` or ``text``: what it may be for.
     name
         A name that a model can give it.
+    model_unit
+        The unit that a model can give it: 1 where the file states none that is one.
+    stated_unit
+        The unit that a person has to state for it (``--column 'time [ms]=millis'``); "" where the file does.
     """
 
     header: str
@@ -70,6 +76,8 @@ class SignalSurvey:
     held: bool
     use: str
     name: str
+    model_unit: str = "1"
+    stated_unit: str = ""
 
 
 @dataclass(frozen=True)
@@ -97,9 +105,12 @@ class FileSurvey(Printable, StoredResult):
 
     @property
     def columns(self) -> Mapping[str, str]:
-        """Proposed columns, name -> header: time, and every input and output. Names are those of the file, as a model can write them."""
+        """Proposed columns, name -> header: time, and every input and output. Names are those of the file, as a model can write them.
+
+        A name carries the unit of its column where the file does not state it, as ``time [ms]``.
+        """
         chosen = [s for s in self.signals if s.use in ("time", "input", "output")]
-        return {s.name: s.header for s in chosen}
+        return {f"{s.name} [{s.stated_unit}]" if s.stated_unit else s.name: s.header for s in chosen}
 
 
 FileSurveys = list[FileSurvey]
@@ -147,7 +158,7 @@ def survey_file(
 def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None) -> FileSurvey:
     table = file.table
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
-    clock = next((c for c in columns if c.name == "t" or c.name.lower() == TIME), None)
+    clock = next((c for c in columns if c.is_time), None) or next(filter(None, map(read_time, columns)), None)
     arrays: dict[int, np.ndarray] = {}
     for k in range(len(columns)):
         if columns[k].header and _is_column(file, k):
@@ -159,7 +170,10 @@ def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None) -> F
     findings: list[Finding] = []
     if clock is not None and clock.position in arrays:
         stamps = arrays[clock.position]
-        time = np.asarray(convert(stamps, clock.unit, "s")) if clock.unit else stamps
+        unit = clock.unit or find_stamp_unit(stamps)
+        columns[clock.position] = clock = replace(clock, unit=unit)
+        # A clock in a unit of something else is looked at as it stands.
+        time = read_conversion(unit, "s")(stamps) if unit and converts(unit, "s") else stamps
     elif sampling_time:
         time = sampling_time * np.arange(rows)
     if time is None:
@@ -203,7 +217,7 @@ def _survey_channels(file: file_kinds.RecordFile, table: channels.ChannelTable) 
     several = len({c.clock for c in table.channels}) > 1
     for k, channel in enumerate(table.channels):
         header = table.headers[k + 1]
-        column = Column(header, parse_header(header, 0).name, channel.unit, k + 1)
+        column = Column(header, parse_header(header, 0).name, channel.unit, k + 1, UnitSource.STATED)
         clock = channel.clock if several else ""
         if channel.holds:
             signals.append(_survey_signal(column, clock, None, None, used, rows=channel.rows))
@@ -264,6 +278,9 @@ def _survey_signal(
     held = is_held(values)
     use = _guess_use(column, values, held)
     name = TIME if is_clock else _make_name(column.name, used)
+    model_unit, stated_unit = _write_unit(column)
+    if is_clock:
+        stated_unit = read_notation(column.unit, "s") if column.known is UnitSource.ENDING else ""
     return SignalSurvey(
         column.header,
         column.unit,
@@ -280,7 +297,24 @@ def _survey_signal(
         held,
         "time" if is_clock else use,
         name,
+        model_unit,
+        stated_unit,
     )
+
+
+def _write_unit(column: Column) -> tuple[str, str]:
+    """The unit that a model can give to a column, and the one that a person has to state for it: "" where the header does."""
+    ending = next((r.unit for r in read_endings(column) if len(r.unit) > 1 or r.unit == "%"), "")
+    try:
+        unit = read_notation(column.unit or ending)
+    except ModelError:
+        return "1", "1"
+    if unit == COUNT or not unit:
+        return "1", ""
+    # Data in degrees Celsius are read by a model in kelvin; what is neither a plain number nor an angle (byte, pi) is no unit.
+    known = "K" if converts(unit, "K") else unit
+    is_number = not parse_unit(known).dimensions and not any(converts(unit, one) for one in ("1", "rad"))
+    return ("1", "1") if is_number else (format_unit(known), "")
 
 
 def _guess_use(column: Column, values: np.ndarray, held: bool) -> str:
@@ -313,17 +347,7 @@ def _with_input(signals: Sequence[SignalSurvey]) -> tuple[SignalSurvey, ...]:
     """The signals; where none looks like an input, what is electrical beside something that is not: drives are."""
     if any(s.use == "input" for s in signals):
         return tuple(signals)
-    driven = {s.header for s in signals if s.use == "output" and _is_electrical(s.unit)}
+    driven = {s.header for s in signals if s.use == "output" and any(converts(s.model_unit, u) for u in "VAW")}
     if all(s.header in driven for s in signals if s.use == "output"):
         return tuple(signals)
     return tuple(replace(s, use="input") if s.header in driven else s for s in signals)
-
-
-def _is_electrical(unit: str) -> bool:
-    for electrical in ("V", "A", "W"):
-        try:
-            unit_converter(unit, electrical)
-        except ModelError:
-            continue
-        return True
-    return False

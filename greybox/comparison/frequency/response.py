@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from greybox.base.errors import DataError, nearest
-from greybox.base.units import convert
 from greybox.base.values import Printable
-from greybox.data.columns import Column, parse_header
 from greybox.data.file_kinds import open_record_file
+from greybox.data.headers import Column, parse_header
+from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import raise_problems
 
@@ -190,14 +190,13 @@ def read_frequency_response(
 
     def read(column: Column, unit: str) -> np.ndarray:
         raw = values.arrays[column.position]
-        return np.asarray(convert(raw, column.unit or unit, unit), dtype=float)
+        return read_conversion(column.unit or unit, unit)(raw)
 
     raw = values.arrays[clock.position]
-    unit = clock.unit or FREQUENCY[clock.name.lower()] if clock.name.lower() in FREQUENCY else clock.unit or "Hz"
-    frequency = (
-        # An angular frequency by its unit, or by its name where there is no unit.
-        raw / (2 * np.pi) if unit.replace(" ", "") in ("rad/s", "1/s", "s^-1") else np.asarray(convert(raw, unit, "Hz"))
-    )
+    by_name = FREQUENCY.get(clock.name.lower(), "Hz")
+    # 1/s is a frequency or an angular one: the name tells.
+    unit = by_name if clock.unit.replace(" ", "") in ("", "1/s", "s^-1") else clock.unit
+    frequency = read_conversion(unit, "Hz")(raw)
     magnitude = next((parts[n] for n in ("magnitude", "mag", "gain") if n in parts), None)
     if "real" in parts and "imag" in parts:
         response: np.ndarray = values.arrays[parts["real"].position] + 1j * values.arrays[parts["imag"].position]
@@ -205,7 +204,7 @@ def read_frequency_response(
         gain = values.arrays[magnitude.position]
         gain = 10 ** (gain / 20) if magnitude.unit.lower() == "db" else gain
         angle = values.arrays[parts["phase"].position]
-        angle = angle if parts["phase"].unit == "rad" else np.deg2rad(angle)
+        angle = read_conversion(parts["phase"].unit or "deg", "rad")(angle)
         response = np.asarray(gain * np.exp(1j * angle))
     else:
         raise DataError(f"{file.path.name}: give the columns real and imag, or magnitude and phase")

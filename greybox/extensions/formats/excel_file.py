@@ -11,11 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base import DataError, convert
+from greybox.base import DataError
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
-from greybox.data.columns import TIME, check_size, check_width, parse_header, raise_limit
+from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.file_kinds import FileFormat
+from greybox.data.headers import join_units, parse_header
+from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -30,8 +32,7 @@ class _Sheet:
     @property
     def clock(self) -> str | None:
         """Header of the time column."""
-        bare = {header: parse_header(header, 0).name for header in self.columns}
-        return next((header for header, name in bare.items() if name == "t" or name.lower() == TIME), None)
+        return next((header for header in self.columns if parse_header(header, 0).is_time), None)
 
 
 def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable | ChannelTable:
@@ -62,7 +63,7 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
         for sheet in timed:
             time, unit = sheet.columns[str(sheet.clock)], parse_header(str(sheet.clock), 0).unit
             known = np.isfinite(time)
-            seconds = np.asarray(convert(time[known], unit, "s")) if unit else time[known]
+            seconds = read_conversion(unit, "s")(time[known]) if unit else time[known]
             for header, values in sheet.columns.items():
                 if header != sheet.clock:
                     column = parse_header(header, 0)
@@ -86,11 +87,7 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
             if head is None or texts > sum(c is not None for c in head):
                 head = row
                 continue
-            units = [*row, *[None] * (len(head) - len(row))]
-            head = [
-                f"{name} [{str(unit).strip('[]() ')}]" if name is not None and unit is not None else name
-                for name, unit in zip(head, units, strict=False)
-            ]
+            head = join_units(head, row)
         elif head is not None and any(_to_number(cell) is not None for cell in row):
             return _read_block(page.title, head, row, rows, policy)
     return None

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base import convert
 from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.channels import Channel, ChannelTable
-from greybox.data.columns import TIME, check_width, parse_header
+from greybox.data.columns import check_width
 from greybox.data.file_kinds import FileFormat
+from greybox.data.headers import parse_header
+from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -99,7 +100,7 @@ def read_hdf5_file(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayT
                 values = np.asarray(file[place], dtype=np.float64)
                 if stamps.place:
                     time: np.ndarray = np.asarray(file[stamps.place], dtype=np.float64)
-                    time = np.asarray(convert(time, stamps.unit, "s")) if stamps.unit else time
+                    time = read_conversion(stamps.unit, "s")(time) if stamps.unit else time
                 else:
                     time = stamps.start + stamps.step * np.arange(len(values))
                 result[k] = Samples(time, values)
@@ -118,8 +119,7 @@ class _StampSource(NamedTuple):
 
 
 def _is_time(place: str) -> bool:
-    name = parse_header(place.rpartition("/")[2], 0).name
-    return name == "t" or name.lower() == TIME
+    return parse_header(place.rpartition("/")[2], 0).is_time
 
 
 def _read_stamps(data: Any, clocks: Mapping[str, Any]) -> _StampSource | None:

@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from greybox.base import DataError, Finding, convert
+from greybox.base import DataError, Finding
 from greybox.data.channels import Channel, ChannelTable
-from greybox.data.columns import TIME, check_width, parse_header
+from greybox.data.columns import check_width
 from greybox.data.file_kinds import FileFormat
 from greybox.data.findings import RecordCode
+from greybox.data.headers import parse_header
+from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.time_base import Samples
 
@@ -36,8 +38,7 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
     with TdmsFile.open(path) as file:
         check_width(sum(len(group.channels()) for group in file.groups()), policy)
         for group in file.groups():
-            bare = {c.name: parse_header(c.name, 0).name for c in group.channels()}
-            clock = next((c for c in group.channels() if bare[c.name] == "t" or bare[c.name].lower() == TIME), None)
+            clock = next((c for c in group.channels() if parse_header(c.name, 0).is_time), None)
             for channel in group.channels():
                 if clock is not None and channel.name == clock.name:
                     continue
@@ -81,7 +82,7 @@ def read_tdms(path: Path, policy: ReadingPolicy = READING_POLICY) -> ChannelTabl
                     else:
                         clock_unit = str(clock.properties.get("unit_string", "") or parse_header(clock.name, 0).unit)
                         time = np.asarray(time, dtype=np.float64)
-                        time = np.asarray(convert(time, clock_unit, "s")) if clock_unit else time
+                        time = read_conversion(clock_unit, "s")(time) if clock_unit else time
                     time = time - origin if np.isfinite(stamps.start) else time
                 else:
                     begin = stamps.start - origin if np.isfinite(stamps.start) else 0.0

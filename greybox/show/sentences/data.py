@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -102,6 +103,16 @@ def _clock_offset(finding: Finding) -> str:
 
 _SOURCES = {"column": "mean of its column", "comment": "from a comment of the file"}
 
+# How the unit of a column is known where its header does not state it as this library writes it.
+_UNITS_READ = {
+    "turns": "counts turns ({unit}; a turn is 2 pi rad)",
+    "counts": "is taken as a plain number",
+    "told": "is read in {unit}, as told",
+    "name": "is in {unit}, as its name says",
+    "size": "is in {unit} since 1970, by the size of its numbers",
+    "notation": "is in {unit}",
+}
+
 _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.INPUT_CONSTANT: "input '{subject}' is constant at {value:g}",
     RecordCode.INPUT_FOLLOWS_OUTPUT: lambda f: (
@@ -141,6 +152,12 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.OUTPUT_NOT_MEASURED: lambda f: f"not measured: output {' and '.join(map(repr, f.values['outputs']))}",
     RecordCode.UNITS_ASSUMED: lambda f: (
         f"the header gives no unit for {', '.join(f.values['units'])}: {', '.join(f.values['units'].values())} assumed"
+    ),
+    RecordCode.UNITS_READ: lambda f: (
+        "units: "
+        + "; ".join(
+            f"{header!r} {_UNITS_READ[reason].format(unit=unit)}" for header, unit, reason in f.values["columns"]
+        )
     ),
     RecordCode.COLUMNS_IGNORED: lambda f: (
         f"columns ignored: {_enumerate([repr(c) for c in f.values['columns'][:8]], len(f.values['columns']))}"
@@ -205,11 +222,11 @@ def write_survey(survey: FileSurvey) -> list[Block]:
     ]
     rows = [_write_signal(signal, clocks) for signal in survey.signals]
     inputs, outputs = ([s for s in survey.signals if s.use == use] for use in ("input", "output"))
-    lines = [f'gb.Input("{s.name}", "{s.unit or "1"}")' for s in inputs]
-    lines += [f'gb.Output("{s.name}", "{s.unit or "1"}")' for s in outputs]
+    lines = [f'gb.Input("{s.name}", "{s.model_unit}")' for s in inputs]
+    lines += [f'gb.Output("{s.name}", "{s.model_unit}")' for s in outputs]
     guess = "for a model (which signal is an input is a guess from names and from how they move):"
     renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
-    columns = " ".join(f"--column {name}={_quote(header)}" for name, header in renamed.items())
+    columns = " ".join(f"--column {shlex.quote(name)}={shlex.quote(header)}" for name, header in renamed.items())
     return [
         Paragraphs([f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}"]),
         TableBlock("Signals", head, rows),
@@ -221,10 +238,6 @@ def write_survey(survey: FileSurvey) -> list[Block]:
 
 def _bare(header: str) -> str:
     return header.partition(" [")[0]
-
-
-def _quote(text: str) -> str:
-    return text if text.replace("_", "").replace(".", "").replace("/", "").isalnum() else f"'{text}'"
 
 
 def _write_signal(signal: SignalSurvey, clocks: bool) -> list[str]:

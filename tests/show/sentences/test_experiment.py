@@ -154,6 +154,21 @@ GOLDEN = {
         {"units": {"time": "s", "x": "m"}},
         "the header gives no unit for time, x: s, m assumed",
     ),
+    RecordCode.UNITS_READ: (
+        "",
+        {
+            "columns": [
+                ["w [1/min]", "1/min", "turns"],
+                ["enc [inc]", "count", "counts"],
+                ["t in ms", "ms", "name"],
+                ["x [m]", "mm", "told"],
+                ["stamp", "us", "size"],
+                ["T [C]", "degC", "notation"],
+            ]
+        },
+        "units: 'w [1/min]' counts turns (1/min; a turn is 2 pi rad); 'enc [inc]' is taken as a plain number; 't in ms' is in ms, as its"
+        " name says; 'x [m]' is read in mm, as told; 'stamp' is in us since 1970, by the size of its numbers; 'T [C]' is in degC",
+    ),
     RecordCode.COLUMNS_IGNORED: ("", {"columns": ["a", "b"]}, "columns ignored: 'a', 'b'"),
     RecordCode.CONDITION_READ: (
         "P_S",
@@ -227,8 +242,8 @@ def test_a_survey_is_a_table_with_the_columns_to_name():
         return SignalSurvey(header, unit, "", rows, step=step, use=use, name=name, **{**values, **more})
 
     signals = (
-        signal("/cmd.value [V]", "V", 2000, 0.001, "input", "value", held=True),
-        signal("x [mm]", "mm", 200, 0.01, "output", "x", gaps=2, missing=3, regular=False),
+        signal("/cmd.value [V]", "V", 2000, 0.001, "input", "value", held=True, model_unit="V"),
+        signal("x [mm]", "mm", 200, 0.01, "output", "x", gaps=2, missing=3, regular=False, model_unit="mm"),
     )
     text = str(FileSurvey("run.mcap", "MCAP", signals, (Finding(RecordCode.NO_TIME),)))
     lines = text.splitlines()

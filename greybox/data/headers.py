@@ -1,0 +1,166 @@
+"""What a column of a file means: its name, its unit, and how the unit is known. Every format, the survey and the shell go through it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+from greybox.base import ModelError, is_unit
+from greybox.base.units import KNOWN, parse_powers
+from greybox.data.notation import converts, read_notation
+
+TIME = "time"  # the name of the time column
+
+
+class UnitSource(StrEnum):
+    """How the unit of a column is known."""
+
+    NONE = "none"
+    """Nothing states one."""
+    STATED = "stated"
+    """Brackets of the header, a row of units, an attribute or a format of the file."""
+    NAME = "name"
+    """The header says it in words or as a quotient: ``t in ms``, ``n/rpm``."""
+    ENDING = "ending"
+    """The name ends like a unit, which may be chance: ``time_ms``, ``x_mm``, ``millis``."""
+    TOLD = "told"
+    """The person who reads the file: ``--column 'time [ms]=time_ms'``."""
+    SIZE = "size"
+    """The numbers: stamps since 1970."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a file.
+
+    Attributes
+    ----------
+    header
+        As the file has it, whole.
+    name, unit
+        Its parts; the unit as it is written, "" where none is stated.
+    position
+        Place in the table, from 0.
+    known
+        How the unit is known.
+    """
+
+    header: str
+    name: str
+    unit: str
+    position: int
+    known: UnitSource = UnitSource.NONE
+
+    @property
+    def is_time(self) -> bool:
+        """Whether its name is that of the time. ``T`` is a temperature."""
+        return self.name == "t" or self.name.lower() == TIME
+
+
+# Characters of a header; in a longer one neither unit nor name are looked for.
+LONGEST_HEADER = 200
+_SQUARE = re.compile(r"(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]")
+# Brackets that may belong to the name: Laser (ch1), log{2}.
+_OTHER = {")": "(", "}": "{", ">": "<"}
+
+
+def parse_header(header: str, position: int) -> Column:
+    """``x [um]``, ``x {um}`` or ``x (um)`` as name and unit; parentheses without a unit (``Laser (ch1)``) belong to the name."""
+    text = header.strip()
+    if len(text) > LONGEST_HEADER:
+        return Column(text, text, "", position)
+    square = _SQUARE.fullmatch(text)
+    if square:
+        unit = square["unit"].strip()
+        return Column(text, square["name"].strip(), unit, position, UnitSource.STATED if unit else UnitSource.NONE)
+    for at in (k for k, letter in enumerate(text) if k and letter == _OTHER.get(text[-1])):
+        unit = text[at + 1 : -1].strip()
+        if _looks_like_unit(unit):
+            return Column(text, text[:at].strip(), unit, position, UnitSource.STATED)
+    return Column(text, text, "", position)
+
+
+def _looks_like_unit(text: str) -> bool:
+    if text == "-":
+        return True
+    if not any(letter.isalpha() or letter in "%°‰" for letter in text):
+        return False  # channel numbers: Laser (1)
+    try:
+        read_notation(text)
+    except ModelError:
+        return is_unit(text)  # with a number (8bits), which is refused where the column is used
+    return True
+
+
+# Separators of a name and what may be its unit; the first group states it, the others only look so.
+_SEPARATOR = re.compile(r"(?P<states>[\s_]+in[\s_]+|\s*[/,]\s*)|[\s_.:;|-]+|(?<=[a-z])(?=[A-Z][a-z]+$)")
+# Symbols that a name may end with, beside those that every model uses.
+_EVERYDAY = {
+    *KNOWN,
+    *("h", "day", "degC", "degF", "psi", "inch", "ft", "lbf", "lb", "gal", "turn", "kgf", "g_0", "mbar", "hPa"),
+}
+_EVERYDAY |= {
+    "permille",
+    "hp",
+    "metric_horsepower",
+    "knot",
+    "Ohm",
+    "kohm",
+    "mbar",
+    "kWh",
+    "Wh",
+    "Ah",
+    "mAh",
+    "kmh",
+    "mph",
+}
+
+
+def read_endings(column: Column) -> tuple[Column, ...]:
+    """What a column may be whose header states no unit: ``time_ms`` may be ``time`` in ms; a whole name that is a unit has no name."""
+    text = column.name
+    if column.unit or len(text) > LONGEST_HEADER:
+        return ()
+    readings = []
+    for cut in _SEPARATOR.finditer(text):
+        # timeMs: a capital that only begins a word.
+        unit = text[cut.end() :] if cut.group() else text[cut.end() :].lower()
+        if cut.start() and _is_everyday(unit):
+            known = UnitSource.NAME if cut["states"] else UnitSource.ENDING
+            readings.append(replace(column, name=text[: cut.start()], unit=unit, known=known))
+    whole = text.removesuffix("()")
+    if len(whole) > 1 and _is_everyday(whole):
+        readings.append(replace(column, name="", unit=whole, known=UnitSource.ENDING))
+    return tuple(readings)
+
+
+def _is_everyday(text: str) -> bool:
+    try:
+        powers = parse_powers(read_notation(text.removeprefix("(").removesuffix(")") if text[:1] == "(" else text))[1]
+    except ModelError:
+        return False
+    return bool(powers) and _EVERYDAY.issuperset(powers)
+
+
+# Names of a time beside ``time`` and ``t``; only asked about.
+_TIME_WORDS = frozenset(
+    ("time", "t", "timestamp", "timestamps", "stamp", "clock", "zeit", "zeitstempel", "elapsed", "uptime")
+)
+
+
+def read_time(column: Column) -> Column | None:
+    """The column as the time, if its header may be that of one; its unit is a guess where it is known by the ending."""
+    for reading in (*read_endings(column), column):
+        words = {w.lower() for w in re.split(r"[\W_]+|(?<=[a-z])(?=[A-Z])", reading.name) if w != "T"}
+        if (words & _TIME_WORDS or not reading.name) and (not reading.unit or converts(reading.unit, "s")):
+            return reading
+    return None
+
+
+def join_units(names: Sequence[str | None], units: Sequence[str | None]) -> list[str | None]:
+    """Headers ``name [unit]`` of a row of names and the row of units below it; a name without a unit stays as it is."""
+    below = [str(unit or "").strip("[](){}<> ") for unit in units]
+    below += [""] * (len(names) - len(units))
+    return [f"{name} [{unit}]" if name and unit else name for name, unit in zip(names, below, strict=False)]
