@@ -92,24 +92,27 @@ def raise_limit(name: str) -> str:
 def describe_wrong_count(names: Sequence[str], columns: int) -> str:
     """Message for a list of column names of the wrong length."""
     return (
-        f"columns gives {len(names)} name{'s' * (len(names) != 1)} ({shorten(', '.join(names))}), the file has {columns}"
+        f"columns gives {len(names)} name{'s' * (len(names) != 1)} ({shorten(', '.join(n or '-' for n in names))}), the file has {columns}"
         f" column{'s' * (columns != 1)}; give one for each in their order, '-' for a column that is not wanted"
     )
 
 
-def describe_non_numbers(header: str, rows: Sequence[int], texts: Sequence[str], labels: RowLabels) -> str:
-    """Message for text in a number column; ``texts`` belong to the first of ``rows``."""
+def describe_non_numbers(
+    header: str, rows: Sequence[int], texts: Sequence[str], labels: RowLabels, separator: str = ""
+) -> str:
+    """Message for text in a number column; ``texts`` belong to the first of ``rows``, ``separator`` stands between the columns."""
     quoted = enumerate_first([repr(shorten(t)) for t in texts[:5]], len(rows))
     verb = "is not a number" if len(rows) == 1 else "are not numbers"
-    return f"column {shorten(header)!r}, {labels.describe(rows)}: {quoted} {verb}; {_suggest_number_format(texts)}"
+    return f"column {shorten(header)!r}, {labels.describe(rows)}: {quoted} {verb}; {_suggest_number_format(texts, separator)}"
 
 
-def _suggest_number_format(texts: Sequence[str]) -> str:
+def _suggest_number_format(texts: Sequence[str], separator: str) -> str:
     first = texts[0].strip() if len(texts) else ""
     if _DATE.search(first):
         return "write time as seconds from the start of the record"
     if _DECIMAL_COMMA.fullmatch(first):
-        return "write decimal points, or ';' between the columns and no quotation marks"
+        between = ", or ';' between the columns and no quotation marks" if separator == "," else " in all rows"
+        return f"write decimal points{between}"
     if _THOUSANDS.fullmatch(first):
         return "write the number without marks between its thousands"
     return "correct it, or leave the field empty if nothing was measured"
@@ -325,7 +328,7 @@ def match_columns(
             " such as 'time [s],u [V],x [um]', or name the columns in their order, columns=['time', 'u', 'x'] (shell: --columns"
             " time,u,x)"
         )
-    problems += _describe_missing(missing, model, spare, inputs_only)
+    problems += _describe_missing(missing, model, spare, inputs_only, are_named)
     doubts: list[str] = []
     matched = {s: _settle_unit(matched[s], s, s.name in mapping, are_named, doubts) for s in signals if s in matched}
     conversions = {s: _find_conversion(c, s, are_named, doubts) for s, c in matched.items()}
@@ -483,24 +486,24 @@ def _is_for(column: Column, signal: RequestedSignal) -> bool:
 
 
 def _describe_missing(
-    missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column], inputs_only: bool
+    missing: Sequence[RequestedSignal], model: Model, spare: Sequence[Column], inputs_only: bool, are_named: bool
 ) -> list[str]:
     """Problems with the signals that no column is for; an output may be missing, but not all of them."""
     needed = [s for s in missing if s.kind in (SignalKind.TIME, SignalKind.INPUT)]
     clock = "; where rows have no time, give sampling_time=<seconds> (shell: --sampling-time SECONDS)"
     problems = [
-        f"no column for {s.label}; {_suggest_headers(s, spare)}{clock if s.kind is SignalKind.TIME else ''}"
+        f"no column for {s.label}; {_suggest_headers(s, spare, are_named)}{clock if s.kind is SignalKind.TIME else ''}"
         for s in needed
     ]
     outputs = [s for s in missing if s.kind is SignalKind.OUTPUT]
     if len(outputs) == len(model.outputs) and not inputs_only:
         labels = ", ".join(s.label for s in outputs)
         what = f"any output of model {model.name!r} ({labels}), at least one is needed"
-        problems.append(f"no column for {what}; {_suggest_headers(outputs[0], spare)}")
+        problems.append(f"no column for {what}; {_suggest_headers(outputs[0], spare, are_named)}")
     return problems
 
 
-def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
+def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column], are_named: bool) -> str:
     wanted = signal.name.lower()
     spare = [c for c in spare if len(c.name) <= LONGEST_HEADER]
     close = difflib.get_close_matches(wanted, [c.name.lower() for c in spare], n=3, cutoff=0.5)
@@ -513,7 +516,7 @@ def _suggest_headers(signal: RequestedSignal, spare: Sequence[Column]) -> str:
     called = _find_called(signal, spare)
     if called:
         unit = read_notation(called[0].unit, signal.unit)
-        return f"is it {shorten(called[0].header)!r}, in {unit}? {_explain_mapping(signal, called[0])}"
+        return f"is it {shorten(called[0].header)!r}, in {unit}? {_explain_mapping(signal, called[0], are_named)}"
     guess = f"did you mean {' or '.join(near[:3])}? " if near else ""
     listing = ", ".join(_list_headers(spare))
     if not listing:

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
-from greybox.base import ModelError, is_unit
+from greybox.base import ModelError
 from greybox.base.units import KNOWN, parse_powers
-from greybox.data.notation import converts, read_notation
+from greybox.data.notation import converts, is_notation, read_notation
 
 TIME = "time"  # the name of the time column
 
@@ -87,11 +87,7 @@ def _looks_like_unit(text: str) -> bool:
         return True
     if not any(letter.isalpha() or letter in "%°‰" for letter in text):
         return False  # channel numbers: Laser (1)
-    try:
-        read_notation(text)
-    except ModelError:
-        return is_unit(text)  # with a number (8bits), which is refused where the column is used
-    return True
+    return is_notation(text)
 
 
 # Separators of a name and what may be its unit; the first group states it, the others only look so.
@@ -160,7 +156,10 @@ def read_time(column: Column) -> Column | None:
 
 
 def join_units(names: Sequence[str | None], units: Sequence[str | None]) -> list[str | None]:
-    """Headers ``name [unit]`` of a row of names and the row of units below it; a name without a unit stays as it is."""
+    """Headers ``name [unit]`` of a row of names and the row of units below it; a name with a unit of its own stays as it is."""
     below = [str(unit or "").strip("[](){}<> ") for unit in units]
     below += [""] * (len(names) - len(units))
-    return [f"{name} [{unit}]" if name and unit else name for name, unit in zip(names, below, strict=False)]
+    return [
+        f"{name} [{unit}]" if name and unit and not parse_header(str(name), 0).unit else name
+        for name, unit in zip(names, below, strict=False)
+    ]

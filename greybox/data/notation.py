@@ -12,17 +12,17 @@ from greybox.base.units import Conversion, UnitError, has_zero_point, parse_powe
 WORDS: dict[str, str] = {
     word: unit
     for unit, words in {
-        "s": "sec secs sek sekunde sekunden",
-        "ms": "msec msecs millis millisec millisekunde millisekunden",
-        "us": "usec usecs micros microsec mikrosekunde mikrosekunden",
-        "ns": "nsec nsecs nanos nanosec nanosekunde nanosekunden",
-        "min": "min mins minuten",
-        "h": "hr hrs std stunde stunden",
-        "day": "tag tage",
+        "s": "sec secs second seconds sek sekunde sekunden",
+        "ms": "msec msecs millis millisec millisecond milliseconds millisekunde millisekunden",
+        "us": "usec usecs micros microsec microsecond microseconds mikrosekunde mikrosekunden",
+        "ns": "nsec nsecs nanos nanosec nanosecond nanoseconds nanosekunde nanosekunden",
+        "min": "min mins minute minutes minuten",
+        "h": "hr hrs hour hours std stunde stunden",
+        "day": "day days tag tage",
         "turn": "U rev revs rot rots rotation rotations umdr umdrehung umdrehungen tr r",
         "rpm": "rpm upm",
-        "deg": "degs Grad winkelgrad",
-        "rad": "rads radiant",
+        "deg": "degs degree degrees Grad winkelgrad",
+        "rad": "rads radian radians radiant",
         "degC": "degc celsius °c ºc ºC",
         "degF": "degf fahrenheit °f ºF",
         "K": "°K degk kelvin",
@@ -42,10 +42,10 @@ WORDS: dict[str, str] = {
         "Hz": "hz",
         "kHz": "khz",
         "ohm": "ohms",
-        "V": "vdc volts",
-        "A": "amps ampere",
+        "V": "volt volts vdc",
+        "A": "amp amps ampere",
         "inch": "zoll",
-        "%": "pct prozent",
+        "%": "pct percent prozent",
         "permille": "promille ‰",
     }.items()
     for word in words.split()
@@ -168,6 +168,15 @@ def _spell_word(word: str) -> str:
         if is_unit(other):
             return other
     return word
+
+
+def is_notation(text: str) -> bool:
+    """Whether a text is meant as a unit; one with a number (``8bits``) is, and is refused where it is used."""
+    try:
+        read_notation(text)
+    except ModelError:
+        return is_unit(text)
+    return True
 
 
 def read_conversion(text: str, target: str) -> Conversion:

@@ -17,8 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from greybox.base import DataError, ModelError, shorten, unit_converter
+from greybox.base import DataError, shorten
 from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
+from greybox.data.headers import join_units
+from greybox.data.notation import is_notation
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 
@@ -36,8 +38,8 @@ _BLANK_FIELD = re.compile(r"\"[^\"]*\"|\S+")
 _SPREADSHEET_ERROR = re.compile(r"#(N/A|NV|[^\W\d_]+(/0)?[!?])(?=[,;\t]|\s+[-+.\d#]|\s*$)")
 _WIDE_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
-# Columns; row -> number of fields where it is not that of the header; column -> row -> text that is no number.
-Reading = tuple[dict[int, np.ndarray], dict[int, int], dict[int, dict[int, str]]]
+# Columns; row -> its fields where they are not as many as the headers; column -> row -> text that is no number.
+Reading = tuple[dict[int, np.ndarray], dict[int, list[str]], dict[int, dict[int, str]]]
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ class TextTable:
     """Lines of a text file that hold numbers, under their ``headers``; ``header_line`` is counted from 1.
 
     ``comments``: the lines that begin with ``#`` or ``%``. ``headless``: the file has no header, and the headers are the numbers of
-    the columns. ``skipped``: lines of the table before the first row of numbers.
+    the columns. ``skipped``: lines of the table before the first row of numbers, of which the last is the header where ``has_header_line``.
     """
 
     source: TextSource
@@ -70,6 +72,7 @@ class TextTable:
     skipped: int
     comments: tuple[str, ...] = ()
     headless: bool = False
+    has_header_line: bool = False
     has_comma: bool = False
     has_point: bool = True
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
@@ -88,7 +91,14 @@ class TextTable:
         """The table with ``names`` for headers. Raises DataError for another number of them."""
         if len(names) != len(self.headers):
             raise DataError(describe_wrong_count(names, len(self.headers)))
-        return replace(self, headers=tuple(names), headless=False)
+        named = replace(self, headers=tuple(names), headless=False)
+        # A line whose wanted fields are numbers is a row, whatever stands in the others.
+        wanted = [text for text, name in zip(self.headers, names, strict=True) if name]
+        numbers = self.row_labels.numbers
+        if not self.has_header_line or numbers is None or not _holds_numbers(wanted):
+            return named
+        labels = RowLabels(self.row_labels.word, np.concatenate([[self.header_line], numbers]))
+        return replace(named, skipped=self.skipped - 1, row_labels=labels)
 
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
         """Columns (N,) as float64 with NaN for gaps, and the problems met."""
@@ -99,7 +109,9 @@ class TextTable:
         if ragged:
             return columns, [self._describe_ragged(ragged)]
         wrong = ((self.headers[k], list(texts), list(texts.values())) for k, texts in bad.items() if texts)
-        return columns, [describe_non_numbers(header, rows, texts, self.row_labels) for header, rows, texts in wrong]
+        return columns, [
+            describe_non_numbers(header, rows, texts, self.row_labels, self.separator) for header, rows, texts in wrong
+        ]
 
     def _decimals(self) -> tuple[str, ...]:
         """Decimal signs worth trying: a comma can be one wherever it does not separate columns."""
@@ -109,14 +121,14 @@ class TextTable:
 
     def _read(self, positions: Sequence[int], decimal: str) -> Reading:
         columns = {k: np.zeros(self.rows) for k in positions}
-        ragged: dict[int, int] = {}
+        ragged: dict[int, list[str]] = {}
         bad: dict[int, dict[int, str]] = {k: {} for k in positions}
         lines, start = islice(filter(_is_of_table, self.source.read_lines()), self.skipped, None), 0
         while block := list(islice(lines, self.policy.rows_per_chunk)):
             if start + len(block) > self.rows:
                 break
             rows = [split_line(line, self.separator) for line in block]
-            ragged |= {start + k: len(row) for k, row in enumerate(rows) if len(row) != len(self.headers)}
+            ragged |= {start + k: row for k, row in enumerate(rows) if len(row) != len(self.headers)}
             for k in () if ragged else positions:
                 columns[k][start : start + len(block)], wrong = _to_numbers([row[k] for row in rows], decimal)
                 bad[k] |= {start + row: rows[row][k] for row in wrong}
@@ -125,18 +137,23 @@ class TextTable:
             raise DataError(f"{self.source.path.name}: the file changed while it was read; read it again")
         return columns, ragged, bad
 
-    def _describe_ragged(self, ragged: dict[int, int]) -> str:
-        """Message for lines with more or fewer fields than the header; ``ragged`` is row -> number of fields."""
+    def _describe_ragged(self, ragged: dict[int, list[str]]) -> str:
+        """Message for lines with more or fewer fields than the header; ``ragged`` is row -> fields."""
         rows, expected = list(ragged), len(self.headers)
-        first = ragged[rows[0]]
+        first = len(ragged[rows[0]])
         several = f"have another number of fields ({first} in the first of them)"
         what = f"has {first} field{'s' if first > 1 else ''}" if len(rows) == 1 else several
-        decimal_comma = self.separator == "," and first > expected
-        remedy = (
-            "write a decimal point, or ';' between the columns"
-            if decimal_comma
-            else "give every line one field a column"
-        )
+        sign = repr(self.separator) if self.separator != BLANKS else "a blank"
+        if all(len(row) == expected + 1 and not row[-1] for row in ragged.values()):
+            remedy = (
+                f"the lines end with {sign} and the header does not: write it behind the header as well, or delete it"
+            )
+        elif not self.headers[-1] and all(len(row) == expected - 1 for row in ragged.values()):
+            remedy = f"the header ends with {sign}: delete it there"
+        elif self.separator == "," and first > expected:
+            remedy = "write a decimal point, or ';' between the columns"
+        else:
+            remedy = "give every line one field a column"
         lines = self.row_labels.describe(rows)
         return f"{lines} {what}, the header (line {self.header_line}) has {expected}; {remedy}"
 
@@ -173,12 +190,16 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
     separator = stated or _guess_separator(first[skipped], body)
     rows = numbers.as_sequence()
     headers, header_line = split_header(first[skipped], separator), int(rows[skipped])
-    headless = _holds_numbers(headers)
+    headless, has_units = _holds_numbers(headers), False
     if not headless:
+        below = split_header(first[skipped + 1], separator) if len(first) > skipped + 1 else []
+        has_units = _is_row_of_units(below, len(headers))
+        if has_units:
+            headers = [str(header) for header in join_units(headers, below)]
         misplaced = describe_misplaced_header(first[skipped:], list(map(int, rows[skipped : len(first)])))
-        if misplaced:
+        if misplaced and not has_units:
             raise DataError(f"{path.name}: {misplaced}")
-        skipped += 1
+        skipped += 1 + has_units
     else:
         stated_header = _find_header_in_comments(comments, int(rows[skipped]), separator, len(headers))
         if stated_header is not None:
@@ -188,6 +209,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
             headers = [str(k) for k in range(1, len(headers) + 1)]
     check_width(len(headers), policy)
     labels = RowLabels("line", rows[skipped:])
+    has_header_line = skipped > 0 and int(rows[skipped - 1]) == header_line
     return TextTable(
         source,
         tuple(headers),
@@ -197,6 +219,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         skipped,
         tuple(comments.values()),
         headless,
+        has_header_line,
         has_comma,
         has_point,
         policy,
@@ -295,9 +318,6 @@ def describe_misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> s
     if first < 2 or NUMBER.fullmatch(_split_words(plain[first - 1])[0]):
         return ""
     header, number = plain[first - 1], numbers[first - 1]
-    if first == 2 and _is_row_of_units(header):
-        example = "'time [s],u [V],x [um]'"
-        return f"line {number} looks like units ({shorten(header)}); put them into the header, as in {example}, and delete the line"
     if len(_split_words(plain[0])) == len(_split_words(header)):
         return ""
     before = f"the {first - 1} lines" if first > 2 else "the line"
@@ -314,14 +334,14 @@ def _is_row_of_numbers(line: str) -> bool:
     return 2 * sum(NUMBER.fullmatch(word) is not None for word in words) > len(words)
 
 
-def _is_row_of_units(line: str) -> bool:
-    words = [word.strip("[]()") for word in _split_words(line)]
-    try:
-        for word in words:
-            unit_converter(word, word)
-    except ModelError:
+def _is_row_of_units(fields: Sequence[str], columns: int) -> bool:
+    """Whether the line below a header of ``columns`` names holds their units: no number, no gap, and mostly units."""
+    words = [field.strip("[](){} ") for field in fields]
+    stated = [word for word in words if word]
+    if len(words) != columns or any(NUMBER.fullmatch(word) or word in GAPS[1:] for word in stated):
         return False
-    return any(words)
+    known = sum(word == "-" or is_notation(word) for word in stated)
+    return 2 * known > len(stated)
 
 
 def _guess_separator(header: str, body: Sequence[str]) -> str:

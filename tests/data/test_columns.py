@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import ast
+import re
+import shlex
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from greybox.data.columns import propose_columns
+from greybox.base import DataError, unit_converter
+from greybox.data.columns import find_stamp_unit, propose_columns
 from greybox.data.file_kinds import open_record_file
+from greybox.data.findings import RecordCode
+from greybox.data.read import read_arrays, read_csv
+from greybox.data.survey import survey_file
 from greybox.model.balance import Balance
 from greybox.model.model import Model
 from greybox.model.signals import Input, Output, Parameter, State
@@ -62,3 +71,166 @@ def test_nothing_is_proposed_where_every_signal_has_its_column(tmp_path):
 def test_a_choice_that_another_file_has_not_is_asked_anew(tmp_path):
     _, choices = propose(tmp_path, ["time", "drive", "v"], {"f": "Kraft [N]"})
     assert choices["f"] == ("", False)
+
+
+# --- what a header means: stated, asked, told
+
+
+def record(tmp_path, headers, rows=((0, 1, 2), (10, 2, 3), (20, 4, 5)), **how):
+    path = tmp_path / "run.csv"
+    lines = [";".join(headers), *(";".join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return read_csv(path, CART, **how)
+
+
+@pytest.mark.parametrize(
+    ("header", "key"),
+    [
+        ("time_ms", "time [ms]"),
+        ("t_ms", "time [ms]"),
+        ("Zeit_us", "time [us]"),
+        ("time ms", "time [ms]"),
+        ("timeMs", "time [ms]"),
+        ("clock.min", "time [min]"),
+        ("millis", "time [ms]"),
+        ("micros()", "time [us]"),
+        ("Timestamp-ns", "time [ns]"),
+        ("elapsed_hours", "time [h]"),
+    ],
+)
+def test_a_time_that_only_ends_like_a_unit_is_asked_for_and_the_answer_works_as_typed(tmp_path, header, key):
+    with pytest.raises(DataError) as error:
+        record(tmp_path, [header, "f", "v"])
+    (answer,) = re.findall(r"write columns=(\{.*?\})", str(error.value))
+    columns = ast.literal_eval(answer)
+    assert f"--column {shlex.quote(f'{key}={header}')}" in str(error.value)
+    assert columns == {key: header}
+    unit = key.partition("[")[2].strip("]")
+    expected = unit_converter(unit, "s")([0, 10, 20])
+    np.testing.assert_allclose(record(tmp_path, [header, "f", "v"], columns=columns).time, expected)
+    # What a person chose without its unit is asked as well.
+    with pytest.raises(DataError, match=re.escape(f"write columns={answer}")):
+        record(tmp_path, [header, "f", "v"], columns={"time": header})
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "factor"),
+    [
+        ("t/ms", "time", 1e-3),
+        ("t in ms", "time", 1e-3),
+        ("time, min", "time", 60.0),
+        ("time(ms)", "time", 1e-3),
+        ("time <us>", "time", 1e-6),
+        ("Time {ms}", "time", 1e-3),
+    ],
+)
+def test_a_time_whose_unit_is_stated_in_any_notation_is_read(tmp_path, header, name, factor):
+    np.testing.assert_allclose(record(tmp_path, [header, "f", "v"]).time, factor * np.array([0, 10, 20]), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("header", "key", "factor"),
+    [
+        ("v_mm/s", "v [mm/s]", 1e-3),
+        ("speed_kmh", "v [km/h]", 1 / 3.6),
+        ("Tempo km/h", "v [km/h]", 1 / 3.6),
+        ("v.cm/s", "v [cm/s]", 1e-2),
+    ],
+)
+def test_a_signal_that_ends_like_a_unit_is_asked_for(tmp_path, header, key, factor):
+    with pytest.raises(DataError, match=re.escape(f"{{{key!r}: {header!r}}}")):
+        record(tmp_path, ["time", "f", header], columns={"v": header})
+    told = record(tmp_path, ["time", "f", header], columns={key: header})
+    np.testing.assert_allclose(told.outputs["v"], factor * np.array([2, 3, 5]), rtol=1e-12)
+    as_it_is = record(tmp_path, ["time", "f", header], columns={"v [m/s]": header})
+    np.testing.assert_array_equal(as_it_is.outputs["v"], [2, 3, 5])
+
+
+def test_a_unit_of_another_quantity_is_asked_for_where_a_person_chose_the_column(tmp_path):
+    for header in ("PWM_%", "n_rpm", "U/mV"):
+        with pytest.raises(DataError, match=re.escape(f"{{'f [N]': {header!r}}}")):
+            record(tmp_path, ["time", header, "v"], columns={"f": header})
+        told = record(tmp_path, ["time", header, "v"], columns={"f [N]": header})
+        np.testing.assert_array_equal(told.inputs["f"], [1, 2, 4])
+    # A minimum, a mean and a letter are words of names.
+    for header in ("f_min", "f_bar", "f_A"):
+        np.testing.assert_array_equal(
+            record(tmp_path, ["time", header, "v"], columns={"f": header}).inputs["f"], [1, 2, 4]
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "asked"),
+    [("x_mm", "mm", False), ("x_mm", "m", True), ("v_s", "m/s", False), ("u_A", "V", False), ("p_bar", "bar", False)],
+)
+def test_a_signal_of_the_model_that_is_called_so_is_asked_only_where_its_unit_differs(tmp_path, name, unit, asked):
+    model = Model(
+        "named",
+        [State(name, unit)],
+        [],
+        [Output(name, unit)],
+        [Parameter("tau", "s", 1.0)],
+        lambda x, u, p: [Balance("decay", unit, p.tau, name, loss=-x[name])],
+    )
+    path = tmp_path / "run.csv"
+    path.write_text(f"time [s],{name}\n0,4\n1,3\n2,1\n", encoding="utf-8")
+    if asked:
+        with pytest.raises(DataError, match=re.escape(f"{{'{name} [mm]': '{name}'}}")):
+            read_csv(path, model)
+        np.testing.assert_allclose(
+            read_csv(path, model, columns={f"{name} [mm]": name}).outputs[name], [4e-3, 3e-3, 1e-3]
+        )
+    else:
+        np.testing.assert_array_equal(read_csv(path, model).outputs[name], [4, 3, 1])
+
+
+def test_what_a_person_says_of_a_unit_goes_before_the_header_and_is_noted(tmp_path):
+    told = record(tmp_path, ["time [s]", "f [N]", "v [1/s]"], columns={"v [km/h]": "v"})
+    np.testing.assert_allclose(told.outputs["v"], np.array([2, 3, 5]) / 3.6)
+    assert [f.values["columns"] for f in told.findings if f.code is RecordCode.UNITS_READ] == [
+        [["v [1/s]", "km/h", "told"]]
+    ]
+
+
+def test_all_columns_with_a_doubtful_unit_come_in_one_message(tmp_path):
+    with pytest.raises(DataError, match="3 problems") as error:
+        record(tmp_path, ["time [8bits]", "f [pi]", "v [foo]"])
+    for key in ("'time [s]'", "'f [N]'", "'v [m/s]'"):
+        assert key in str(error.value)
+    with pytest.raises(DataError, match=r"write 'time \[ms\]' for 'time_ms' in columns"):
+        record(tmp_path, ["a", "b", "c"], rows=[(0, 1, 2)] * 3, columns=["time_ms", "f", "v"])
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("s", 1.0), ("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)])
+@pytest.mark.parametrize("start", [1.1e9, 1711848600.0, 2.2e9])
+def test_stamps_since_1970_are_known_by_their_size(tmp_path, unit, factor, start):
+    stamps = [round(s / factor) for s in (start, start + 10, start + 20)]
+    rows = [(stamp, k, k * k) for k, stamp in enumerate(stamps)]
+    record_of = record(tmp_path, ["time", "f", "v"], rows)
+    np.testing.assert_allclose(np.diff(record_of.time), 10, rtol=1e-6)
+    (note,) = [f.values["columns"] for f in record_of.findings if f.code is RecordCode.UNITS_READ]
+    assert note == [["time", unit, "size"]]
+    if unit != "s":
+        with pytest.raises(DataError, match=re.escape(f"'time [{unit}]'")):
+            record(tmp_path, ["time [s]", "f", "v"], rows)
+
+
+def test_counters_are_no_stamps():
+    for values in ([0.0, 10.0], [5e11, 6e11], [3e9, 4e9], [np.nan, np.nan], []):
+        assert find_stamp_unit(np.array(values)) == ""
+
+
+def test_the_survey_proposes_what_a_model_and_the_reader_accept(tmp_path):
+    path = tmp_path / "run.csv"
+    headers = ["clock_ms", "enc [inc]", "raw [foo]", "T [°C]", "n [U/min]", "s_mm", "g [pi]"]
+    rows = [";".join(str((k + 1) * (j + 2) % 7 if j else 10 * k) for j in range(7)) for k in range(8)]
+    path.write_text("\n".join([";".join(headers), *rows]), encoding="utf-8")
+    survey = survey_file(path)
+    assert {s.header: s.model_unit for s in survey.signals[1:]} == dict(
+        zip(headers[1:], ["1", "1", "K", "turn/min", "mm", "1"], strict=True)
+    )
+    assert survey.columns["time [ms]"] == "clock_ms"
+    outputs = [Output(s.name, s.model_unit, lambda x, u, p: x.q) for s in survey.signals[1:]]
+    model = SimpleNamespace(name="any", inputs=(), outputs=outputs, stated_parameters=())
+    arrays = read_arrays(path, model, columns=dict(survey.columns))
+    np.testing.assert_allclose(arrays.time, 0.01 * np.arange(8))

@@ -363,8 +363,6 @@ def test_quoted_headers_and_fields_between_blanks(tmp_path):
 @pytest.mark.parametrize(
     ("first", "message"),
     [
-        (["time,u,x,i", "s,V,um,A"], "line 2 looks like units (s,V,um,A); put them into the header"),
-        (["time,u,x,i", "[s],[V],[um],[A]"], "line 2 looks like units"),
         (
             ["Oscilloscope 3000", "Serial;123", "", "time [s],u [V],x [m],i [A]"],
             "line 4 looks like the header (time [s],u [V],x [m],i [A]); delete the 2 lines before it, or begin them with '#'",
@@ -377,6 +375,57 @@ def test_what_stands_around_the_header_is_named_with_the_remedy(tmp_path, first,
     (tmp_path / "run.csv").write_text("\n".join([*first, *rows]))
     with pytest.raises(DataError, match=re.escape(f"run.csv: {message}")):
         read_csv(tmp_path / "run.csv", RIG)
+
+
+@pytest.mark.parametrize(
+    ("names", "units"),
+    [
+        ("time,u,x,i", "s,V,m,A"),
+        ("time,u,x,i", "[s],[V],[m],[A]"),
+        ("time [s];u;x;i", "s;V;m;A"),
+        ("time\tu\tx\ti", "s\tV\tm\t"),
+        ("time u x i", "s V m A"),
+    ],
+)
+def test_a_row_of_units_below_the_header_is_read(tmp_path, names, units):
+    separator = next(s for s in ",;\t " if s in names.removeprefix("time [s]"))
+    columns = [TIME, DRIVE, 1e3 * ANSWER, CURRENT]
+    rows = (separator.join(repr(float(value)) for value in row) for row in zip(*columns, strict=True))
+    (tmp_path / "run.txt").write_text("\n".join([names, units.replace("m", "mm"), *rows]))
+    record = read_csv(tmp_path / "run.txt", RIG)
+    np.testing.assert_allclose(record.outputs["x"], ANSWER, rtol=1e-14)
+    np.testing.assert_array_equal(record.inputs["u"], DRIVE)
+
+
+@pytest.mark.parametrize(
+    ("lines", "columns", "rows"),
+    [
+        (["Record Length,20,0.0,1.5", "Interval,1e-3,0.1,1.25", ",,0.2,1.0"], ["-", "-", "time [s]", "x [m]"], 3),
+        (["0.0;start;1.5", "0.1;run;1.25", "0.2;end;1.0"], ["time", "-", "x"], 3),
+        (["0,0;ramp;1,5", "0,1;ramp;1,25", "0,2;hold;1,0"], ["time", "-", "x"], 3),
+        (["zeit;art;weg", "0.0;start;1.5", "0.1;run;1.25"], ["time", "-", "x"], 2),
+    ],
+)
+def test_a_first_line_whose_wanted_columns_are_numbers_is_a_row(tmp_path, lines, columns, rows):
+    (tmp_path / "scope.csv").write_text("\n".join(lines), encoding="utf-8")
+    record = read_csv(tmp_path / "scope.csv", FREE, columns=columns)
+    np.testing.assert_allclose(record.time, np.arange(rows) / 10, atol=1e-12)
+    np.testing.assert_allclose(record.outputs["x"], [1.5, 1.25, 1.0][:rows])
+
+
+@pytest.mark.parametrize(
+    ("text", "remedy"),
+    [
+        ("time;x\n0;1;\n1;2;\n2;3;\n", "the lines end with ';' and the header does not"),
+        ("time,x\n0,1,\n1,2,\n2,3,\n", "the lines end with ',' and the header does not"),
+        ("time;x;\n0;1\n1;2\n2;3\n", "the header ends with ';': delete it there"),
+        ("time;x\n0.5;1\n1.5;2,5\n2.5;3\n", "write decimal points in all rows"),
+    ],
+)
+def test_a_trailing_separator_and_mixed_decimal_signs_are_named(tmp_path, text, remedy):
+    (tmp_path / "run.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(DataError, match=re.escape(remedy)):
+        read_csv(tmp_path / "run.csv", FREE)
 
 
 def test_a_first_row_without_numbers_is_a_row(tmp_path):
