@@ -246,7 +246,7 @@ def split_signal(key: str) -> tuple[str, str]:
     return (column.name, column.unit) if key.rstrip().endswith("]") else (key, "")
 
 
-def merge_mappings(first: Mapping[str, str | int], second: Mapping[str, str | int]) -> dict[str, str | int]:
+def merge_mappings(first: Mapping[str, str], second: Mapping[str, str]) -> dict[str, str]:
     """Both, of which the second says what each of its signals is."""
     names = {split_signal(key)[0] for key in second}
     return {key: header for key, header in first.items() if split_signal(key)[0] not in names} | dict(second)

@@ -190,8 +190,9 @@ class Study:
         "Accept records with zero input throughout (free response of the plant).")
     split_holes = Option(kinds.Switch(), "--split-holes", "records.split_holes",
         "Split records where time has a gap or restarts (a logger dropout, or several runs in one file).")
-    columns = Option(kinds.Table("NAME=HEADER", "x=Laser"), "--column NAME=HEADER", "columns.",
-        "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1.",
+    columns = Option(kinds.ColumnHeaders(), "--column NAME=HEADER", "columns.",
+        "Header of the column that contains a signal or the time, if it differs from NAME; or its number, counted from 1. NAME may state"
+        " the unit of the column, as in 'time [ms]=millis'.",
         completion.signals)
     headers = Option(kinds.Headers(), "--columns NAME,...", "records.columns",
         "Names of all columns in their order, such as 'time [ms],u,-,x', for files without a header and for matrices; - leaves a"

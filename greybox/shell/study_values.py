@@ -389,6 +389,20 @@ class Table(Kind[Mapping[str, Any]]):
 
 
 @dataclass(frozen=True)
+class ColumnHeaders(Table):
+    """A header for each signal, whose name may carry the unit of the column: ``time [ms]=millis``."""
+
+    shape: str = "NAME=HEADER"
+    example: str = "x=Laser"
+
+    def merge(self, in_file: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+        """Signal by signal."""
+        from greybox.data.columns import merge_mappings
+
+        return merge_mappings(in_file, given)
+
+
+@dataclass(frozen=True)
 class Numbers(Table):
     """A number for each name."""
 

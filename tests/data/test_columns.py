@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from greybox.base import DataError, unit_converter
-from greybox.data.columns import find_stamp_unit, propose_columns
+from greybox.data.columns import find_stamp_unit, merge_mappings, propose_columns
 from greybox.data.file_kinds import open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.read import read_arrays, read_csv
@@ -61,6 +61,21 @@ def propose(tmp_path, headers, mapping=None):
 )
 def test_columns_are_proposed_by_name_and_unit(tmp_path, headers, columns, choices):
     assert propose(tmp_path, headers) == (columns, choices)
+
+
+def test_a_unit_that_a_name_suggests_is_proposed_with_the_column(tmp_path):
+    path = tmp_path / "run.csv"
+    path.write_text("clock_ms,f_kN,v [km/h]\n0,1,2\n10,2,3\n", encoding="utf-8")
+    _, choices = propose_columns(open_record_file(path).table, CART)
+    assert [(c.column, c.matched, c.unit) for c in choices] == [
+        ("clock_ms", False, "ms"),
+        ("f_kN", False, "kN"),
+        ("v [km/h]", True, ""),
+    ]
+    answers = {f"{c.signal.name} [{c.unit}]": c.column for c in choices[:2]}
+    assert propose_columns(open_record_file(path).table, CART, answers) is None
+    # What is said later of a signal takes the place of what was said of it before.
+    assert merge_mappings({"time": "a", "f": "b"}, {"time [ms]": "c"}) == {"f": "b", "time [ms]": "c"}
 
 
 def test_nothing_is_proposed_where_every_signal_has_its_column(tmp_path):

@@ -19,7 +19,7 @@ import numpy as np
 from greybox.base import DataError, GreyboxError, ModelError, format_unit, nearest, write_file
 from greybox.base.document import FigureBlock
 from greybox.base.figure import Figure
-from greybox.data.columns import ColumnChoice
+from greybox.data.columns import ColumnChoice, merge_mappings
 from greybox.data.experiment import Experiment
 from greybox.discovery.localisation import ResidualLocalisation
 from greybox.extensions.app.jobs import LAST_NEWS, Job, JobEvent, JobKind, JobNews
@@ -105,6 +105,7 @@ def show_choice(columns: Sequence[str], choices: Sequence[ColumnChoice]) -> dict
                 "kind": str(c.signal.kind),
                 "column": c.column,
                 "matched": c.matched,
+                "stated": c.unit,
             }
             for c in choices
         ],
@@ -284,12 +285,13 @@ class Workbench:
     def load(self, file: Path, *, validates: bool = False, columns: Mapping[str, str] | None = None) -> None:
         """Read a record. Raises GreyboxError, and then nothing has changed.
 
-        ``columns`` says which column is which signal, as ``--column`` does: for all records, so those that are there are read anew.
+        ``columns`` says which column is which signal and in which unit, as ``--column`` does: for all records, so those that are there
+        are read anew.
         """
         session = self.session
         if columns:
             # One choice of columns holds for all records: those that are there are read anew.
-            merged = {**session.columns, **columns}
+            merged = merge_mappings(session.columns, columns)
             session = replace(session, columns=merged, records=self._read_again(merged))
         try:
             records = self.study.read([file], session.columns)

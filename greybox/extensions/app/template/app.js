@@ -274,12 +274,14 @@
   const askForColumns = (files, validates, { columns, signals }) => {
     waiting = { files, validates, matched: Object.fromEntries(signals.filter(({ matched }) => matched).map(({ name, column }) => [name, column])) };
     by("unmatched").textContent = files[0].name;
-    by("signals").replaceChildren(...signals.map(({ name, unit, kind, column }) => {
+    by("signals").replaceChildren(...signals.map(({ name, unit, kind, column, stated }) => {
       const row = make("label"), list = make("select", "", { name });
+      const told = make("input", "", { name: `${name} [`, value: stated, placeholder: "its unit", size: 6 });
+      told.setAttribute("aria-label", `unit of the column of ${name}, where its header does not say it`);
       list.append(make("option", kind === "output" ? "not in this file" : "…", { value: "" }), ...columns.map((text) => make("option", text, { value: text })));
       list.required = kind !== "output";
       list.value = column;
-      row.append(make("span", kind === name ? `${name} [${unit}]` : `${kind} ${name} [${unit}]`), list);
+      row.append(make("span", kind === name ? `${name} [${unit}]` : `${kind} ${name} [${unit}]`), list, told);
       return row;
     }));
     by("choice").hidden = false;
@@ -300,7 +302,8 @@
       } catch (error) {
         if (error.choice) {
           askForColumns(list.slice(k), validates, error.choice);
-          if (Object.keys(columns).length) refused.push(error.message);
+          // Where every signal has its column it is a unit that is not known.
+          if (Object.keys(columns).length || error.choice.signals.every(({ column }) => column)) refused.push(error.message);
           break;
         }
         refused.push(error.message);
@@ -310,8 +313,11 @@
   };
   by("choice").addEventListener("submit", (event) => {
     event.preventDefault();
-    const chosen = [...new FormData(by("choice"))].filter(([name, column]) => column && column !== waiting.matched[name]);
-    load(waiting.files, waiting.validates, Object.fromEntries(chosen));
+    const form = new FormData(by("choice")), names = [...form.keys()].filter((name) => form.has(`${name} [`));
+    // A unit that a person states belongs to the name: time [ms].
+    const chosen = names.map((name) => [name, form.get(name), form.get(`${name} [`).trim()]);
+    const said = chosen.filter(([name, column, unit]) => column && (unit || column !== waiting.matched[name]));
+    load(waiting.files, waiting.validates, Object.fromEntries(said.map(([name, column, unit]) => [unit ? `${name} [${unit}]` : name, column])));
   });
   by("leave").addEventListener("click", () => (waiting.files.length > 1 ? load(waiting.files.slice(1), waiting.validates) : (by("choice").hidden = true)));
   for (const [id, validates] of [["load", false], ["load-validation", true]])
