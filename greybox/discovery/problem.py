@@ -9,7 +9,6 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.base.extensions import read_versions
@@ -26,6 +25,7 @@ from greybox.estimation.transcription.decision_vector import DecisionVector
 from greybox.estimation.transcription.problem import EstimationProblem, Solution, prepare_problem
 from greybox.estimation.transcription.select import TranscriptionChoice, select_transcription
 from greybox.estimation.transcription.shooting_cost import Evaluation
+from greybox.model.definition import identify
 from greybox.model.model import Model
 
 StartValues = Mapping[str, float]
@@ -441,18 +441,14 @@ class DiscoveryProblem:
 
     def job_key(self, job: RefitJob) -> str:
         """The hash by which a refit is known: equal if model, starts, records, noise, options and versions are."""
-        system, noise = job.model.system, self.noise_model
+        noise = self.noise_model
         identity = [
-            str(ca.vertcat(*map(ca.vec, system.free_run_expressions))),
-            str(system.diffusion),
-            [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in job.model.all_parameters],
-            [(s.name, s.bounds) for s in job.model.all_states],
+            *identify(job.model),
             [sorted(s.items()) for s in job.starts],
             job.keep,
             job.iterations,
             job.refines,
             sorted(job.beginning.items()),
-            [e.hold for e in job.model.effects],  # the equations do not show it
             [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in self.experiments],
             noise.std.tolist(),
             [c.reflection for c in noise.colour],

@@ -233,7 +233,8 @@ class Discovery(Printable, StoredResult):
         regions=localisation.dependences stand_in=surrogate further=refinement parameters=best.parameters plain_parameters
         gap=holdout test claims false_names effect_signals left ranking story next_steps=str(next_steps) notes=str(findings)
         not_tried=str(not_tried) failures checks path findings=all_findings policy options=stored_options seconds
-        model=best.model.name equations=best.provenance.equations noise=best.noise.std noise_source=best.noise.source
+        model=best.model.name equations=best.provenance.equations plain_equations?=base.provenance.equations
+        declared?=base.provenance.declared noise=best.noise.std noise_source=best.noise.source
         integration_error=best.discretisation.error search=best.solver.strategy versions=best.provenance.versions
         """
 

@@ -55,6 +55,7 @@ from greybox.estimation.transcription.problem import (
 )
 from greybox.estimation.validate import validate
 from greybox.model import Model, equations_text
+from greybox.model.definition import declare
 from greybox.model.effects.scales import measure_scales
 from greybox.model.effects.starts import MANY_SHAPES_STARTS, count_starts, is_neutral, list_effect_values
 from greybox.simulation.plant import Plant, as_model
@@ -586,7 +587,7 @@ def assemble_fit(optimum: Optimum, options: FitOptions) -> Fit:
             {o.name: float(solution.integration_error[j]) for j, o in measured},
             dict(zip(variables.names, optimum.step_shift.tolist(), strict=True)),
         ),
-        provenance=result_parts.Provenance(options.to_data(), equations_text(model), read_versions()),
+        provenance=result_parts.Provenance(options.to_data(), equations_text(model), declare(model), read_versions()),
         constraints=result_parts.FitConstraints(
             {tie.name: tie.formula for tie in model.ties}, tied, per_experiment, priors
         ),

@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.base import Finding, Printable, Severity, read_versions
@@ -29,7 +28,8 @@ from greybox.estimation.result import Fit
 from greybox.estimation.result_parts import StartResult
 from greybox.estimation.transcription.problem import prepare_problem
 from greybox.model import Model
-from greybox.simulation.plant import Plant, PlantModel, as_model
+from greybox.model.definition import identify
+from greybox.simulation.plant import Plant, as_model
 
 
 @dataclass
@@ -63,25 +63,12 @@ class StartJournal:
         )
 
 
-def list_model_identity(model: Model) -> list[Any]:
-    """Everything about a model that decides where a search ends: equations or the plant, constants, ties, bounds."""
-    return [
-        str(ca.vertcat(*map(ca.vec, model.system.free_run_expressions))),
-        [(q.name, q.value, q.bounds, q.fixed, q.prior) for q in model.all_parameters],
-        [(tie.name, tie.formula) for tie in model.ties],
-        [(s.name, s.bounds) for s in model.all_states],
-        [e.hold for e in model.effects],
-        # Of a plant without equations these say nothing.
-        *([model.identity] if isinstance(model, PlantModel) else []),
-    ]
-
-
 def hash_start(
     model: Model, experiments: Sequence[Experiment], noise: NoiseModel, options: FitOptions, begin: Mapping[str, float]
 ) -> str:
     """The hash by which a start is known: equal if everything that decides its end is."""
     identity = [
-        *list_model_identity(model),
+        *identify(model),
         [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
         noise.std.tolist(),
         [c.reflection for c in noise.colour],

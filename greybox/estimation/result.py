@@ -10,12 +10,13 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from greybox.base import FileKind, Finding, StoredResult, from_json_data, parse_unit, read_json
+from greybox.base import FileKind, Finding, Severity, StoredResult, from_json_data, parse_unit, read_json
 from greybox.base.errors import DataError, GreyboxError, ModelError, shorten
 from greybox.base.values import Printable, ReadOnly
 from greybox.data.problems import RowLabels, find_array_problems
 from greybox.estimation import result_parts
 from greybox.model import Model
+from greybox.model.definition import compare_definition
 from greybox.model.process_noise import intensity_name
 from greybox.simulation.plant import Plant, as_model
 
@@ -25,6 +26,12 @@ class ResultCode(StrEnum):
 
     FOREIGN_FINDING = "foreign_finding"
     """A finding in a file whose code or figures this version does not know."""
+
+    OTHER_MODEL = "other_model"
+    """The model that a saved result was joined with states something else than the one that was fitted."""
+
+    OTHER_CONSTANT = "other_constant"
+    """A constant that is known has another value in the model now than it had in the fit."""
 
 
 # A fit as a value, and as a file ``fit.json`` that is written and read without loss. Its keys are flat and stay the same from version to
@@ -90,8 +97,9 @@ class Fit(Printable, ReadOnly, StoredResult):
         model=model.name effects!=model.effect_names status=solver.status success=solver.success meaning=str(solver) parameters
         misfit traces free=uncertainty.free covariance=uncertainty.covariance noise=noise.std noise_source=str(noise)
         discretisation=discretisation.label integration_error=discretisation.error cost=solver.cost solver=solver.figures
-        options=provenance.stored_options equations=provenance.equations versions=provenance.versions notes=str(findings)
-        findings status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
+        options=provenance.stored_options equations=provenance.equations declared?=provenance.declared
+        versions=provenance.versions notes=str(findings) findings
+        status_details=solver.details search=solver.strategy misfit_at_least validation=validation.misfit
         validation_at_least validation_traces=validation.traces noise_sources=noise.sources noise_colour=noise.colour
         noise_log_std=noise.log_std noise_units=noise.units noise_bounds=noise.bounds noise_growth?=noise.growth
         interval_kind=uncertainty.kind inflation=uncertainty.inflation discretisation_shift=discretisation.shift
@@ -132,8 +140,10 @@ def _least_ratios(noise: result_parts.FitNoise, misfit: Mapping[str, result_part
     return {name: ratio for name, ratio in ratios.items() if ratio is not None}
 
 
-def load_fit(path: str | Path, model: Model | Plant) -> Fit:
+def load_fit(path: str | Path, model: Model | Plant, *, insist: bool = False) -> Fit:
     """Read a fit that `Fit.save` wrote, without loss.
+
+    The file keeps what its model stated: equations, units, bounds, constants. A model that states something else is refused.
 
     Parameters
     ----------
@@ -141,6 +151,8 @@ def load_fit(path: str | Path, model: Model | Plant) -> Fit:
         The ``fit.json``.
     model
         States the equations, effects included, or the plant; it gets the fitted values.
+    insist
+        Take ``model`` although it is not the one that was fitted; `Fit.findings` then says what differs.
 
     Returns
     -------
@@ -150,17 +162,17 @@ def load_fit(path: str | Path, model: Model | Plant) -> Fit:
     Raises
     ------
     DataError
-        If the file is not a fit, or belongs to another model.
+        If the file is not a fit, or belongs to another model: what differs, as it was fitted and as it is now.
 
     Examples
     --------
     >>> load_fit("results/fit.json", micro_actuator).parameters["K"].value  # doctest: +SKIP
     5895.47
     """
-    return restore_fit(read_json(path, Fit), as_model(model), str(path))
+    return restore_fit(read_json(path, Fit), as_model(model), str(path), insist=insist)
 
 
-def restore_fit(data: Mapping[str, Any], model: Model, source: str) -> Fit:
+def restore_fit(data: Mapping[str, Any], model: Model, source: str, *, insist: bool = False) -> Fit:
     """A fit from the content of its file, which `greybox.base.json_file.read_json` has checked. Raises DataError that names ``source``."""
     if data["model"] != model.name or data["effects"] != [e.name for e in model.effects]:
         title = " + ".join([data["model"], *data["effects"]])
@@ -169,7 +181,7 @@ def restore_fit(data: Mapping[str, Any], model: Model, source: str) -> Fit:
     if contradiction:
         raise DataError(f"{source}: {contradiction}; give the fit.json that greybox fit has written")
     try:
-        return _restore_fit(data, model)
+        return _restore_fit(data, model, insist)
     except GreyboxError as error:
         raise DataError(f"{source}: {error}") from error
     except (TypeError, ValueError, LookupError, AttributeError, ArithmeticError) as error:
@@ -223,7 +235,54 @@ def _list_units(data: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     yield from ((f"noise_units.{shorten(name)}", unit) for name, unit in data.get("noise_units", {}).items())
 
 
-def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
+def join_definition(data: Mapping[str, Any], model: Model, *, insist: bool = False) -> tuple[Finding, ...]:
+    """Join the content of a result, ``fit.json`` or ``discovery.json``, with a model of today.
+
+    Parameters
+    ----------
+    data
+        Its ``equations``, ``declared`` and ``parameters``.
+    model
+        The model with the effects and ties of the result.
+    insist
+        Take the model although it differs.
+
+    Returns
+    -------
+    tuple of Finding
+        What differs, where ``insist`` takes it; and known constants that have another value now, in whose place the result keeps its own.
+
+    Raises
+    ------
+    DataError
+        For a model that states something else, with each line as it was fitted and as it is now.
+    """
+    units = {name: each["unit"] for name, each in data["parameters"].items()}
+    differences = compare_definition(model, data.get("equations", ""), data.get("declared", {}), units)
+    if differences and not insist:
+        lines = "".join(
+            f"\n  fitted: {shorten(d.stored, 300) or '-'}\n  now:    {d.present or '-'}" for d in differences
+        )
+        raise DataError(
+            f"the model {model.title} is not the one that was fitted: repeat the fit, give the model as it was, or insist on this one"
+            f" (--model, insist=True){lines}"
+        )
+    findings = [
+        Finding(
+            ResultCode.OTHER_MODEL, Severity.WARNING, model.title, {"fitted": shorten(d.stored, 300), "now": d.present}
+        )
+        for d in differences
+    ]
+    # A value may have been fixed for that fit alone, which is no reason to refuse the model.
+    for q in (q for q in model.all_parameters if q.fixed):
+        fitted = data["parameters"].get(q.name, {})
+        if fitted.get("fixed") and fitted["value"] != q.value:
+            values = {"fitted": fitted["value"], "now": q.value, "unit": q.unit}
+            findings.append(Finding(ResultCode.OTHER_CONSTANT, subject=q.name, values=values))
+    return tuple(findings)
+
+
+def _restore_fit(data: Mapping[str, Any], model: Model, insist: bool) -> Fit:
     """The fit that ``data`` holds; a model with other ties is refused with DataError."""
     parameters = {n: from_json_data(result_parts.Estimate, e) for n, e in data["parameters"].items()}
     # Process noise of the fit, where it was added to the model (`Model.with_process_noise`).
@@ -238,6 +297,7 @@ def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
         text = ", ".join(f"{name} = {formula}" for name, formula in ties.items()) or "none"
         raise DataError(f"it has other ties than the model ({text}); give the model without ties, or with these")
     model = model if stated or not ties else model.start(**_known(model, data)).with_ties(ties)
+    differences = join_definition(data, model, insist=insist)
     # Of a constant that each experiment has for itself the label is 'B (day 1)'.
     priors = {label.partition(" (")[0]: (c["mean"], c["std"]) for label, c in data.get("priors", {}).items()}
     model = model.prior(**priors) if priors else model
@@ -249,7 +309,7 @@ def _restore_fit(data: Mapping[str, Any], model: Model) -> Fit:
         "solver.strategy": _finding(data["search"]) if data.get("search") else None,
         "solver.details": tuple(map(_finding, data.get("status_details", ()))),
         "provenance.options": result_parts.restore_options(data.get("options", {})),
-        "findings": tuple(map(_finding, data.get("findings", ()))),
+        "findings": (*differences, *(f for f in map(_finding, data.get("findings", ())) if f not in differences)),
     }
     return from_json_data(Fit, data, given)
 

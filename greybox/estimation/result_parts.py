@@ -432,12 +432,15 @@ class Provenance(ReadOnly):
         Options of the estimation, by name.
     equations
         Those of the model.
+    declared
+        What else its model stated (`greybox.model.definition.declare`): constants with units and bounds, starts of states, the plant.
     versions
         Program -> version of what computed it.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
     equations: str = ""
+    declared: Mapping[str, str] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
 
     @property

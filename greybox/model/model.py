@@ -231,6 +231,11 @@ class Model(Printable):
         return frozenset()
 
     @property
+    def identity(self) -> str:
+        """What tells a plant that is run from outside from others; empty where the equations do."""
+        return ""
+
+    @property
     def has_equations(self) -> bool:
         """Whether there are equations; what is run from outside has none."""
         return not isinstance(self.balances, balance.ClosedBalances)

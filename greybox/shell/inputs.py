@@ -316,27 +316,39 @@ def check_intervals(study: Study, model: Model) -> tuple[str, ...]:
 def load_fit_with_model(path: Path, model: str = "") -> Fit:
     """The fit in ``path``. ``model`` names its model or model file ("": the name that the file holds).
 
-    A file that the fit names in place of a model is not run: only the user may name one. Effects of the catalogue that the fit
-    has and the model lacks are added. Raises DataError for a file that is no fit, ModelError where its model cannot be found.
+    Effects of the catalogue that the fit has and the model lacks are added. Raises DataError for a file that is no fit or whose
+    model was edited since, unless the user names that model; ModelError where it cannot be found.
     """
     from greybox.base import read_json
-    from greybox.estimation.result import Fit, restore_fit
+    from greybox.estimation.result import Fit, ResultCode, restore_fit
+
+    data = read_json(path, Fit)
+    fit = restore_fit(data, find_model_of(path, data["model"], model, data["effects"]), str(path), insist=bool(model))
+    print_findings([f for f in fit.findings if f.code in (ResultCode.OTHER_MODEL, ResultCode.OTHER_CONSTANT)])
+    return fit
+
+
+def find_model_of(path: Path, named: str, model: str, effects: Iterable[str] = ()) -> Model:
+    """The model that the result in ``path`` has ``named``, or ``model``, which the user has named; with ``effects`` of the catalogue.
+
+    A file that a result names in place of a model is not run: only the user may name one. Raises DataError for that, ModelError where
+    the model cannot be found.
+    """
     from greybox.model.effects.catalogue import effect
     from greybox.shell.project import find_model, is_model_path
 
-    data = read_json(path, Fit)
-    if not model and is_model_path(data["model"]):
+    if not model and is_model_path(named):
         raise DataError(
-            f"{path}: its model {data['model']!r} is a file, and a fit names its model without a path; give --model MODEL"
+            f"{path}: its model {named!r} is a file, and a result names its model without a path; give --model MODEL"
         )
     try:
-        plant = find_model(model or data["model"])
+        plant = find_model(model or named)
         present = [e.name for e in plant.effects]
-        for name in data["effects"]:
+        for name in effects:
             plant = plant if name in present else plant + effect(name)
     except ModelError as error:
         raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
-    return restore_fit(data, plant, str(path))
+    return plant
 
 
 def limits_of(study: Study) -> dict[str, SignalLimit]:

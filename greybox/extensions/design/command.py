@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from greybox.base import DataError, ExitCode, GreyboxError, ModelError
-from greybox.shell.inputs import limits_of, load_fit_with_model, result_folder, set_parameters
+from greybox.base import DataError, ExitCode, GreyboxError
+from greybox.shell.inputs import find_model_of, limits_of, load_fit_with_model, result_folder, set_parameters
 from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
-from greybox.shell.terminal import exit_with_error, print_note, write_report
+from greybox.shell.terminal import exit_with_error, print_findings, print_note, write_report
 
 if TYPE_CHECKING:
     from greybox.data.experiment import Experiment
@@ -162,20 +162,24 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
     from greybox.base import read_json
     from greybox.discovery.result import Discovery
     from greybox.estimation.options import FitOptions
+    from greybox.estimation.result import join_definition
     from greybox.extensions.design.next_record import fit_explanation
-    from greybox.shell.project import find_model, is_model_path
 
     content = read_json(path, Discovery)
     if not data:
         raise GreyboxError(
             f"{path}: a discovery does not hold its records; give them too, as in greybox design {path} train.csv"
         )
-    if not study.model and is_model_path(content["model"]):
-        raise DataError(f"{path}: its model is a file; give --model MODEL")
+    plain = find_model_of(path, content["model"], study.model)
+    stated = {
+        "equations": content.get("plain_equations", ""),
+        "declared": content.get("declared", {}),
+        "parameters": content["plain_parameters"],
+    }
     try:
-        plain = find_model(study.model or content["model"])
-    except ModelError as error:
-        raise ModelError(f"{path}: its model cannot be found: {error}; name its file with --model my/rig.py") from None
+        print_findings(join_definition(stated, plain, insist=bool(study.model)))
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
     parameters = {n: e for n, e in content["parameters"].items() if n in plain.values and e["value"] is not None}
     plain = plain.free(*(n for n, e in parameters.items() if not e.get("fixed")))
     plain = plain.start(**{n: e["value"] for n, e in parameters.items()})

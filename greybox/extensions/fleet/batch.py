@@ -28,12 +28,12 @@ from greybox.base.parallel.local_pool import count_cores, open_local_pool
 from greybox.data.experiment import Experiment, as_records
 from greybox.data.noise.noise_model import NoiseModel
 from greybox.estimation.fit import fit
-from greybox.estimation.multistart import list_model_identity
 from greybox.estimation.optim.minimisation import TerminationStatus
 from greybox.estimation.options import ColourTreatment, FitOptions, resolve_options
 from greybox.extensions.fleet.records import RecordCollection, RecordReference, find_records
 from greybox.extensions.fleet.result import FleetResult, RecordEstimate, RecordStatus
 from greybox.model import Model
+from greybox.model.definition import identify
 from greybox.simulation.plant import Plant, as_model
 
 Item = Experiment | RecordReference
@@ -296,7 +296,7 @@ def _hash_records(work: _Work, items: Sequence[Item]) -> Iterable[str]:
     common = hashlib.sha256(
         repr(
             [
-                list_model_identity(work.model),
+                identify(work.model),
                 given and sorted(given.items()) if isinstance(given, Mapping) else given,
                 str(work.colour),
                 repr(work.options),

@@ -486,12 +486,26 @@ def write_correction(correction: PredictionCorrection) -> str:
     return f"Kalman filter, process noise{estimated} on {', '.join(correction.model.noisy_states)}"
 
 
+def _write_other_constant(finding: Finding) -> str:
+    fitted, now = (f"{finding.values[when]:.6g}" for when in ("fitted", "now"))
+    unit = f" {format_unit(finding.values['unit'])}".rstrip()
+    return (
+        f"{finding.subject} was {fitted}{unit} in the fit and is {now}{unit} in the model now: the result keeps {fitted}{unit};"
+        " repeat the fit with the new value"
+    )
+
+
 register(
     {
         ResultCode.FOREIGN_FINDING: lambda f: (
             f"{f.subject + ': ' if f.subject else ''}the file holds a finding that this version has no sentence for"
             f" ({f.values['code']})"
-        )
+        ),
+        ResultCode.OTHER_MODEL: lambda f: (
+            f"the model {f.subject} is not the one that was fitted: {f.values['fitted'] or 'nothing'} (fitted),"
+            f" {f.values['now'] or 'nothing'} (now); its intervals and errors are those of the fitted one"
+        ),
+        ResultCode.OTHER_CONSTANT: _write_other_constant,
     }
 )
 

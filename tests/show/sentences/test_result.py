@@ -84,6 +84,17 @@ def test_a_finding_of_another_version_is_named_by_its_code():
     assert str(finding) == "x: the file holds a finding that this version has no sentence for (sensor_upside_down)"
 
 
+def test_a_result_says_what_its_model_states_otherwise_now():
+    values = {"fitted": "force [N] M dv/dt = F - B v", "now": "force [N] M dv/dt = F - 2 B v"}
+    assert str(Finding(ResultCode.OTHER_MODEL, Severity.WARNING, "rig", values)) == (
+        "the model rig is not the one that was fitted: force [N] M dv/dt = F - B v (fitted), force [N] M dv/dt = F - 2 B v (now);"
+        " its intervals and errors are those of the fitted one"
+    )
+    assert str(Finding(ResultCode.OTHER_CONSTANT, subject="M", values={"fitted": 1.0, "now": 2.0, "unit": "kg"})) == (
+        "M was 1 kg in the fit and is 2 kg in the model now: the result keeps 1 kg; repeat the fit with the new value"
+    )
+
+
 @pytest.mark.parametrize("values", [{}, {"share": "much"}, {"share": None}, {"share": [1]}, {"count": {}, "share": 0}])
 @pytest.mark.parametrize("code", EstimationCode)
 def test_a_finding_whose_figures_this_version_cannot_say_is_named_by_its_code(code, values):
