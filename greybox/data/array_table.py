@@ -8,22 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base import DataError, shorten
+from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import check_size, check_width, describe_non_numbers, describe_wrong_count
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
+from greybox.data.stamps import StampReader, Stamps, from_datetimes, is_stamp
 
-Arrays = Mapping[str, np.ndarray]
+Arrays = Mapping[str, np.ndarray | Stamps]
 ArrayLoader = Callable[[Sequence[str]], Arrays]
 """Gives the arrays of these names."""
 
 
 @dataclass(frozen=True)
 class ArrayInfo:
-    """What is known of an array before it is loaded: its ``shape``, and what it ``holds`` if not numbers."""
+    """What is known of an array before it is loaded: its ``shape``, what it ``holds`` if neither numbers nor stamps, and whether it is
+    ``dated``: None for numbers, else as of `DataTable`."""
 
     shape: tuple[int, ...]
     holds: str = ""
+    dated: bool | None = None
 
     @property
     def is_matrix(self) -> bool:
@@ -59,18 +62,25 @@ class ArrayTable:
         The columns of the table.
     policy
         How much may be loaded.
+    findings
+        What is to be said of the file.
     """
 
     infos: Mapping[str, ArrayInfo]
     load: ArrayLoader = field(repr=False)
     columns: tuple[ArrayColumn, ...]
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
+    findings: tuple[Finding, ...] = ()
     headless = False
     header_line = 1
 
     @classmethod
     def from_infos(
-        cls, infos: Mapping[str, ArrayInfo], load: ArrayLoader, policy: ReadingPolicy = READING_POLICY
+        cls,
+        infos: Mapping[str, ArrayInfo],
+        load: ArrayLoader,
+        policy: ReadingPolicy = READING_POLICY,
+        findings: Sequence[Finding] = (),
     ) -> ArrayTable:
         """The table of a file's arrays. Raises DataError for more columns than the policy allows."""
         check_width(sum(min(i.shape) if i.is_matrix else 1 for i in infos.values()), policy)
@@ -81,7 +91,7 @@ class ArrayTable:
                 continue
             written = "{}(:,{})" if info.shape[0] >= info.shape[1] else "{}({},:)"
             columns += [ArrayColumn(name, written.format(name, k + 1), k) for k in range(min(info.shape))]
-        return cls(infos, load, tuple(columns), policy)
+        return cls(infos, load, tuple(columns), policy, tuple(findings))
 
     @property
     def headers(self) -> tuple[str, ...]:
@@ -108,6 +118,12 @@ class ArrayTable:
             )
         return tuple(k for k, column in enumerate(self.columns) if self.infos[column.array].is_vector)
 
+    @property
+    def dated(self) -> Mapping[int, bool]:
+        """As of `DataTable`."""
+        dated = ((k, self.infos[column.array].dated) for k, column in enumerate(self.columns))
+        return {k: has_clock for k, has_clock in dated if has_clock is not None}
+
     def rename(self, names: Sequence[str]) -> ArrayTable:
         """The table with a name for each counted column; the others have none. Raises DataError for another number of names."""
         if not self.numbered:
@@ -121,8 +137,8 @@ class ArrayTable:
             self, columns=tuple(replace(column, header=named.get(k, "")) for k, column in enumerate(self.columns))
         )
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
-        """Columns (N,) as float64 with NaN for gaps, and the problems met."""
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str], tuple[Finding, ...]]:
+        """Columns (N,) as float64 with NaN for gaps, or as stamps, the problems met, and what is to be said of the file."""
         wanted = {k: self.columns[k] for k in positions}
         problems = [
             f"column {shorten(column.header)!r} holds {info.holds}, not real numbers; write numbers (time in seconds)"
@@ -130,7 +146,7 @@ class ArrayTable:
             if (info := self.infos[column.array]).holds
         ]
         if problems:
-            return {k: np.zeros(0) for k in positions}, problems
+            return {k: np.zeros(0) for k in positions}, problems, ()
         names = list(dict.fromkeys(column.array for column in wanted.values()))
         check_size(sum(int(np.prod(self.infos[name].shape, dtype=object)) for name in names), 1, self.policy)
         arrays = self.load(names)
@@ -141,11 +157,15 @@ class ArrayTable:
         if not problems and len(rows) > 1:
             lengths = ", ".join(f"{shorten(self.headers[k])!r} {len(v)}" for k, v in columns.items())
             problems.append(f"columns differ in length ({lengths} rows); each needs one value for each time")
-        return columns, problems
+        return columns, problems, self.findings
 
 
-def _to_column(column: ArrayColumn, array: np.ndarray, labels: RowLabels, problems: list[str]) -> np.ndarray:
+def _to_column(
+    column: ArrayColumn, array: np.ndarray | Stamps, labels: RowLabels, problems: list[str]
+) -> np.ndarray | Stamps:
     header = shorten(column.header)
+    if isinstance(array, Stamps):
+        return array
     if column.index is not None and array.ndim == 2:
         array = array[:, column.index] if array.shape[0] >= array.shape[1] else array[column.index]
     if array.ndim == 2 and 1 in array.shape:
@@ -155,15 +175,28 @@ def _to_column(column: ArrayColumn, array: np.ndarray, labels: RowLabels, proble
     elif array.dtype.kind in "biuf":
         # A column of its own is not copied; one of a matrix would keep the whole matrix alive.
         return array if array.dtype == np.float64 and array.flags.owndata else array.astype(np.float64)
+    elif array.dtype.kind in "Mm":
+        return from_datetimes(array)
+    elif array.dtype.kind in "OU" and is_stamp(next((v for v in array if v is not None and v != ""), None)):
+        reader = StampReader()
+        bad = reader.add(array.tolist())
+        if not bad:
+            return reader.finish()
+        problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
     elif array.dtype.kind in "OUS":
         values = [_to_number(v) for v in array]
-        bad = [k for k, v in enumerate(values) if v is None]
-        if not bad:
+        if None not in values:
             return np.array(values, dtype=np.float64)
-        problems.append(describe_non_numbers(header, bad, [str(array[k])[:200] for k in bad[:5]], labels))
+        problems.append(describe_cells(header, array, labels))
     else:
         problems.append(f"column {header!r} holds {array.dtype}, not real numbers; write numbers (time in seconds)")
     return np.zeros(0)
+
+
+def describe_cells(header: str, cells: np.ndarray, labels: RowLabels) -> str:
+    """Message for ``cells`` (N,) of which some are no number."""
+    bad = [k for k, cell in enumerate(cells) if _to_number(cell) is None]
+    return describe_non_numbers(header, bad, [str(cells[k])[:200] for k in bad[:5]], labels)
 
 
 def _to_number(value: Any) -> float | None:

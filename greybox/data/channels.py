@@ -14,6 +14,7 @@ from greybox.data.experiment import Hold
 from greybox.data.headers import TIME
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
+from greybox.data.stamps import Stamps, Start
 from greybox.data.time_base import ChannelUse, Samples, bring_to_one_base, correct_clocks, find_stamp_problems
 
 
@@ -68,6 +69,8 @@ class ChannelTable:
         Headers in the place of the file's own.
     findings
         What the file says of its clocks.
+    start
+        When its time is zero; None where it does not say.
     policy, channel_policy
         How much may be loaded; how channels are compared.
     """
@@ -79,6 +82,7 @@ class ChannelTable:
     names: tuple[str, ...] | None = None
     findings: tuple[Finding, ...] = ()
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
+    start: Start | None = None
     headless = False
     header_line = 1
 
@@ -89,12 +93,13 @@ class ChannelTable:
         load: ChannelLoader,
         policy: ReadingPolicy = READING_POLICY,
         findings: Sequence[Finding] = (),
+        start: Start | None = None,
     ) -> ChannelTable:
         """The table of a file's channels. Raises DataError for none, and for more than the policy allows."""
         check_width(len(channels), policy)
         if not channels:
             raise DataError("the file has no signals; record some, or export it as CSV")
-        return cls(tuple(channels), load, findings=tuple(findings), policy=policy)
+        return cls(tuple(channels), load, findings=tuple(findings), policy=policy, start=start)
 
     @property
     def headers(self) -> tuple[str, ...]:
@@ -121,6 +126,11 @@ class ChannelTable:
         """All columns, the common time first."""
         return tuple(range(len(self.channels) + 1))
 
+    @property
+    def dated(self) -> Mapping[int, bool]:
+        """None: stamps are seconds already."""
+        return {}
+
     def rename(self, names: Sequence[str]) -> ChannelTable:
         """The table with a name for each column, the common time first. Raises DataError for another number of names."""
         if len(names) != len(self.channels) + 1:
@@ -146,7 +156,7 @@ class ChannelTable:
             uses[column.position] = ChannelUse(signal.name, signal.kind, course, mean=hold == "zero")
         return replace(self, uses=uses, step=step)
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str], tuple[Finding, ...]]:
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str], tuple[Finding, ...]]:
         """Columns (N,) as float64 on the common time with NaN for gaps, the problems met, and what was done to clocks and rates."""
         wanted = [k for k in positions if k > 0]
         problems = [

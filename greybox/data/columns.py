@@ -20,6 +20,7 @@ from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse
 from greybox.data.notation import converts, read_conversion, read_notation
 from greybox.data.policy import ReadingPolicy
 from greybox.data.problems import RowLabels, enumerate_first
+from greybox.data.stamps import Stamps
 from greybox.model import Model
 
 # A file as named columns that are turned into numbers only when asked for.
@@ -27,6 +28,10 @@ from greybox.model import Model
 _DATE = re.compile(r"\d+[-/.]\d+[-/.]\d+|\d+:\d\d")
 _DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+(e[+-]?\d+)?", re.IGNORECASE)
 _THOUSANDS = re.compile(r"[+-]?\d{1,3}([,.' ]\d{3})+([.,]\d+)?")
+
+
+TableColumn = np.ndarray | Stamps
+"""What a column holds: numbers, or dates and times of day."""
 
 
 class DataTable(Protocol):
@@ -59,11 +64,15 @@ class DataTable(Protocol):
     def row_labels(self) -> RowLabels:
         """How rows are called in messages."""
 
+    @property
+    def dated(self) -> Mapping[int, bool]:
+        """Position of each column of dates or times of day -> whether it has a time of day."""
+
     def values(
         self, positions: Sequence[int]
-    ) -> tuple[dict[int, np.ndarray], list[str]] | tuple[dict[int, np.ndarray], list[str], tuple[Finding, ...]]:
-        """Columns (N,) as float64 with NaN for gaps, and problems; with problems the columns are not to be used. A table that has brought
-        its signals to one time says what it did."""
+    ) -> tuple[dict[int, TableColumn], list[str]] | tuple[dict[int, TableColumn], list[str], tuple[Finding, ...]]:
+        """Columns (N,) as float64 with NaN for gaps, those of dates as stamps, and problems; with problems the columns are not to be used.
+        A table that has brought its signals to one time, or left some of its rows out, says so."""
 
 
 def check_width(columns: int, policy: ReadingPolicy) -> None:
@@ -109,7 +118,7 @@ def describe_non_numbers(
 def _suggest_number_format(texts: Sequence[str], separator: str) -> str:
     first = texts[0].strip() if len(texts) else ""
     if _DATE.search(first):
-        return "write time as seconds from the start of the record"
+        return "write every row of a column of dates alike, as in 2024-03-31 13:30:00.25 or 31.03.2024 13:30, or seconds from the start"
     if _DECIMAL_COMMA.fullmatch(first):
         between = ", or ';' between the columns and no quotation marks" if separator == "," else " in all rows"
         return f"write decimal points{between}"
@@ -297,7 +306,10 @@ def match_columns(
     for signal in signals:
         if signal.name in mapping:
             continue
-        hits = [c for c in free if _is_for(c, signal)] or [
+        hits = [c for c in free if _is_for(c, signal)]
+        if not hits and signal.kind is SignalKind.TIME:
+            hits = find_dated_time(free, table)
+        hits = hits or [
             reading
             for c in free
             for reading in read_endings(c)
@@ -330,8 +342,18 @@ def match_columns(
         )
     problems += _describe_missing(missing, model, spare, inputs_only, are_named)
     doubts: list[str] = []
-    matched = {s: _settle_unit(matched[s], s, s.name in mapping, are_named, doubts) for s in signals if s in matched}
-    conversions = {s: _find_conversion(c, s, are_named, doubts) for s, c in matched.items()}
+    # Dates need no unit; the one of their column may say how they are written.
+    matched = {
+        s: matched[s]
+        if matched[s].position in table.dated
+        else _settle_unit(matched[s], s, s.name in mapping, are_named, doubts)
+        for s in signals
+        if s in matched
+    }
+    conversions = {
+        s: _find_conversion(replace(c, unit="") if c.position in table.dated else c, s, are_named, doubts)
+        for s, c in matched.items()
+    }
     return ColumnMatch(
         matched,
         conversions,
@@ -340,6 +362,12 @@ def match_columns(
         tuple(problems),
         tuple(doubts),
     )
+
+
+def find_dated_time(columns: Sequence[Column], table: DataTable) -> list[Column]:
+    """The only column of dates, which is the time whatever it is called; those with a time of day go first. None of several."""
+    dated = [c for c in columns if table.dated.get(c.position)] or [c for c in columns if c.position in table.dated]
+    return dated if len(dated) == 1 else []
 
 
 def propose_columns(

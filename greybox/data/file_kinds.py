@@ -11,11 +11,12 @@ import logging
 import os
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from greybox.base.extensions import ExtensionKind, describe_failures, load_exten
 from greybox.data import channels, columns, text_table, time_base
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import enumerate_first
+from greybox.data.stamps import StampKind, Stamps
 
 
 @dataclass(frozen=True)
@@ -70,11 +72,14 @@ def record_suffixes() -> tuple[str, ...]:
 
 
 class ColumnValues(NamedTuple):
-    """Position -> column, the problems met, and what is to be said of clocks and rates."""
+    """Position -> column of numbers, the problems met, what is to be said of clocks and rates; position -> column of dates, and
+    the position of the column with the day of a time of day."""
 
     arrays: dict[int, np.ndarray]
     problems: list[str]
     findings: tuple[Finding, ...] = ()
+    stamps: Mapping[int, Stamps] = MappingProxyType({})
+    day: int | None = None
 
 
 @dataclass(frozen=True)
@@ -85,10 +90,25 @@ class RecordFile:
     kind: FileFormat
     table: columns.DataTable = field(repr=False)
 
-    def values(self, positions: Sequence[int]) -> ColumnValues:
-        """Columns (N,) as float64 with NaN for gaps. Raises DataError for a damaged file."""
+    def values(self, positions: Sequence[int], times: Sequence[int] = ()) -> ColumnValues:
+        """Columns (N,) as float64 with NaN for gaps; those at ``times`` may hold dates instead. Raises DataError for a damaged file."""
+        # A time of day belongs to the day that stands in a column beside it.
+        days = [k for k, has_clock in self.table.dated.items() if not has_clock and k not in positions]
+        beside = days[0] if len(days) == 1 and any(map(self.table.dated.get, times)) else None
         with _guarded(self.path, self.kind):
-            return ColumnValues(*self.table.values(positions))
+            columns, problems, *findings = self.table.values([*positions, *([] if beside is None else days)])
+        stamps = {k: c for k, c in columns.items() if isinstance(c, Stamps)}
+        day = None if beside is None else stamps.pop(beside, None)
+        if day is not None and day.whole_days:
+            clocks = [k for k in times if k in stamps and stamps[k].kind is StampKind.CLOCK]
+            stamps |= {k: stamps[k].on_days(day) for k in clocks}
+        problems += [
+            f"column {shorten(self.table.headers[k])!r} holds dates{f' ({c.example})' if c.example else ''}; only the time can"
+            for k, c in stamps.items()
+            if k not in times
+        ]
+        arrays = {k: np.zeros(0) if isinstance(c, Stamps) else c for k, c in columns.items() if k != beside}
+        return ColumnValues(arrays, problems, findings[0] if findings else (), stamps, beside)
 
     def rename(self, names: Sequence[str]) -> RecordFile:
         """The file with these names of its columns in the place of its own; ``-`` for one that is not wanted. Raises DataError."""

@@ -41,6 +41,11 @@ class RecordCode(StrEnum):
     CLOCK_OFFSET = "clock_offset"
     CLOCK_OFFSET_BY_RECORDER = "clock_offset_by_recorder"
     CLOCK_START = "clock_start"
+    DATES_READ = "dates_read"
+    MIDNIGHT_PASSED = "midnight_passed"
+    SUMMER_TIME = "summer_time"
+    ORIGINS_APART = "origins_apart"
+    ROWS_BELOW_TABLE = "rows_below_table"
     CLOCKS_NOT_COMPARED = "clocks_not_compared"
     ALSO_FITTED = "record_also_fitted"
 

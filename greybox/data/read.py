@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from greybox.base import DataError, Finding, nearest
+from greybox.base import DataError, Finding, Severity, nearest, shorten
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import (
     ColumnMapping,
     ColumnMatch,
     RequestedSignal,
     SignalKind,
+    find_stamp_unit,
     match_columns,
     read_conditions,
     request_conditions,
@@ -28,10 +30,14 @@ from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
 from greybox.data.policy import READING_POLICY, ReadingPolicy
-from greybox.data.problems import find_array_problems, find_measurement_problems, raise_problems
+from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, raise_problems
+from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_epoch
 from greybox.model import Model
 
 Arrays = dict[str, np.ndarray]
+Window = tuple[float | str | None, float | str | None]
+"""First and last time that is wanted of a record: seconds, or a date or time of day where the file has them; None for all."""
+WHOLE: Window = (None, None)
 
 
 def read_csv(
@@ -45,6 +51,7 @@ def read_csv(
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
+    window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
     """Read a record for ``model`` from a text, MATLAB, NumPy, Parquet, MDF, TDMS, HDF5, ROS, MCAP or Excel file.
@@ -82,6 +89,9 @@ def read_csv(
         (its mean is taken) or a comment line such as ``# P_S = 801 kPa``.
     allow_constant_input
         Accept inputs that are zero throughout (free decay).
+    window
+        First and last time that is wanted, None for all: seconds of the record's time, or a date or time of day where the file has them
+        (``("2024-03-31 08:00", None)``). Times stay those of the whole record.
     reading
         How large a file may be.
 
@@ -100,7 +110,9 @@ def read_csv(
     >>> record = read_csv("run.csv", micro_actuator, columns={"x": "Laser ch1 [um]"})  # doctest: +SKIP
     """
     source = _RecordSource(columns, sampling_time, interpolation, reading)
-    (experiment,) = _read_runs(path, model, source, hold, name, conditions, allow_constant_input, split=False)
+    (experiment,) = _read_runs(
+        [path], [name], model, source, hold, conditions, allow_constant_input, window, split=False
+    )
     return experiment
 
 
@@ -115,6 +127,7 @@ def read_experiments(
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     split: bool = False,
+    window: Window = WHOLE,
     reading: ReadingPolicy = READING_POLICY,
 ) -> tuple[Experiment, ...]:
     """Read several records for one model, each as `read_csv` does.
@@ -123,8 +136,8 @@ def read_experiments(
     ----------
     paths
         The files. Files of the same name get their folder's name in front.
-    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, policy, reading
-        As of `read_csv`.
+    model, columns, sampling_time, hold, interpolation, conditions, allow_constant_input, window, reading
+        As of `read_csv`. Dated records count from the earliest of them.
     split
         A file in which time starts anew holds several runs; each becomes a record ``name[first:last]``.
 
@@ -143,21 +156,12 @@ def read_experiments(
         raise DataError("no file to read; give at least one path")
     source = _RecordSource(columns, sampling_time, interpolation, reading)
     stems = [f.stem for f in files]
-    experiments: list[Experiment] = []
-    problems: list[str] = []
-    for file in files:
-        name = file.stem if stems.count(file.stem) == 1 else f"{file.parent.name}/{file.stem}"
-        try:
-            experiments += _read_runs(file, model, source, hold, name, conditions, allow_constant_input, split=split)
-        except DataError as error:
-            problems.append(str(error))
-    if problems:
-        raise DataError("\n".join(problems))
-    return tuple(experiments)
+    names = [f.stem if stems.count(f.stem) == 1 else f"{f.parent.name}/{f.stem}" for f in files]
+    return tuple(_read_runs(files, names, model, source, hold, conditions, allow_constant_input, window, split=split))
 
 
 class RecordArrays(NamedTuple):
-    """What a file holds of a model's signals, in the model's units: arrays (N,), and how the rows are called."""
+    """What a file holds of a model's signals, in the model's units: arrays (N,), how the rows are called, and when time is zero."""
 
     file: RecordFile
     match: ColumnMatch
@@ -165,7 +169,61 @@ class RecordArrays(NamedTuple):
     inputs: Arrays
     outputs: Arrays
     conditions: Arrays
+    labels: RowLabels
     findings: tuple[Finding, ...] = ()
+    start: Start | None = None
+
+    def cut(self, window: Window) -> RecordArrays:
+        """The rows within ``window``, with the times of the whole. Raises DataError for fewer than two, and for a limit that is no time."""
+        if window == WHOLE:
+            return self
+        first, last = (_read_limit(limit, self.start) for limit in window)
+        inside = np.ones(len(self.time), bool)
+        if first is not None:
+            inside &= self.time >= first - SLACK * np.spacing(abs(first))
+        if last is not None:
+            inside &= self.time <= last + SLACK * np.spacing(abs(last))
+        rows = np.flatnonzero(inside)
+        if len(rows) < 2:
+            limits = " ".join(
+                f"{word} {limit}" for word, limit in zip(("from", "until"), window, strict=True) if limit is not None
+            )
+            raise DataError(
+                f"{len(rows)} rows {limits}; the record runs from {self.time[0]:.6g} to {self.time[-1]:.6g} s"
+                f"{f' (from {self.start})' if self.start else ''}, give a part of that with at least 2 rows"
+            )
+        part = slice(int(rows[0]), int(rows[-1]) + 1)
+        inputs, outputs, conditions = (
+            {n: v[part] for n, v in group.items()} for group in (self.inputs, self.outputs, self.conditions)
+        )
+        return self._replace(
+            time=self.time[part], inputs=inputs, outputs=outputs, conditions=conditions, labels=self.labels.select(part)
+        )
+
+
+# Last places by which a time may miss a limit of a window: a unit was converted.
+SLACK = 8
+
+
+def _read_limit(limit: float | str | None, start: Start | None) -> float | None:
+    """A limit of a window in seconds of the record's time; a date or a time of day where the record has them."""
+    if limit is None or not isinstance(limit, str):
+        return limit
+    try:
+        return float(limit)
+    except ValueError:
+        reader = StampReader()
+        if reader.add([limit]) or start is None:
+            example = f"or a time such as {start}" if start else "and this record has no dates"
+            raise DataError(f"{limit!r}: give seconds of the record's time, {example}") from None
+        stamps = reader.finish()
+        if stamps.kind is not start.kind:
+            raise DataError(f"{limit!r}: the record counts from a {start.kind} ({start}); write one") from None
+        if stamps.swapped is not None:
+            raise DataError(
+                f"{limit!r} can be read as day/month and as month/day; write it as 2024-03-31 13:30"
+            ) from None
+        return (int(stamps.nanoseconds[0]) - start.nanoseconds) / SECOND
 
 
 class _RecordSource(NamedTuple):
@@ -224,22 +282,52 @@ def read_arrays(
         _check_interpolation(interpolation or {}, model)
         table = channels.for_signals(match, hold, interpolation or {}, sampling_time)
         file = replace(file, table=table)
-    raw, problems, findings = file.values([c.position for c in match.columns.values()])
+    times = [c.position for s, c in match.columns.items() if s.kind is SignalKind.TIME]
+    held = file.values([c.position for c in match.columns.values()], times)
+    if held.day is not None:
+        day = shorten(file.table.headers[held.day])
+        match = replace(match, ignored=tuple(h for h in match.ignored if h != day))
+    raw, problems, findings = held.arrays, held.problems, held.findings
+    start = channels.start if channels is not None else None
     groups: dict[SignalKind, Arrays] = {kind: {} for kind in SignalKind}
     rows = 0
     problems = [*problems, *match.unit_problems]
     match = match.with_stamps(raw, problems)
     for signal, column in match.columns.items():
         # Each column is let go of as it is converted: a long record is in memory once.
-        values, conversion = raw.pop(column.position), match.conversions[signal]
-        values = values if conversion.identical else conversion(values)
+        if column.position in held.stamps:
+            stamps: Stamps | None = held.stamps[column.position]
+            order = column.unit
+        else:
+            values, conversion = raw.pop(column.position), match.conversions[signal]
+            values = values if conversion.identical else conversion(values)
+            is_epoch = signal.kind is SignalKind.TIME and find_stamp_unit(values) == "s"
+            stamps, order = (from_epoch(values) if is_epoch else None), ""
+        if stamps is not None:
+            try:
+                values, start, seen = stamps.count_seconds(column.header, order)
+            except DataError as error:
+                problems.append(str(error))
+                continue
+            findings += seen
+        if column.position in held.stamps:
+            # A date is in seconds, whatever unit its header states.
+            match = replace(match, columns={**match.columns, signal: replace(column, unit=signal.unit)})
         values.setflags(write=False)  # then no record needs a copy of its own
         groups[signal.kind][signal.name] = values
         rows = len(values)
     raise_problems(file.path.name, problems)
     time = sampling_time * np.arange(rows) if has_clock and sampling_time else groups[SignalKind.TIME][TIME]
     return RecordArrays(
-        file, match, time, groups[SignalKind.INPUT], groups[SignalKind.OUTPUT], groups[SignalKind.CONDITION], findings
+        file,
+        match,
+        time,
+        groups[SignalKind.INPUT],
+        groups[SignalKind.OUTPUT],
+        groups[SignalKind.CONDITION],
+        file.table.row_labels,
+        findings,
+        start,
     )
 
 
@@ -257,27 +345,74 @@ def _check_interpolation(interpolation: Mapping[str, str], model: Model) -> None
 
 
 def _read_runs(
-    path: str | os.PathLike[str] | RecordFile,
+    paths: Sequence[str | os.PathLike[str] | RecordFile],
+    names: Sequence[str | None],
     model: Model,
     source: _RecordSource,
     hold: Hold,
-    name: str | None,
     conditions: Mapping[str, float | None] | None,
     allow_constant_input: bool,
+    window: Window,
     *,
     split: bool,
 ) -> list[Experiment]:
-    """The record in a file as `read_csv` gives it; with ``split`` each run of a file in which time starts anew."""
+    """The records in files as `read_csv` gives them; with ``split`` each run of a file in which time starts anew."""
     given = {name: value for name, value in (conditions or {}).items() if value is not None}
     requested = request_conditions(model, [name for name in conditions or {} if name not in given])
-    record = read_arrays(path, model, conditions=requested, hold=hold, **source._asdict())
+    read_one = partial(read_arrays, model=model, conditions=requested, hold=hold, **source._asdict())
+    records = _collect([partial(read_one, path) for path in paths])
+    # Dated records count from one origin, the earliest of them, so that they lie to each other as they were taken.
+    origin, after = find_origin({str(k): record.start for k, record in enumerate(records)})
+    experiments: list[Callable[[], list[Experiment]]] = []
+    for record, name, seconds in zip(records, names, after.values(), strict=True):
+        if seconds:
+            record = record._replace(time=record.time + seconds, start=origin)
+        if origin is not None and (record.start is None or record.start[:2] != origin[:2]):
+            values = {"start": str(origin), "own": str(record.start or "")}
+            record = record._replace(
+                findings=(*record.findings, Finding(RecordCode.ORIGINS_APART, Severity.WARNING, values=values))
+            )
+        experiments.append(
+            partial(_to_experiments, record, name, model, hold, requested, given, allow_constant_input, window, split)
+        )
+    return [experiment for runs in _collect(experiments) for experiment in runs]
+
+
+Result = TypeVar("Result")
+
+
+def _collect(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
+    """What each of the jobs gives. Raises one DataError with the problems of all."""
+    results, problems = [], []
+    for job in jobs:
+        try:
+            results.append(job())
+        except DataError as error:
+            problems.append(str(error))
+    if problems:
+        raise DataError("\n".join(problems))
+    return results
+
+
+def _to_experiments(
+    record: RecordArrays,
+    name: str | None,
+    model: Model,
+    hold: Hold,
+    requested: Sequence[RequestedSignal],
+    given: Mapping[str, float],
+    allow_constant_input: bool,
+    window: Window,
+    split: bool,
+) -> list[Experiment]:
     file, table, problems = record.file.path, record.file.table, list[str]()
+    record = record.cut(window)
     from_file, findings = read_conditions(requested, record.conditions, table.comments, problems)
     runs = _cut_runs(record.time, record.inputs, record.outputs, split)
     for rows, t, u, y in runs:
         # A file of too few rows is called so, and not by what else follows from it.
         if len(t) > 1:
-            problems += find_array_problems(t, u, y, table.row_labels.select(rows))
+            problems += find_array_problems(t, u, y, record.labels.select(rows))
         problems += find_measurement_problems(u, y, len(t), allow_constant_input)
     raise_problems(file.name, problems)
     title = name or file.stem
@@ -293,7 +428,7 @@ def _read_runs(
             name=title if len(runs) == 1 else f"{title}[{rows.start}:{rows.stop}]",
             hold=hold,
             source=file.name,
-            conditions=given | from_file,
+            conditions={**given, **from_file},
             findings=(*findings, *jumps),
             allow_constant_input=allow_constant_input,
         )

@@ -12,13 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from greybox.base import Finding, ModelError, Printable, Severity, StoredResult, format_unit, parse_unit
+from greybox.base import DataError, Finding, ModelError, Printable, Severity, StoredResult, format_unit, parse_unit
 from greybox.data import array_table, channels, file_kinds, policy, sampling, sensor_faults
-from greybox.data.columns import find_stamp_unit
+from greybox.data.columns import find_dated_time, find_stamp_unit
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME, Column, UnitSource, parse_header, read_endings, read_time
 from greybox.data.notation import COUNT, converts, read_conversion, read_notation
 from greybox.data.problems import is_constant
+from greybox.data.stamps import Stamps, from_epoch
 from greybox.data.time_base import Samples, estimate_clock_offset, find_stamp_problems, is_held
 
 # Words of a name that speak for an input.
@@ -158,27 +159,42 @@ def survey_file(
 def _survey_table(file: file_kinds.RecordFile, sampling_time: float | None) -> FileSurvey:
     table = file.table
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
-    clock = next((c for c in columns if c.is_time), None) or next(filter(None, map(read_time, columns)), None)
+    named = [c for c in columns if c.is_time] or find_dated_time(columns, table)
+    clock = next(iter(named), None) or next(filter(None, map(read_time, columns)), None)
     arrays: dict[int, np.ndarray] = {}
+    stamps: dict[int, Stamps] = {}
+    findings: list[Finding] = []
     for k in range(len(columns)):
         if columns[k].header and _is_column(file, k):
-            values = file.values([k])
-            if not values.problems:
+            values = file.values([k], [k])
+            findings += [f for f in values.findings if f not in findings]
+            if k in values.stamps:
+                stamps[k] = values.stamps[k]
+            elif not values.problems:
                 arrays[k] = values.arrays[k]
     rows = max((len(a) for a in arrays.values()), default=0)
     time: np.ndarray | None = None
-    findings: list[Finding] = []
     if clock is not None and clock.position in arrays:
-        stamps = arrays[clock.position]
-        unit = clock.unit or find_stamp_unit(stamps)
+        counted = arrays[clock.position]
+        unit = clock.unit or find_stamp_unit(counted)
         columns[clock.position] = clock = replace(clock, unit=unit)
         # A clock in a unit of something else is looked at as it stands.
-        time = read_conversion(unit, "s")(stamps) if unit and converts(unit, "s") else stamps
-    elif sampling_time:
+        time = read_conversion(unit, "s")(counted) if unit and converts(unit, "s") else counted
+        if find_stamp_unit(time) == "s":
+            stamps[clock.position] = from_epoch(time)
+    if clock is not None and clock.position in stamps:
+        try:
+            time, _, seen = stamps[clock.position].count_seconds(clock.header, clock.unit)
+            arrays[clock.position] = time
+            findings += seen
+            columns[clock.position] = clock = replace(clock, unit="s")
+        except DataError as error:
+            findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": str(error)}))
+    elif clock is None and sampling_time:
         time = sampling_time * np.arange(rows)
-    if time is None:
+    if time is None and clock is None:
         findings.append(Finding(RecordCode.NO_TIME, Severity.WARNING))
-    elif problems := find_stamp_problems(Samples(time, time)):
+    elif time is not None and (problems := find_stamp_problems(Samples(time, time))):
         findings.append(Finding(RecordCode.TIME_UNUSABLE, Severity.WARNING, values={"reason": problems[0]}))
         time = None
     signals = []

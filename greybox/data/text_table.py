@@ -10,7 +10,7 @@ import csv
 import re
 from array import array
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
@@ -23,6 +23,7 @@ from greybox.data.headers import join_units
 from greybox.data.notation import is_notation
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
+from greybox.data.stamps import StampReader, Stamps, is_stamp
 
 GAPS = ("", "NA", "N/A", "#N/A", "n/a", "null", "NULL", "None")  # besides nan in any spelling
 NO_NUMBER = "?"
@@ -39,7 +40,7 @@ _SPREADSHEET_ERROR = re.compile(r"#(N/A|NV|[^\W\d_]+(/0)?[!?])(?=[,;\t]|\s+[-+.\
 _WIDE_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 # Columns; row -> its fields where they are not as many as the headers; column -> row -> text that is no number.
-Reading = tuple[dict[int, np.ndarray], dict[int, list[str]], dict[int, dict[int, str]]]
+Reading = tuple[dict[int, np.ndarray | Stamps], dict[int, list[str]], dict[int, dict[int, str]]]
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,7 @@ class TextTable:
 
     ``comments``: the lines that begin with ``#`` or ``%``. ``headless``: the file has no header, and the headers are the numbers of
     the columns. ``skipped``: lines of the table before the first row of numbers, of which the last is the header where ``has_header_line``.
+    ``dated``: as of `DataTable`, by the first row.
     """
 
     source: TextSource
@@ -75,6 +77,7 @@ class TextTable:
     has_header_line: bool = False
     has_comma: bool = False
     has_point: bool = True
+    dated: Mapping[int, bool] = field(default_factory=dict)
     policy: ReadingPolicy = field(default=READING_POLICY, repr=False)
 
     @property
@@ -100,8 +103,8 @@ class TextTable:
         labels = RowLabels(self.row_labels.word, np.concatenate([[self.header_line], numbers]))
         return replace(named, skipped=self.skipped - 1, row_labels=labels)
 
-    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray], list[str]]:
-        """Columns (N,) as float64 with NaN for gaps, and the problems met."""
+    def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str]]:
+        """Columns (N,) as float64 with NaN for gaps, or as stamps, and the problems met."""
         positions = list(dict.fromkeys(positions))
         check_size(self.rows, len(positions), self.policy)
         first, *others = (self._read(positions, decimal) for decimal in self._decimals())
@@ -120,7 +123,8 @@ class TextTable:
         return (".", ",") if self.has_point else (",",)
 
     def _read(self, positions: Sequence[int], decimal: str) -> Reading:
-        columns = {k: np.zeros(self.rows) for k in positions}
+        columns = {k: np.zeros(self.rows) for k in positions if k not in self.dated}
+        stamps = {k: StampReader(GAPS) for k in positions if k in self.dated}
         ragged: dict[int, list[str]] = {}
         bad: dict[int, dict[int, str]] = {k: {} for k in positions}
         lines, start = islice(filter(_is_of_table, self.source.read_lines()), self.skipped, None), 0
@@ -130,12 +134,16 @@ class TextTable:
             rows = [split_line(line, self.separator) for line in block]
             ragged |= {start + k: row for k, row in enumerate(rows) if len(row) != len(self.headers)}
             for k in () if ragged else positions:
-                columns[k][start : start + len(block)], wrong = _to_numbers([row[k] for row in rows], decimal)
+                texts = [row[k] for row in rows]
+                if k in stamps:
+                    wrong = stamps[k].add(texts)
+                else:
+                    columns[k][start : start + len(block)], wrong = _to_numbers(texts, decimal)
                 bad[k] |= {start + row: rows[row][k] for row in wrong}
             start += len(block)
         if start != self.rows:
             raise DataError(f"{self.source.path.name}: the file changed while it was read; read it again")
-        return columns, ragged, bad
+        return {**columns, **({} if ragged else {k: reader.finish() for k, reader in stamps.items()})}, ragged, bad
 
     def _describe_ragged(self, ragged: dict[int, list[str]]) -> str:
         """Message for lines with more or fewer fields than the header; ``ragged`` is row -> fields."""
@@ -208,6 +216,14 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         else:
             headers = [str(k) for k in range(1, len(headers) + 1)]
     check_width(len(headers), policy)
+    first_row = split_line(first[skipped], separator) if skipped < len(first) else []
+    if any(headers) and len(first_row) == len(headers):
+        # A column of numbers without a name, such as the index that pandas writes, is one; behind a last separator there is none.
+        headers = [
+            name or (f"column {k}" if text else "")
+            for k, (name, text) in enumerate(zip(headers, first_row, strict=True), 1)
+        ]
+    dated = {k: ":" in text for k, text in enumerate(first_row) if is_stamp(text)}
     labels = RowLabels("line", rows[skipped:])
     has_header_line = skipped > 0 and int(rows[skipped - 1]) == header_line
     return TextTable(
@@ -222,6 +238,7 @@ def read_text(path: Path, policy: ReadingPolicy = READING_POLICY) -> TextTable:
         has_header_line,
         has_comma,
         has_point,
+        dated,
         policy,
     )
 
@@ -279,8 +296,13 @@ def _find_header_in_comments(
 
 def _holds_numbers(fields: Sequence[str]) -> bool:
     """Whether the fields are those of a row, not of a header: numbers and perhaps gaps."""
-    numbers = [NUMBER.fullmatch(field.replace(",", ".")) is not None for field in fields]
+    numbers = [_is_value(field.replace(",", ".")) for field in fields]
     return any(numbers) and all(is_number or field in GAPS for is_number, field in zip(numbers, fields, strict=True))
+
+
+def _is_value(text: str) -> bool:
+    """Whether a field is a number, a date or a time of day."""
+    return NUMBER.fullmatch(text) is not None or is_stamp(text)
 
 
 def split_line(line: str, separator: str) -> list[str]:
@@ -315,7 +337,7 @@ def describe_misplaced_header(lines: Sequence[str], numbers: Sequence[int]) -> s
     """
     plain = [line.replace('"', "") for line in lines]
     first = next((k for k, line in enumerate(plain) if _is_row_of_numbers(line)), 0)
-    if first < 2 or NUMBER.fullmatch(_split_words(plain[first - 1])[0]):
+    if first < 2 or _is_value(_split_words(plain[first - 1])[0]):
         return ""
     header, number = plain[first - 1], numbers[first - 1]
     if len(_split_words(plain[0])) == len(_split_words(header)):
@@ -329,9 +351,9 @@ def _split_words(line: str) -> list[str]:
 
 
 def _is_row_of_numbers(line: str) -> bool:
-    """Whether more than half of a line's words are numbers."""
+    """Whether more than half of a line's words are numbers, dates or times of day."""
     words = _split_words(line)
-    return 2 * sum(NUMBER.fullmatch(word) is not None for word in words) > len(words)
+    return 2 * sum(map(_is_value, words)) > len(words)
 
 
 def _is_row_of_units(fields: Sequence[str], columns: int) -> bool:

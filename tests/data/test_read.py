@@ -436,8 +436,8 @@ def test_a_first_row_without_numbers_is_a_row(tmp_path):
 @pytest.mark.parametrize(
     ("field", "remedy"),
     [
-        ("2024-05-03 10:00:00.1", "write time as seconds from the start of the record"),
-        ("10:00:03", "write time as seconds from the start"),
+        ("2024-05-03 10:00:00.1", "write every row of a column of dates alike"),
+        ("10:00:03", "write every row of a column of dates alike"),
         ('"0,25"', "write decimal points, or ';' between the columns"),
         ('"1,234.5"', "write the number without marks between its thousands"),
         ("over", "correct it, or leave the field empty"),
@@ -666,7 +666,7 @@ def test_a_file_of_the_wrong_kind(tmp_path, name, content, message):
     ],
 )
 def test_a_bug_of_a_reader_is_not_taken_for_a_damaged_file(tmp_path, fails, expected):
-    table = SimpleNamespace(values=lambda positions: fails())
+    table = SimpleNamespace(values=lambda positions: fails(), dated={})
     with pytest.raises(expected, match=None if expected is TypeError else "not a readable ROS file"):
         RecordFile(tmp_path / "run.bag", FileFormat("ROS", (".bag",), None, "export it"), table).values([0])
 
@@ -681,7 +681,7 @@ def test_a_damaged_matlab_7_3_file_is_refused_with_the_remedy(tmp_path):
 def test_binary_columns_that_are_no_numbers(tmp_path):
     frame = pd.DataFrame({"time": TIME, "u": DRIVE, "x": ["a", *map(str, ANSWER[1:])]})
     frame.to_parquet(tmp_path / "text.parquet")
-    pd.DataFrame({"time": pd.date_range("2024-01-01", periods=N), "u": DRIVE, "x": ANSWER}).to_parquet(
+    pd.DataFrame({"time": TIME, "u": pd.date_range("2024-01-01", periods=N), "x": ANSWER}).to_parquet(
         tmp_path / "date.parquet"
     )
     np.savez(tmp_path / "matrix.npz", time=TIME, u=DRIVE, x=np.ones((N, 2)))
@@ -690,7 +690,7 @@ def test_binary_columns_that_are_no_numbers(tmp_path):
     np.savez(tmp_path / "input.npz", time=TIME, u=np.where(TIME == 0, np.nan, DRIVE), x=ANSWER)
     cases = {
         "text.parquet": "column 'x' holds text, not real numbers",
-        "date.parquet": "column 'time' holds timestamp[",
+        "date.parquet": "column 'u' holds dates; only the time can",
         "matrix.npz": "unused headers: x(:,1), x(:,2); rename one",
         "length.npz": "columns differ in length ('time' 30, 'u' 30, 'x' 29 rows)",
         "complex.npz": "column 'x' holds complex128, not real numbers",

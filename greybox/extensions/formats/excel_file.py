@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import datetime
+import re
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,42 +11,76 @@ from typing import Any
 
 import numpy as np
 
-from greybox.base import DataError
-from greybox.data.array_table import ArrayInfo, ArrayTable
+from greybox.base import DataError, Finding, Severity
+from greybox.data.array_table import ArrayInfo, ArrayTable, describe_cells
 from greybox.data.channels import Channel, ChannelTable
 from greybox.data.columns import check_size, check_width, raise_limit
 from greybox.data.file_kinds import FileFormat
+from greybox.data.findings import RecordCode
 from greybox.data.headers import join_units, parse_header
 from greybox.data.notation import read_conversion
 from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.problems import RowLabels
+from greybox.data.stamps import StampReader, Stamps, Timeline, find_origin, is_stamp
 from greybox.data.time_base import Samples
 
 
 @dataclass(frozen=True)
 class _Sheet:
-    """Headers and columns (N,) of one sheet."""
+    """Headers and columns (N,) of one sheet: numbers, dates, or cells as they are."""
 
     name: str
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, np.ndarray | Stamps]
+    findings: tuple[Finding, ...]
 
     @property
     def clock(self) -> str | None:
-        """Header of the time column."""
-        return next((header for header in self.columns if parse_header(header, 0).is_time), None)
+        """Header of the time column: by its name, or the only one of dates."""
+        named = [header for header in self.columns if parse_header(header, 0).is_time]
+        dated = [header for header, cells in self.columns.items() if isinstance(cells, Stamps)]
+        return next(iter(named or (dated if len(dated) == 1 else [])), None)
+
+
+# Bytes that a part of a workbook which is read as a whole (texts, formats, names) may unpack to, as a share of what may be unpacked at
+# all: 16 MB of texts are a million short ones, three seconds and 200 MB.
+SHARE_OF_TEXTS = 0.04
+# What the list of its parts says of a sheet.
+_SHEET_PART = re.compile(rb'PartName="/?([^"]+)"[^>]*worksheet\+xml|worksheet\+xml"[^>]*PartName="/?([^"]+)"')
+
+
+def _check_parts(path: Path, policy: ReadingPolicy) -> None:
+    """Refuse a workbook that unpacks to more than the policy allows; what it unpacks to is known before. Raises DataError."""
+    with zipfile.ZipFile(path) as archive:
+        sizes = {member.filename: member.file_size for member in archive.infolist()}
+        most = int(SHARE_OF_TEXTS * policy.largest_unpacked)
+        with archive.open("[Content_Types].xml") as part:
+            sheets = {name.decode() for pair in _SHEET_PART.findall(part.read(most)) for name in pair}
+    unpacked = sum(sizes.values())
+    limit = raise_limit("largest_unpacked")
+    if unpacked > policy.largest_unpacked:
+        raise DataError(
+            f"the workbook unpacks to {unpacked / 1e6:.0f} MB, at most {policy.largest_unpacked / 1e6:.0f} MB are read; save the"
+            f" needed sheet as CSV, or raise the limit {limit}"
+        )
+    # A sheet is read row by row, every other part at once, and becomes ten times as large in memory.
+    large = {
+        name: size
+        for name, size in sizes.items()
+        if name not in sheets and name.endswith((".xml", ".rels")) and size > most
+    }
+    if large:
+        named = ", ".join(f"{name} ({size / 1e6:.0f} MB)" for name, size in large.items())
+        raise DataError(
+            f"the workbook holds {named} beside its sheets, at most {most / 1e6:.0f} MB of texts or formats are read; save the needed"
+            f" sheet as CSV, or raise the limit {limit}"
+        )
 
 
 def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable | ChannelTable:
     """The sheet with numbers; where several have a time column of their own, all of them as channels. Other sheets are not read."""
     from openpyxl import load_workbook
 
-    # A workbook is an archive: what it unpacks to is known before it is unpacked.
-    with zipfile.ZipFile(path) as archive:
-        unpacked = sum(member.file_size for member in archive.infolist())
-    if unpacked > policy.largest_unpacked:
-        raise DataError(
-            f"the workbook unpacks to {unpacked / 1e6:.0f} MB, at most {policy.largest_unpacked / 1e6:.0f} MB are read; save the"
-            f" needed sheet as CSV, or raise the limit {raise_limit('largest_unpacked')}"
-        )
+    _check_parts(path, policy)
     # Rows as they come, values in the place of formulas.
     book = load_workbook(path, read_only=True, data_only=True)
     try:
@@ -57,23 +91,51 @@ def read_excel(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable
         raise DataError("no sheet has a row of headers above rows of numbers; save the record as CSV")
     timed = [sheet for sheet in sheets if sheet.clock]
     if len(timed) > 1:
-        # Each sheet with a clock of its own: its columns are channels, stamped in seconds.
-        channels: list[Channel] = []
-        samples: list[Samples] = []
-        for sheet in timed:
-            time, unit = sheet.columns[str(sheet.clock)], parse_header(str(sheet.clock), 0).unit
-            known = np.isfinite(time)
-            seconds = read_conversion(unit, "s")(time[known]) if unit else time[known]
-            for header, values in sheet.columns.items():
-                if header != sheet.clock:
-                    column = parse_header(header, 0)
-                    channels.append(Channel(column.name, column.unit, sheet.name, sheet.name, int(known.sum())))
-                    samples.append(Samples(seconds, values[known]))
-        return ChannelTable.from_channels(channels, lambda wanted: {k: samples[k] for k in wanted}, policy)
+        return _join_sheets(timed, policy)
     # One sheet: the one with a clock, or the first that has numbers.
-    columns = (timed or sheets)[0].columns
-    infos = {header: ArrayInfo(values.shape) for header, values in columns.items()}
-    return ArrayTable.from_infos(infos, lambda names: {name: columns[name] for name in names}, policy)
+    sheet = (timed or sheets)[0]
+    infos = {
+        header: ArrayInfo((len(cells),), dated=not cells.whole_days if isinstance(cells, Stamps) else None)
+        for header, cells in sheet.columns.items()
+    }
+    return ArrayTable.from_infos(
+        infos, lambda names: {name: sheet.columns[name] for name in names}, policy, sheet.findings
+    )
+
+
+def _join_sheets(sheets: Sequence[_Sheet], policy: ReadingPolicy) -> ChannelTable:
+    """Each sheet with a clock of its own: its columns are channels, stamped in seconds of one origin."""
+    channels: list[Channel] = []
+    samples: list[Samples] = []
+    times = {sheet.name: _read_clock(sheet) for sheet in sheets}
+    origin, after = find_origin({name: time.start for name, time in times.items()})
+    findings = [f for sheet in sheets for f in (*sheet.findings, *times[sheet.name].findings)]
+    findings += [Finding(RecordCode.CLOCK_START, subject=n, values={"start": s}) for n, s in after.items() if s]
+    for sheet in sheets:
+        seconds = times[sheet.name].seconds + after[sheet.name]
+        known = np.isfinite(seconds)
+        for header, cells in sheet.columns.items():
+            if header != sheet.clock:
+                column = parse_header(header, 0)
+                is_number = isinstance(cells, np.ndarray) and cells.dtype != object
+                holds = "" if is_number else "text or dates"
+                channels.append(Channel(column.name, column.unit, sheet.name, sheet.name, int(known.sum()), holds))
+                values = cells[known] if isinstance(cells, np.ndarray) and is_number else np.zeros(0)
+                samples.append(Samples(seconds[known], values))
+    return ChannelTable.from_channels(
+        channels, lambda wanted: {k: samples[k] for k in wanted}, policy, findings, origin
+    )
+
+
+def _read_clock(sheet: _Sheet) -> Timeline:
+    """The time column of a sheet in seconds. Raises DataError for one that holds a text."""
+    column = parse_header(str(sheet.clock), 0)
+    cells = sheet.columns[str(sheet.clock)]
+    if isinstance(cells, Stamps):
+        return cells.count_seconds(f"{sheet.name}.{sheet.clock}", column.unit)
+    if cells.dtype == object:
+        raise DataError(f"sheet {sheet.name!r}: {describe_cells(str(sheet.clock), cells, RowLabels())}")
+    return Timeline(read_conversion(column.unit, "s")(cells) if column.unit else cells)
 
 
 def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
@@ -82,24 +144,30 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     head: Sequence[Any] | None = None
     for row in rows:
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
+        values = sum(_is_value(cell) for cell in row)
         # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
-        if texts and texts == sum(cell is not None for cell in row):
+        if texts and not values and texts == sum(cell is not None for cell in row):
             if head is None or texts > sum(c is not None for c in head):
                 head = row
                 continue
             head = join_units(head, row)
-        elif head is not None and any(_to_number(cell) is not None for cell in row):
+        elif head is not None and values:
             return _read_block(page.title, head, row, rows, policy)
     return None
+
+
+def _is_value(cell: Any) -> bool:
+    return isinstance(cell, (bool, int, float)) or is_stamp(cell)
 
 
 def _read_block(
     title: str, head: Sequence[Any], first: Sequence[Any], rows: Iterator[Sequence[Any]], policy: ReadingPolicy
 ) -> _Sheet:
-    # A column without a header holds remarks, sums or nothing.
+    # A column without a header holds remarks, sums or nothing, or an index: it is one if its first row is a number or a date.
     named = {k: str(cell).strip() for k, cell in enumerate(head) if cell is not None and str(cell).strip()}
+    named |= {k: f"column {k + 1}" for k, cell in enumerate(first) if k not in named and _is_value(cell)}
     check_width(len(named), policy)
-    cells: dict[int, list[float]] = {k: [] for k in named}
+    cells: dict[int, list[Any]] = {k: [] for k in sorted(named)}
     row: Sequence[Any] | None = first
     count = 0
     while row is not None and any(cell is not None for cell in row):
@@ -108,37 +176,24 @@ def _read_block(
         if count % policy.rows_per_chunk == 0:
             check_size(count, len(named), policy)
         for k, column in cells.items():
-            cell = row[k] if k < len(row) else None
-            # An empty cell is a gap; a text among numbers is a mistake that is named.
-            number = float("nan") if cell is None or cell == "" else _to_number(cell)
-            if number is None:
-                raise DataError(
-                    f"sheet {title!r}, column {named[k]!r}, row {count} below the headers: {str(cell)[:40]!r} is not a number; correct"
-                    " it, or leave the cell empty if nothing was measured"
-                )
-            column.append(number)
+            column.append(row[k] if k < len(row) and row[k] != "" else None)
         row = next(rows, None)
-    columns: dict[str, np.ndarray] = {}
-    for k, header in named.items():
-        values = np.array(cells[k])
-        # A record begins at zero: dates count from its first one.
-        if isinstance(first[k] if k < len(first) else None, datetime.datetime) and len(values):
-            values = values - values[0]
-        columns[header] = values
-    return _Sheet(title, columns)
+    left = sum(any(cell is not None for cell in below) for below in rows)
+    values = {"row": count + 1, "rows": left}
+    findings = (Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values),) if left else ()
+    return _Sheet(title, {named[k]: _to_column(column) for k, column in cells.items()}, findings)
 
 
-def _to_number(cell: Any) -> float | None:
-    """A number; dates and times of day in seconds; None for a text."""
-    if isinstance(cell, (bool, int, float)):
-        return float(cell)
-    if isinstance(cell, datetime.datetime):
-        return cell.replace(tzinfo=datetime.UTC).timestamp()
-    if isinstance(cell, datetime.time):
-        return cell.hour * 3600.0 + cell.minute * 60.0 + cell.second + cell.microsecond * 1e-6
-    if isinstance(cell, datetime.timedelta):
-        return cell.total_seconds()
-    return None
+def _to_column(cells: list[Any]) -> np.ndarray | Stamps:
+    """Numbers (N,) with NaN for empty cells, or stamps; cells as they are where they are neither, for a message."""
+    if all(cell is None or isinstance(cell, (bool, int, float)) for cell in cells):
+        return np.array([np.nan if cell is None else float(cell) for cell in cells])
+    reader = StampReader()
+    if not reader.add(cells):
+        return reader.finish()
+    mixed = np.empty(len(cells), dtype=object)
+    mixed[:] = cells
+    return mixed
 
 
 EXCEL = FileFormat("Excel", (".xlsx", ".xlsm"), read_excel, "save the sheet as CSV", (("openpyxl", "excel"),))

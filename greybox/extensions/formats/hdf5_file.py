@@ -154,8 +154,18 @@ def _attribute(node: Any, *names: str) -> Any:
     return ""
 
 
-def _walk(h5py: Any, group: Any, prefix: str, levels: int) -> Iterator[tuple[str, str, Any]]:
-    """Name, path and data set of all in ``group``, but for MATLAB's own bookkeeping and links to other files."""
+def _walk(
+    h5py: Any, group: Any, prefix: str, levels: int, entered: set[Any] | None = None
+) -> Iterator[tuple[str, str, Any]]:
+    """Name, path and data set of all in ``group``, but for MATLAB's own bookkeeping and links to other files.
+
+    Each group is ``entered`` once: a link may lead back to the root.
+    """
+    entered = set() if entered is None else entered
+    address = h5py.h5o.get_info(group.id).addr
+    if address in entered:
+        return
+    entered.add(address)
     for key in group:
         # An external link may lead to any file of the reader's machine.
         if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
@@ -165,7 +175,7 @@ def _walk(h5py: Any, group: Any, prefix: str, levels: int) -> Iterator[tuple[str
         if isinstance(inner, h5py.Dataset):
             yield name, inner.name, inner
         elif isinstance(inner, h5py.Group) and levels > 0:
-            yield from _walk(h5py, inner, name, levels - 1)
+            yield from _walk(h5py, inner, name, levels - 1, entered)
 
 
 def _describe_content(data: Any) -> str:

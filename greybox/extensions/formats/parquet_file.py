@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import pairwise
 from pathlib import Path
@@ -16,6 +17,7 @@ from greybox.data.array_table import ArrayInfo, ArrayTable
 from greybox.data.columns import check_width
 from greybox.data.file_kinds import FileFormat, RecordFile
 from greybox.data.policy import READING_POLICY, ReadingPolicy
+from greybox.data.stamps import MISSING, StampKind, Stamps, from_datetimes, is_stamp
 
 
 def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTable:
@@ -25,10 +27,10 @@ def read_parquet(path: Path, policy: ReadingPolicy = READING_POLICY) -> ArrayTab
     with pq.ParquetFile(path) as file:
         infos = _inspect_columns(file, policy)
 
-    def load(names: Sequence[str]) -> Mapping[str, np.ndarray]:
+    def load(names: Sequence[str]) -> Mapping[str, np.ndarray | Stamps]:
         with pq.ParquetFile(path) as file:
             # One column after the other, and what arrow has of it is given back: a long record is in memory once.
-            return {name: _to_numbers(file.read(columns=[name], use_threads=False).column(name)) for name in names}
+            return {name: _to_column(file.read(columns=[name], use_threads=False).column(name)) for name in names}
 
     return ArrayTable.from_infos(infos, load, policy)
 
@@ -43,15 +45,37 @@ def _inspect_columns(file: Any, policy: ReadingPolicy) -> dict[str, ArrayInfo]:
     for column in file.schema_arrow:
         # A column without any value has the type null: gaps alone.
         numeric = (types.is_integer, types.is_floating, types.is_boolean, types.is_decimal, types.is_null)
-        kind = "text" if str(column.type) in ("string", "large_string") else str(column.type)
-        infos[column.name] = ArrayInfo((rows,), "" if any(is_kind(column.type) for is_kind in numeric) else kind)
+        dated = None
+        if types.is_temporal(column.type) or _is_text(column.type):
+            # A text may be a date, which its first value shows.
+            first = next(file.iter_batches(1, columns=[column.name], use_threads=False), None)
+            example = (
+                first.column(0).to_pylist()[0] if first is not None and len(first) and _is_text(column.type) else None
+            )
+            if types.is_temporal(column.type) or is_stamp(example):
+                dated = ":" in example if isinstance(example, str) else not types.is_date(column.type)
+        readable = dated is not None or any(is_kind(column.type) for is_kind in numeric)
+        kind = "text" if _is_text(column.type) else str(column.type)
+        infos[column.name] = ArrayInfo((rows,), "" if readable else kind, dated)
     return infos
 
 
-def _to_numbers(column: Any) -> np.ndarray:
-    """A column (N,) as numbers of its own, NaN for nulls."""
+def _is_text(kind: Any) -> bool:
+    return str(kind) in ("string", "large_string", "string_view")
+
+
+def _to_column(column: Any) -> np.ndarray | Stamps:
+    """A column (N,) as numbers of its own, NaN for nulls, or as stamps."""
     import pyarrow as pa
 
+    if pa.types.is_time(column.type):
+        # Since midnight, in the unit of the column.
+        ticks = column.cast(pa.time64("ns")).cast(pa.int64()).to_numpy()
+        return Stamps(np.where(column.is_null(), MISSING, np.nan_to_num(ticks)).astype(np.int64), StampKind.CLOCK)
+    if pa.types.is_temporal(column.type):
+        return from_datetimes(column.to_numpy(), zoned=getattr(column.type, "tz", None) is not None)
+    if _is_text(column.type):
+        return np.array(column.to_pylist(), dtype=object)
     numbers = np.array(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
     del column
     pa.default_memory_pool().release_unused()
@@ -118,7 +142,7 @@ def open_parquet_part(
     source = _open_source(path, stamp.st_size, stamp.st_mtime_ns)
     first, behind = rows
     infos = {
-        name: ArrayInfo((behind - first,), info.holds) for name, info in source.infos(policy).items() if name != column
+        name: replace(info, shape=(behind - first,)) for name, info in source.infos(policy).items() if name != column
     }
     return RecordFile(
         path, PARQUET, ArrayTable.from_infos(infos, lambda names: source.load(names, first, behind), policy)
@@ -138,19 +162,23 @@ class _ParquetSource:
         self._columns = lru_cache(maxsize=KEPT_COLUMNS)(self._read_column)
         self.infos = lru_cache(partial(_inspect_columns, self._file))
 
-    def load(self, names: Sequence[str], first: int, behind: int) -> dict[str, np.ndarray]:
+    def load(self, names: Sequence[str], first: int, behind: int) -> dict[str, np.ndarray | Stamps]:
         """Rows ``first`` to ``behind - 1`` of some columns."""
         groups = range(
             int(np.searchsorted(self._edges, first, side="right")) - 1, int(np.searchsorted(self._edges, behind))
         )
-        arrays = {}
+        arrays: dict[str, np.ndarray | Stamps] = {}
         for name in names:
-            parts = [self._columns(name, k)[max(first - self._edges[k], 0) : behind - self._edges[k]] for k in groups]
-            arrays[name] = np.concatenate(parts)
+            columns = [
+                (self._columns(name, k), slice(max(first - self._edges[k], 0), behind - self._edges[k])) for k in groups
+            ]
+            parts = [c.nanoseconds[rows] if isinstance(c, Stamps) else c[rows] for c, rows in columns]
+            joined, (example, _) = np.concatenate(parts), columns[0]
+            arrays[name] = replace(example, nanoseconds=joined) if isinstance(example, Stamps) else joined
         return arrays
 
-    def _read_column(self, name: str, group: int) -> np.ndarray:
-        return _to_numbers(self._file.read_row_group(group, columns=[name], use_threads=False).column(name))
+    def _read_column(self, name: str, group: int) -> np.ndarray | Stamps:
+        return _to_column(self._file.read_row_group(group, columns=[name], use_threads=False).column(name))
 
 
 # Columns of row groups that are kept: those of a dozen signals, of the two groups that a record may lie across.
@@ -208,7 +236,7 @@ def _read_info(file: IO[bytes], size: int) -> ArrayInfo:
     if int(np.prod(shape, dtype=object)) * dtype.itemsize > size:
         raise DataError(f"an array claims the shape {shape}, which its {size} bytes cannot hold; write the file again")
     holds = {"U": "text", "S": "text"}.get(dtype.kind, str(dtype))
-    return ArrayInfo(shape, "" if dtype.kind in "biuf" else holds)
+    return ArrayInfo(shape, "" if dtype.kind in "biufMm" else holds, True if dtype.kind in "Mm" else None)
 
 
 NPZ = FileFormat(".npz", (".npz",), read_npz, "write it with numpy.savez(file, time=..., u=...)")

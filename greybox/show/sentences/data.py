@@ -101,6 +101,7 @@ def _clock_offset(finding: Finding) -> str:
     )
 
 
+_STAMPS = {"date": "dates", "clock": "times of day"}
 _SOURCES = {"column": "mean of its column", "comment": "from a comment of the file"}
 
 # How the unit of a column is known where its header does not state it as this library writes it.
@@ -175,6 +176,23 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     RecordCode.CLOCK_OFFSET_BY_RECORDER: "clocks '{reference}' and '{subject}' differ by {offset:.3g} s, by when their messages reached the"
     " recorder; the stamps of the second are corrected, to a few milliseconds",
     RecordCode.CLOCK_START: "clock '{subject}' was started {start:.6g} s after the first, as the file says; its stamps are shifted by that",
+    RecordCode.DATES_READ: lambda f: (
+        f"{f.subject}: {_STAMPS[f.values['kind']]}, counted in seconds from {f.values['start']}"
+    ),
+    RecordCode.MIDNIGHT_PASSED: "{subject}: the time of day starts anew {nights} times, each of which is read as midnight; write the"
+    " date too where days are left out",
+    RecordCode.SUMMER_TIME: lambda f: (
+        f"{f.subject}: the clock was put {'back' if f.values['hours'] > 0 else 'forward'} by an hour before {f.values['at']}, as at a"
+        " change of summer time; the hour is taken out (a time zone in the stamps would leave no doubt)"
+    ),
+    RecordCode.ORIGINS_APART: lambda f: (
+        "its time counts from "
+        + (f.values["own"] or "its own zero")
+        + f", other records of this call from {f.values['start']}, with which it"
+        " cannot be compared: how they lie to each other in time is not known"
+    ),
+    RecordCode.ROWS_BELOW_TABLE: "sheet '{subject}': the table ends at the empty row {row}, and {rows} rows below it are not read; remove"
+    " the empty rows, or move what is below to a sheet of its own",
     RecordCode.CLOCKS_NOT_COMPARED: "clocks '{reference}' and '{subject}' have no signal in common: an offset between them cannot be told"
     " from a delay of the plant; record one signal on both, or fit a delay (shell: --effect transport_delay)",
     RecordCode.ALSO_FITTED: "the same data as the estimation record {record}: it cannot validate the model; use a record that was"

@@ -55,6 +55,34 @@ GOLDEN = {
         {"start": 0.25},
         "clock 'B' was started 0.25 s after the first, as the file says; its stamps are shifted by that",
     ),
+    RecordCode.DATES_READ: (
+        "Zeit",
+        {"kind": "clock", "start": "01:30:00"},
+        "Zeit: times of day, counted in seconds from 01:30:00",
+    ),
+    RecordCode.MIDNIGHT_PASSED: (
+        "time",
+        {"nights": 2},
+        "time: the time of day starts anew 2 times, each of which is read as midnight; write the date too where days are left out",
+    ),
+    RecordCode.SUMMER_TIME: (
+        "time",
+        {"hours": 1, "at": "2024-10-27 02:00:00"},
+        "time: the clock was put back by an hour before 2024-10-27 02:00:00, as at a change of summer time; the hour is taken out (a"
+        " time zone in the stamps would leave no doubt)",
+    ),
+    RecordCode.ORIGINS_APART: (
+        "",
+        {"start": "2024-10-27 02:00:00 UTC", "own": ""},
+        "its time counts from its own zero, other records of this call from 2024-10-27 02:00:00 UTC, with which it cannot be compared:"
+        " how they lie to each other in time is not known",
+    ),
+    RecordCode.ROWS_BELOW_TABLE: (
+        "Daten",
+        {"row": 51, "rows": 12},
+        "sheet 'Daten': the table ends at the empty row 51, and 12 rows below it are not read; remove the empty rows, or move what is"
+        " below to a sheet of its own",
+    ),
     RecordCode.CLOCKS_NOT_COMPARED: (
         "B",
         {"reference": "A"},

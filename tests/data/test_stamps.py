@@ -1,0 +1,278 @@
+"""Dates and times of day: every way to write them gives the seconds that the calendar of Python gives."""
+
+from __future__ import annotations
+
+import datetime as dt
+from itertools import pairwise
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+
+from greybox import Balance, Input, Model, Output, Parameter, State, read_csv, read_experiments
+from greybox.base import DataError
+from greybox.data.findings import RecordCode
+from greybox.data.survey import survey_file
+
+openpyxl = pytest.importorskip("openpyxl")
+pa = pytest.importorskip("pyarrow")
+pq = pytest.importorskip("pyarrow.parquet")
+
+LAG = Model(
+    "lag",
+    states=[State("x", "V")],
+    inputs=[Input("u", "V")],
+    outputs=[Output("x", "V")],
+    parameters=[Parameter("tau", "s", 1.0, (1e-4, 1e4))],
+    balances=lambda x, u, p: [Balance("b", "V", p.tau, "x", drive=u.u, decay=-x.x)],
+)
+N = 30
+DRIVE = (np.arange(N) // 5 % 2).astype(float)
+ANSWER = np.sin(np.arange(N) / 4)
+START = dt.datetime(2023, 12, 31, 23, 58, 7, 250000)
+STEPS = [13.5 * k for k in range(N)]  # over midnight and the new year
+MOMENTS = [START + dt.timedelta(seconds=s) for s in STEPS]
+MONTHS = ["Jan", "Feb", "Mrz", "Apr", "Mai", "Jun", "Jul", "Aug", "Sep", "Okt", "Nov", "Dez"]
+
+
+def write_table(path, stamps, header="time", separator=","):
+    rows = [f"{s}{separator}{u}{separator}{x:.6f}" for s, u, x in zip(stamps, DRIVE, ANSWER, strict=True)]
+    path.write_text("\n".join([separator.join([header, "u [V]", "x [V]"]), *rows]) + "\n", encoding="utf-8")
+    return path
+
+
+def codes(record):
+    return {f.code for f in record.findings}
+
+
+WAYS = {
+    "iso": lambda m: m.isoformat(),
+    "pandas": str,
+    "zone": lambda m: m.isoformat() + "+05:30",
+    "zulu": lambda m: f"{m:%Y%m%dT%H%M%S}.{m:%f}Z",
+    "nanoseconds": lambda m: f"{m:%Y-%m-%d %H:%M:%S}.{m:%f}000 UTC",
+    "german": lambda m: f"{m:%d.%m.%Y %H:%M:%S}.{m:%f}",
+    "short german": lambda m: f"{m:%d.%m.%y} {m:%H:%M:%S}.{m:%f}",
+    "german month": lambda m: f"{m.day}. {MONTHS[m.month - 1]} {m:%Y %H:%M:%S}.{m:%f}",
+    "matlab": lambda m: f"{m:%d-%b-%Y %H:%M:%S}.{m:%f}",
+    "american": lambda m: f"{m.month}/{m.day}/{m:%Y %I:%M:%S}.{m:%f} {m:%p}",
+    "british": lambda m: f"{m:%d/%m/%Y %H:%M:%S}.{m:%f}",
+    "slashes": lambda m: f"{m:%Y/%m/%d %H:%M:%S}.{m:%f}",
+    "milliseconds behind a colon": lambda m: f"{m:%H:%M:%S}:{m.microsecond // 1000:03d}",
+    "time of day": lambda m: f"{m:%H:%M:%S}.{m:%f}",
+}
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("header", ["time", "time [min]", "Zeit", ""])
+def test_every_way_to_write_a_stamp_gives_the_same_seconds(tmp_path, way, header):
+    path = write_table(tmp_path / "run.csv", map(WAYS[way], MOMENTS), header)
+    record = read_csv(path, LAG)
+    np.testing.assert_allclose(record.time, STEPS, rtol=0, atol=1e-9)
+    assert RecordCode.DATES_READ in codes(record)
+    assert RecordCode.UNITS_ASSUMED not in codes(record)
+    assert (RecordCode.MIDNIGHT_PASSED in codes(record)) == ("time of day" in way or "colon" in way)
+    survey = survey_file(path)
+    assert survey.signals[0].use == "time"
+    assert survey.signals[0].stop == pytest.approx(STEPS[-1], abs=1e-9)
+
+
+def test_a_table_of_dates_without_a_header_is_read_whole(tmp_path):
+    path = tmp_path / "run.csv"
+    write_table(path, map(str, MOMENTS))
+    path.write_text(path.read_text(encoding="utf-8").split("\n", 1)[1], encoding="utf-8")
+    record = read_csv(path, LAG, columns=["time", "u", "x"])
+    assert record.rows == N
+    np.testing.assert_allclose(record.time, STEPS, atol=1e-9)
+
+
+@pytest.mark.parametrize("separator", ["\t", ";", " "])
+def test_day_and_time_of_day_in_two_columns_are_one_stamp(tmp_path, separator):
+    moments = [START + dt.timedelta(hours=20 * k) for k in range(N)]
+    path = tmp_path / "run.txt"
+    head = separator.join(["Datum", "Uhrzeit", "u", "x"])
+    rows = [
+        separator.join([f"{m:%d.%m.%Y}", f"{m:%H:%M:%S}.{m:%f}", f"{u}", f"{x:.5f}"])
+        for m, u, x in zip(moments, DRIVE, ANSWER, strict=True)
+    ]
+    path.write_text("\n".join([head, *rows]), encoding="utf-8")
+    record = read_csv(path, LAG)
+    np.testing.assert_allclose(record.time, 72000.0 * np.arange(N), atol=1e-9)
+    assert RecordCode.COLUMNS_IGNORED not in codes(record)
+
+
+def test_dates_that_can_be_read_both_ways_are_refused_until_somebody_says_which(tmp_path):
+    moments = [dt.datetime(2024, 4, 3, 12) + dt.timedelta(days=k) for k in range(9)]
+    rows = [f"{m:%m/%d/%Y %H:%M},{u},{x:.5f}" for m, u, x in zip(moments, DRIVE, ANSWER, strict=False)]
+    for header in ("time", "time [dd/mm/yyyy]", "time [mm/dd/yyyy]"):
+        (tmp_path / "run.csv").write_text("\n".join([f"{header},u,x", *rows]), encoding="utf-8")
+        if header == "time":
+            with pytest.raises(DataError, match="'04/03/2024 12:00' day/month or month/day"):
+                read_csv(tmp_path / "run.csv", LAG)
+        else:
+            order = "%d/%m/%Y" if "dd/mm" in header else "%m/%d/%Y"
+            days = [dt.datetime.strptime(f"{m:%m/%d/%Y}", order) for m in moments]
+            seconds = [(day - days[0]).total_seconds() for day in days]
+            np.testing.assert_allclose(read_csv(tmp_path / "run.csv", LAG).time, seconds)
+    survey = survey_file(write_table(tmp_path / "both.csv", [f"03/04/2024 10:{k:02d}" for k in range(N)]))
+    assert any(f.code == RecordCode.TIME_UNUSABLE and "day/month" in f.values["reason"] for f in survey.findings)
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["2024-03-01 10:00:00", "10:00:05"],
+        ["2024-03-01 10:00:00", "2024-03-01 10:00:05Z"],
+        ["13/01/2024", "01/13/2024"],
+    ],
+)
+def test_stamps_of_two_kinds_in_one_column_are_refused(tmp_path, rows):
+    with pytest.raises(DataError, match=r"lines 3, 5|month/day in another"):
+        read_csv(write_table(tmp_path / "run.csv", [rows[k % 2] for k in range(N)]), LAG)
+
+
+@pytest.mark.parametrize(
+    ("zone", "begin", "minutes"),
+    [
+        ("Europe/Berlin", dt.datetime(2024, 10, 26, 23, tzinfo=dt.UTC), 15),
+        ("Europe/Berlin", dt.datetime(2024, 10, 26, 20, tzinfo=dt.UTC), 60),
+        ("Europe/London", dt.datetime(2024, 3, 30, 22, tzinfo=dt.UTC), 10),
+        ("America/New_York", dt.datetime(2024, 11, 3, 2, tzinfo=dt.UTC), 20),
+        ("America/New_York", dt.datetime(2024, 3, 10, 3, tzinfo=dt.UTC), 30),
+        ("Australia/Sydney", dt.datetime(2024, 4, 6, 11, tzinfo=dt.UTC), 30),
+    ],
+)
+@pytest.mark.parametrize("form", ["%Y-%m-%d %H:%M", "%d.%m.%Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S%z"])
+def test_a_change_of_summer_time_does_not_move_time(tmp_path, zone, begin, minutes, form):
+    local = [(begin + k * dt.timedelta(minutes=minutes)).astimezone(ZoneInfo(zone)) for k in range(N)]
+    record = read_csv(write_table(tmp_path / "run.csv", [m.strftime(form) for m in local]), LAG)
+    np.testing.assert_allclose(record.time, 60.0 * minutes * np.arange(N))
+    assert (RecordCode.SUMMER_TIME in codes(record)) == ("%z" not in form)
+
+
+def test_a_gap_or_a_step_back_that_is_no_change_of_summer_time_stays(tmp_path):
+    wednesday = [dt.datetime(2024, 10, 23, 1) + dt.timedelta(minutes=15 * k + 60 * (k > 9)) for k in range(N)]
+    record = read_csv(write_table(tmp_path / "gap.csv", wednesday), LAG)
+    assert max(b - a for a, b in pairwise(record.time)) == 4500
+    back = [dt.datetime(2024, 10, 23, 1) + dt.timedelta(minutes=15 * k - 60 * (k > 9)) for k in range(N)]
+    with pytest.raises(DataError, match="time goes back at line 12"):
+        read_csv(write_table(tmp_path / "back.csv", back), LAG)
+
+
+def _workbook(path, **sheets):
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for name, rows in sheets.items():
+        page = book.create_sheet(name)
+        for row in rows:
+            page.append(row)
+    book.save(path)
+    return path
+
+
+CELLS = {
+    "date": MOMENTS,
+    "time of day": [(dt.datetime(2024, 1, 1, 8) + dt.timedelta(seconds=s)).time() for s in STEPS],
+    "length of time": [dt.timedelta(seconds=s) for s in STEPS],
+    "text": [m.isoformat() for m in MOMENTS],
+}
+
+
+@pytest.mark.parametrize("kind", CELLS)
+@pytest.mark.parametrize("header", ["time", "time [min]", "Zeit", None])
+def test_cells_of_a_workbook_carry_their_unit(tmp_path, kind, header):
+    rows = [[header, "u [V]", "x [V]"], *map(list, zip(CELLS[kind], DRIVE, ANSWER, strict=True))]
+    record = read_csv(_workbook(tmp_path / "run.xlsx", data=rows), LAG)
+    # A cell of a date is a double in days, which openpyxl reads to the microsecond.
+    np.testing.assert_allclose(record.time, STEPS, rtol=0, atol=2e-6)
+
+
+def test_dated_sheets_have_one_origin(tmp_path):
+    moved = [m + dt.timedelta(seconds=25) for m in MOMENTS]
+    path = _workbook(
+        tmp_path / "two.xlsx",
+        drive=[["time", "u [V]"], *map(list, zip(MOMENTS, DRIVE, strict=True))],
+        answer=[["Zeit", "x [V]"], *map(list, zip(moved, ANSWER, strict=True))],
+    )
+    record = read_csv(path, LAG, hold="first")
+    (start,) = (f for f in record.findings if f.code == RecordCode.CLOCK_START)
+    assert start.subject == "answer" and start.values["start"] == pytest.approx(25, abs=2e-6)
+    # The answer stands at its own rows, 25 s behind the first of the drive.
+    np.testing.assert_allclose(record.time, 25 + np.array(STEPS)[: record.rows], rtol=0, atol=2e-6)
+    expected = np.interp(record.time, STEPS, DRIVE)
+    np.testing.assert_allclose(record.inputs["u"], expected, atol=1e-5)
+
+
+def test_rows_below_an_empty_one_are_said(tmp_path):
+    rows = [["time [s]", "u", "x"], *map(list, zip(STEPS, DRIVE, ANSWER, strict=True))]
+    rows[21:21] = [[None, None, None]]
+    record = read_csv(_workbook(tmp_path / "run.xlsx", data=rows), LAG)
+    (finding,) = (f for f in record.findings if f.code == RecordCode.ROWS_BELOW_TABLE)
+    assert (record.rows, finding.values["rows"], finding.values["row"]) == (20, 10, 21)
+    assert RecordCode.ROWS_BELOW_TABLE in {f.code for f in survey_file(tmp_path / "run.xlsx").findings}
+
+
+def test_text_in_a_column_that_is_not_wanted_does_not_matter(tmp_path):
+    rows = [["time", "u", "remark", "x"], *([t, u, "ok", x] for t, u, x in zip(STEPS, DRIVE, ANSWER, strict=True))]
+    rows[4][3] = "over"
+    path = _workbook(tmp_path / "run.xlsx", data=rows)
+    with pytest.raises(DataError, match="column 'x', row 4: 'over' is not a number"):
+        read_csv(path, LAG)
+    rows[4][3] = 0.5
+    assert read_csv(_workbook(path, data=rows), LAG).rows == N
+
+
+PARQUET = {
+    "us": lambda: pa.array(MOMENTS, pa.timestamp("us")),
+    "ns with a zone": lambda: pa.array(MOMENTS, pa.timestamp("ns", "Europe/Berlin")),
+    "ms": lambda: pa.array(MOMENTS, pa.timestamp("ms")),
+    "text": lambda: pa.array([m.isoformat() for m in MOMENTS]),
+    "time of day": lambda: pa.array(
+        [(dt.datetime(2024, 1, 1, 8) + dt.timedelta(seconds=s)).time() for s in STEPS], pa.time64("us")
+    ),
+    "length of time": lambda: pa.array([dt.timedelta(seconds=s) for s in STEPS], pa.duration("ms")),
+}
+
+
+@pytest.mark.parametrize("kind", PARQUET)
+@pytest.mark.parametrize("header", ["time [min]", "__index_level_0__"])
+def test_columns_of_parquet_and_numpy_are_read_as_time(tmp_path, kind, header):
+    stamps = PARQUET[kind]()
+    pq.write_table(pa.table({header: stamps, "u": DRIVE, "x": ANSWER}), tmp_path / "run.parquet")
+    np.testing.assert_allclose(read_csv(tmp_path / "run.parquet", LAG).time, STEPS, rtol=0, atol=1e-9)
+    if stamps.type.id in (pa.timestamp("us").id, pa.duration("ms").id):
+        np.savez(tmp_path / "run.npz", **{header: stamps.to_numpy(), "u": DRIVE, "x": ANSWER})
+        np.testing.assert_allclose(read_csv(tmp_path / "run.npz", LAG).time, STEPS, rtol=0, atol=1e-9)
+
+
+def test_dated_files_of_one_call_have_one_origin(tmp_path):
+    first = write_table(tmp_path / "a.csv", (f"{m:%d.%m.%Y %H:%M:%S}.{m:%f}" for m in MOMENTS))
+    moved = [m - dt.timedelta(seconds=25) for m in MOMENTS]
+    pq.write_table(pa.table({"time": moved, "u": DRIVE, "x": ANSWER}), tmp_path / "b.parquet")
+    a, b = read_experiments([first, tmp_path / "b.parquet"], LAG)
+    assert (a.time[0], b.time[0]) == (25.0, 0.0)
+    zoned = write_table(tmp_path / "c.csv", (m.isoformat() + "Z" for m in MOMENTS))
+    a, c = read_experiments([first, zoned], LAG)
+    assert (a.time[0], c.time[0]) == (0.0, 0.0)
+    assert RecordCode.ORIGINS_APART in codes(c) and RecordCode.ORIGINS_APART not in codes(a)
+
+
+def test_a_part_of_a_record_is_read(tmp_path):
+    path = write_table(tmp_path / "run.csv", map(str, MOMENTS))
+    whole = read_csv(path, LAG)
+    for window in ((27, 135.0), ("27", "135"), ("2023-12-31 23:58:34", "1.1.2024 00:00:23")):
+        part = read_csv(path, LAG, window=window)
+        np.testing.assert_array_equal(part.time, whole.time[2:11])
+        np.testing.assert_array_equal(part.outputs["x"], whole.outputs["x"][2:11])
+    with pytest.raises(DataError, match="0 rows from 1000"):
+        read_csv(path, LAG, window=(1000.0, None))
+    with pytest.raises(DataError, match="the record counts from a date"):
+        read_csv(path, LAG, window=("23:58", None))
+    plain = write_table(tmp_path / "plain.csv", STEPS, "time [s]")
+    with pytest.raises(DataError, match="this record has no dates"):
+        read_csv(plain, LAG, window=(None, "2024-01-01"))
+    rows = [*plain.read_text(encoding="utf-8").splitlines()]
+    rows[20] = rows[20].replace("1.0,", "oops,").replace("0.0,", "oops,")
+    plain.write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(DataError, match="line 21"):
+        read_csv(plain, LAG, window=(100, None))
