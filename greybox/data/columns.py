@@ -430,15 +430,16 @@ def _settle_unit(
                 return reading
             unit, how = read_notation(reading.unit, signal.unit), _explain_mapping(signal, reading, are_named)
             problems.append(
-                f"column {shorten(column.header)!r} for {signal.label} ends like a unit: is it in {unit}? {how}, or with"
+                f"column {shorten(column.header)!r} for {signal.label} names a unit: is it in {unit}? {how}, or with"
                 f" [{signal.unit or 1}] if its numbers are in {signal.unit or 1}"
             )
             return reading
-    other = [r.unit for r in readings if r.unit.lower() not in _WORDS and (len(r.unit) > 1 or r.unit in "%°‰")]
+    endings = [r.unit for r in readings if column.name.lower().endswith(r.unit.lower()) or r.unit in "%‰"]
+    other = [unit for unit in endings if unit.lower() not in _WORDS and (len(unit) > 1 or unit in "%°‰")]
     if is_chosen and other:
         how = _explain_mapping(signal, replace(column, unit=signal.unit or "1"), are_named)
         problems.append(
-            f"column {shorten(column.header)!r} for {signal.label} ends like the unit {other[0]} of another quantity; choose another"
+            f"column {shorten(column.header)!r} for {signal.label} names {other[0]}, a unit of another quantity; choose another"
             f" column, or {how} if its numbers are in {signal.unit or 1}"
         )
     return column

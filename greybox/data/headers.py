@@ -61,7 +61,7 @@ class Column:
 
 # Characters of a header; in a longer one neither unit nor name are looked for.
 LONGEST_HEADER = 200
-_SQUARE = re.compile(r"(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]")
+_SQUARE = re.compile(r"(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]\s*(?P<rest>[^\[\]]*)")
 # Brackets that may belong to the name: Laser (ch1), log{2}.
 _OTHER = {")": "(", "}": "{", ">": "<"}
 
@@ -72,9 +72,10 @@ def parse_header(header: str, position: int) -> Column:
     if len(text) > LONGEST_HEADER:
         return Column(text, text, "", position)
     square = _SQUARE.fullmatch(text)
-    if square:
-        unit = square["unit"].strip()
-        return Column(text, square["name"].strip(), unit, position, UnitSource.STATED if unit else UnitSource.NONE)
+    # Behind its brackets a name may go on, if they hold a unit: time [ms] raw.
+    if square and (not square["rest"] or _looks_like_unit(square["unit"].strip())):
+        name, unit = f"{square['name']} {square['rest']}".strip(), square["unit"].strip()
+        return Column(text, name, unit, position, UnitSource.STATED if unit else UnitSource.NONE)
     for at in (k for k, letter in enumerate(text) if k and letter == _OTHER.get(text[-1])):
         unit = text[at + 1 : -1].strip()
         if _looks_like_unit(unit):
@@ -90,8 +91,12 @@ def _looks_like_unit(text: str) -> bool:
     return is_notation(text)
 
 
-# Separators of a name and what may be its unit; the first group states it, the others only look so.
-_SEPARATOR = re.compile(r"(?P<states>[\s_]+in[\s_]+|\s*[/,]\s*)|[\s_.:;|-]+|(?<=[a-z])(?=[A-Z][a-z]+$)")
+# Separators of a name and what may be its unit; the first group states it, the others only look so (timeMs, tms).
+_SEPARATOR = re.compile(
+    r"(?P<states>[\s_]+in[\s_]+|\s*[/,]\s*)|[\s_.:;|-]+|(?<=[a-z])(?=[A-Z][a-z]+$)"
+    r"|(?i:(?:(?<=^t)|(?<=time)|(?<=stamp)|(?<=zeit))(?=(?:ms|us|ns|sec|min|millis|micros)$))"
+)
+_WORD = re.compile(r"[^\W\d_]+|[%‰]")
 # Symbols that a name may end with, beside those that every model uses.
 _EVERYDAY = {
     *KNOWN,
@@ -115,34 +120,41 @@ _EVERYDAY |= {
 
 
 def read_endings(column: Column) -> tuple[Column, ...]:
-    """What a column may be whose header states no unit: ``time_ms`` may be ``time`` in ms; a whole name that is a unit has no name."""
+    """What a column may be whose header states no unit: ``time_ms``, ``timeMs``, ``ms_time`` and ``millis`` may be a time in ms."""
     text = column.name
     if column.unit or len(text) > LONGEST_HEADER:
         return ()
-    readings = []
-    for cut in _SEPARATOR.finditer(text):
-        # timeMs: a capital that only begins a word.
-        unit = text[cut.end() :] if cut.group() else text[cut.end() :].lower()
-        if cut.start() and _is_everyday(unit):
-            known = UnitSource.NAME if cut["states"] else UnitSource.ENDING
-            readings.append(replace(column, name=text[: cut.start()], unit=unit, known=known))
-    whole = text.removesuffix("()")
-    if len(whole) > 1 and _is_everyday(whole):
-        readings.append(replace(column, name="", unit=whole, known=UnitSource.ENDING))
-    return tuple(readings)
+    cuts = [
+        (text[: cut.start()], text[cut.end() :], UnitSource.NAME if cut["states"] else UnitSource.ENDING)
+        for cut in _SEPARATOR.finditer(text)
+        if cut.start()
+    ]
+    # A word of several letters anywhere; the name is what stands around it.
+    cuts += [
+        (f"{text[: word.start()]} {text[word.end() :]}".strip(" _-.:;|()"), word.group(), UnitSource.ENDING)
+        for word in _WORD.finditer(text)
+        if len(word.group()) > 1 or word.group() in "%‰"
+    ]
+    readings = [replace(column, name=name, unit=_find_everyday(unit), known=known) for name, unit, known in cuts]
+    return tuple(reading for reading in readings if reading.unit)
 
 
-def _is_everyday(text: str) -> bool:
-    try:
-        powers = parse_powers(read_notation(text.removeprefix("(").removesuffix(")") if text[:1] == "(" else text))[1]
-    except ModelError:
-        return False
-    return bool(powers) and _EVERYDAY.issuperset(powers)
+def _find_everyday(text: str) -> str:
+    """The text as an everyday unit; in small letters where it begins with a capital (``MS``, ``Mm``); "" where it is none."""
+    plain = text.removeprefix("(").removesuffix(")") if text[:1] == "(" else text
+    for unit in dict.fromkeys((plain.lower(), plain) if plain[:1].isupper() and len(plain) > 1 else (plain,)):
+        try:
+            powers = parse_powers(read_notation(unit))[1]
+        except ModelError:
+            continue
+        if powers and _EVERYDAY.issuperset(powers):
+            return unit
+    return ""
 
 
 # Names of a time beside ``time`` and ``t``; only asked about.
 _TIME_WORDS = frozenset(
-    ("time", "t", "timestamp", "timestamps", "stamp", "clock", "zeit", "zeitstempel", "elapsed", "uptime")
+    ("time", "t", "timestamp", "timestamps", "stamp", "clock", "zeit", "zeitstempel", "elapsed", "uptime", "since")
 )
 
 

@@ -109,7 +109,7 @@ def read_notation(text: str, target: str = "") -> str:
     >>> [read_notation(text) for text in ("U/min", "mNm", "m3/h", "min-1", "kgm²", "Grad", "inc")]
     ['turn/min', 'mN*m', 'm^3/h', 'min^-1', 'kg*m^2', 'deg', 'count']
     """
-    plain = text.strip()
+    plain = text.strip().removeprefix("in ")
     if plain == target or plain in ("", "-", "1"):
         return plain
     dimensions = parse_unit("K" if has_zero_point(target) else target).dimensions

@@ -111,6 +111,11 @@ def record(tmp_path, headers, rows=((0, 1, 2), (10, 2, 3), (20, 4, 5)), **how):
         ("micros()", "time [us]"),
         ("Timestamp-ns", "time [ns]"),
         ("elapsed_hours", "time [h]"),
+        ("TIME_MS", "time [ms]"),
+        ("tms", "time [ms]"),
+        ("time_us_raw", "time [us]"),
+        ("ms since start", "time [ms]"),
+        ("time|ms|", "time [ms]"),
     ],
 )
 def test_a_time_that_only_ends_like_a_unit_is_asked_for_and_the_answer_works_as_typed(tmp_path, header, key):
@@ -137,6 +142,8 @@ def test_a_time_that_only_ends_like_a_unit_is_asked_for_and_the_answer_works_as_
         ("time(ms)", "time", 1e-3),
         ("time <us>", "time", 1e-6),
         ("Time {ms}", "time", 1e-3),
+        ("time [in ms]", "time", 1e-3),
+        ("[ms] time", "time", 1e-3),
     ],
 )
 def test_a_time_whose_unit_is_stated_in_any_notation_is_read(tmp_path, header, name, factor):
@@ -150,6 +157,7 @@ def test_a_time_whose_unit_is_stated_in_any_notation_is_read(tmp_path, header, n
         ("speed_kmh", "v [km/h]", 1 / 3.6),
         ("Tempo km/h", "v [km/h]", 1 / 3.6),
         ("v.cm/s", "v [cm/s]", 1e-2),
+        ("wheel kmh left", "v [km/h]", 1 / 3.6),
     ],
 )
 def test_a_signal_that_ends_like_a_unit_is_asked_for(tmp_path, header, key, factor):
@@ -162,7 +170,7 @@ def test_a_signal_that_ends_like_a_unit_is_asked_for(tmp_path, header, key, fact
 
 
 def test_a_unit_of_another_quantity_is_asked_for_where_a_person_chose_the_column(tmp_path):
-    for header in ("PWM_%", "n_rpm", "U/mV"):
+    for header in ("PWM_%", "% PWM", "n_rpm", "U/mV"):
         with pytest.raises(DataError, match=re.escape(f"{{'f [N]': {header!r}}}")):
             record(tmp_path, ["time", header, "v"], columns={"f": header})
         told = record(tmp_path, ["time", header, "v"], columns={"f [N]": header})
@@ -197,6 +205,12 @@ def test_a_signal_of_the_model_that_is_called_so_is_asked_only_where_its_unit_di
         )
     else:
         np.testing.assert_array_equal(read_csv(path, model).outputs[name], [4, 3, 1])
+
+
+def test_brackets_within_a_header_state_the_unit(tmp_path):
+    read = record(tmp_path, ["time [ms] raw", "f", "v [km/h] (front)"], columns={"time": 1, "v": "v (front)"})
+    np.testing.assert_allclose(read.time, [0, 0.01, 0.02])
+    np.testing.assert_allclose(read.outputs["v"], np.array([2, 3, 5]) / 3.6)
 
 
 def test_what_a_person_says_of_a_unit_goes_before_the_header_and_is_noted(tmp_path):
