@@ -61,7 +61,10 @@ class Column:
 
 # Characters of a header; in a longer one neither unit nor name are looked for.
 LONGEST_HEADER = 200
-_SQUARE = re.compile(r"(?P<name>[^\[\]]*?)\s*\[(?P<unit>[^\[\]]*)\]\s*(?P<rest>[^\[\]]*)")
+# Digits in brackets count the elements of an array: /arm.joint[2] [rad].
+_SQUARE = re.compile(
+    r"(?P<name>(?:[^\[\]]|(?<=\S)\[(?!1\])\d+\])*?)(?!(?<=[^\s\[\]])\[(?!1\])\d+\])\s*\[(?P<unit>[^\[\]]*)\]\s*(?P<rest>[^\[\]]*)"
+)
 # Brackets that may belong to the name: Laser (ch1), log{2}.
 _OTHER = {")": "(", "}": "{", ">": "<"}
 
@@ -96,6 +99,7 @@ _SEPARATOR = re.compile(
     r"(?P<states>[\s_]+in[\s_]+|\s*[/,]\s*)|[\s_.:;|-]+|(?<=[a-z])(?=[A-Z][a-z]+$)"
     r"|(?i:(?:(?<=^t)|(?<=time)|(?<=stamp)|(?<=zeit))(?=(?:ms|us|ns|sec|min|millis|micros)$))"
 )
+_GROUP = re.compile(r"[\[({<][^\[\](){}<>]+[\])}>]")
 _WORD = re.compile(r"[^\W\d_]+|[%‰]")
 # Symbols that a name may end with, beside those that every model uses.
 _EVERYDAY = {
@@ -129,11 +133,15 @@ def read_endings(column: Column) -> tuple[Column, ...]:
         for cut in _SEPARATOR.finditer(text)
         if cut.start()
     ]
-    # A word of several letters anywhere; the name is what stands around it.
+    # Brackets or a word of several letters anywhere; the name is what stands around it.
+    words = [word for word in _WORD.finditer(text) if len(word.group()) > 1 or word.group() in "%‰"]
     cuts += [
-        (f"{text[: word.start()]} {text[word.end() :]}".strip(" _-.:;|()"), word.group(), UnitSource.ENDING)
-        for word in _WORD.finditer(text)
-        if len(word.group()) > 1 or word.group() in "%‰"
+        (
+            f"{text[: cut.start()]} {text[cut.end() :]}".strip(" _-.:;|()"),
+            cut.group().strip("(){}<>"),
+            UnitSource.ENDING,
+        )
+        for cut in (*_GROUP.finditer(text), *words)
     ]
     readings = [replace(column, name=name, unit=_find_everyday(unit), known=known) for name, unit, known in cuts]
     return tuple(reading for reading in readings if reading.unit)

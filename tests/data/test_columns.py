@@ -14,6 +14,7 @@ from greybox.base import DataError, unit_converter
 from greybox.data.columns import find_stamp_unit, merge_mappings, propose_columns
 from greybox.data.file_kinds import open_record_file
 from greybox.data.findings import RecordCode
+from greybox.data.headers import parse_header, read_endings
 from greybox.data.read import read_arrays, read_csv
 from greybox.data.survey import survey_file
 from greybox.model.balance import Balance
@@ -158,6 +159,7 @@ def test_a_time_whose_unit_is_stated_in_any_notation_is_read(tmp_path, header, n
         ("Tempo km/h", "v [km/h]", 1 / 3.6),
         ("v.cm/s", "v [cm/s]", 1e-2),
         ("wheel kmh left", "v [km/h]", 1 / 3.6),
+        ("v (km/h) front", "v [km/h]", 1 / 3.6),
     ],
 )
 def test_a_signal_that_ends_like_a_unit_is_asked_for(tmp_path, header, key, factor):
@@ -211,6 +213,23 @@ def test_brackets_within_a_header_state_the_unit(tmp_path):
     read = record(tmp_path, ["time [ms] raw", "f", "v [km/h] (front)"], columns={"time": 1, "v": "v (front)"})
     np.testing.assert_allclose(read.time, [0, 0.01, 0.02])
     np.testing.assert_allclose(read.outputs["v"], np.array([2, 3, 5]) / 3.6)
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "unit"),
+    [
+        ("/arm.joint[2]", "/arm.joint[2]", ""),
+        ("/arm.joint[2] [rad]", "/arm.joint[2]", "rad"),
+        ("a[3][4] [V]", "a[3][4]", "V"),
+        ("k[1]", "k", "1"),
+        ("log{2}.x", "log{2}.x", ""),
+        ("data(:,1)", "data(:,1)", ""),
+        ("p(bar(g))", "p", "bar(g)"),
+    ],
+)
+def test_an_index_is_no_unit(header, name, unit):
+    column = parse_header(header, 0)
+    assert (column.name, column.unit) == (name, unit) and not [r for r in read_endings(column) if r.unit]
 
 
 def test_what_a_person_says_of_a_unit_goes_before_the_header_and_is_noted(tmp_path):
