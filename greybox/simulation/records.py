@@ -108,7 +108,7 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Re
     length = np.array([experiment.sampling_time / points])
     interpolated = interpolate_band_limited(u, points)
     h = np.broadcast_to(length, (rows - 1,))
-    return Record(interpolated, measured, h, np.zeros(rows - 1), length, first_order=True, rows_per_sample=points)
+    return Record(interpolated, measured, h, np.zeros(rows - 1), length, np.ones(()), rows_per_sample=points)
 
 
 # Half the length of the interpolating filter, in intervals.

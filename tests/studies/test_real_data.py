@@ -77,7 +77,7 @@ def test_an_effect_says_what_the_input_does_between_samples(name, hold):
     held = Experiment("held", t, {"u": np.sin(900 * t)}, {})
     seen, expected = to_record(silverbox + effect(name), held), to_record(silverbox, held.with_hold(hold))
     np.testing.assert_array_equal(seen.u, expected.u)
-    assert (seen.first_order, seen.rows_per_sample) == (expected.first_order, expected.rows_per_sample)
+    assert (seen.is_linear.tolist(), seen.rows_per_sample) == (expected.is_linear.tolist(), expected.rows_per_sample)
     moved = simulate(silverbox + effect(name), held).outputs["y"]
     np.testing.assert_array_equal(moved, simulate(silverbox, held.with_hold(hold)).outputs["y"])
     assert np.abs(moved - simulate(silverbox, held).outputs["y"]).max() > 0.1 * np.abs(moved).max()

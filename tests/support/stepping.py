@@ -39,7 +39,7 @@ def slopes(step, data, p, x0, kernel=CompiledKernel):
     seen = data.read_by(step)
     n = len(p)
     q, dq = step.coefficients(p, seen.lengths, np.arange(n))
-    seen = type(seen)(seen.u, np.zeros_like(seen.y), seen.h, seen.row, seen.lengths, seen.first_order)
+    seen = type(seen)(seen.u, np.zeros_like(seen.y), seen.h, seen.row, seen.lengths, seen.is_linear)
     _, jacobian = kernel(step).residuals(
         seen, KernelPoint(q, dq, p, np.eye(n), np.asarray(x0, float), np.zeros((len(x0), n))), np.ones(seen.y.shape[1])
     )

@@ -362,8 +362,7 @@ class Collocation:
             values[place] = ca.MX(value)
         p, count = ca.vertcat(*values), len(record.h)
         nodes = first if first.size2() > 1 else ca.horzcat(first, points[-self.nx :, :])
-        u = ca.DM(record.u.T)
-        after = u[:, 1:] if record.first_order else u[:, :-1]
+        u, after = ca.DM(record.u.T), ca.DM(record.find_ends(np.arange(count)).T)
         interval = self._build_interval().map(count)
         defects, ends = interval(nodes[:, :-1], points, u[:, :-1], after, ca.DM(record.h).T, ca.repmat(p, 1, count))
         constraints = [ca.vec(defects)]

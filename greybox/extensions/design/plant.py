@@ -107,7 +107,7 @@ class PlantScenario:
             u = np.column_stack([inputs[i.name] for i in self.model.inputs])
             y = np.tile(np.where(self.measured, 0.0, np.nan), (rows, 1))
             shape = np.full(rows - 1, step), np.zeros(rows - 1, np.int32), np.array([step])
-            record = Record(u, y, *shape, self._laid_out.first_order)
+            record = Record(u, y, *shape, self._laid_out.is_linear)
         return record.read_by(self.problem.step)
 
     @cached_property

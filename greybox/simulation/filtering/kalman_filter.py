@@ -115,7 +115,7 @@ def _exponential_column(
 
 def to_filter_record(record: Record, step: Step) -> Record:
     """``record`` for the filter of ``step``: columns of a row are what ``step`` sees as input, the measurements (0 in a gap), 1 where
-    something was measured, 0 and 1 in turn, and whether the input is linear between rows.
+    something was measured, and 0 and 1 in turn.
 
     The filter's own outputs are compared with zero.
     """
@@ -127,16 +127,17 @@ def to_filter_record(record: Record, step: Step) -> Record:
         np.where(present, record.y, 0.0),
         present,
         (np.arange(rows) % 2)[:, None],
-        np.full((rows, 1), float(read.first_order)),
     ]
     targets = np.zeros((rows, 2 * record.y.shape[1]))
+    # A measurement stays what it is during its interval; the last column alone moves by its substeps.
+    courses = [read.is_linear, np.zeros(targets.shape[1]), np.ones(1)]
     return Record(
         np.hstack(columns),
         targets,
         read.h,
         read.row,
         read.lengths,
-        first_order=True,
+        is_linear=np.concatenate(courses),
         rows_per_sample=record.rows_per_sample,
     )
 
@@ -144,8 +145,8 @@ def to_filter_record(record: Record, step: Step) -> Record:
 def remove_measurements(record: Record, outputs: int) -> Record:
     """The rows of `to_filter_record` with every measurement taken for a gap: the filter then runs freely."""
     u = record.u.copy()
-    u[:, -2 - outputs : -2] = 0.0
-    return Record(u, record.y, record.h, record.row, record.lengths, True, record.rows_per_sample)
+    u[:, -1 - outputs : -1] = 0.0
+    return replace(record, u=u)
 
 
 # The Kalman filter written as one discrete step, so that the kernels run and differentiate it like any model.
@@ -157,9 +158,6 @@ def remove_measurements(record: Record, outputs: int) -> Record:
 # state, and its Jacobian ``F`` the covariance, ``P+ = F P F' + Qd``: exact for a linear model, the extended filter otherwise (Jazwinski
 # 1970, section 8.3).
 
-FLAG_COLUMNS = ("turn", "linear")
-"""Last columns of a row: 0 and 1 in turn, and whether the input is linear between rows."""
-
 
 class FilterRow(NamedTuple):
     """A row of the record as the filter reads it; see `greybox.simulation.filtering.kalman_filter.to_filter_record`."""
@@ -168,20 +166,17 @@ class FilterRow(NamedTuple):
     y: ca.SX
     present: ca.SX
     turn: ca.SX
-    linear: ca.SX
 
 
 def count_row_columns(step: Step, outputs: int) -> int:
     """How many columns a row of the filter of ``step`` has."""
-    return step.advance.size1_in(1) + 2 * outputs + len(FLAG_COLUMNS)
+    return step.advance.size1_in(1) + 2 * outputs + 1
 
 
 def split_row(row: ca.SX, step: Step, outputs: int) -> FilterRow:
     """The parts of a row."""
     nu = step.advance.size1_in(1)
-    return FilterRow(
-        *ca.vertsplit(row, [0, nu, nu + outputs, nu + 2 * outputs, nu + 2 * outputs + 1, nu + 2 * outputs + 2])
-    )
+    return FilterRow(*ca.vertsplit(row, [0, nu, nu + outputs, nu + 2 * outputs, nu + 2 * outputs + 1]))
 
 
 class Moments(NamedTuple):
@@ -248,9 +243,10 @@ def make_filter_step(system: System, step: Step) -> Step:
     _, innovation = correct_by_measurement(step, before, first, system.p, noise)
     outputs = ca.Function("outputs", [z, ra, ca.vertcat(system.p, noise)], [ca.cse(ca.vertcat(*innovation))])
 
-    measured_row, ua, ub = _locate_substep(first, second, is_exact)
+    # An exact step takes the whole interval: there is one substep, and the measurement belongs to it.
+    measured_row = first if is_exact else _measure_first_substep(first, second)
     after, _ = correct_by_measurement(step, before, measured_row, system.p, noise)
-    following, slope = _advance_with_slope(step, after.x, ua, ub, q, h)
+    following, slope = _advance_with_slope(step, after.x, first.u, second.u, q, h)
     substep_noise = (
         to_symmetric(qd, nx) if is_exact else _integrate_substep_noise(slope, ca.diag(system.diffusion**2), h)
     )
@@ -278,21 +274,12 @@ def make_filter_step(system: System, step: Step) -> Step:
     return Step(f"Kalman filter, {step.name}", advance, outputs, coefficients, step.substeps, step.per_interval)
 
 
-def _locate_substep(first: FilterRow, second: FilterRow, exact: bool) -> tuple[FilterRow, ca.SX, ca.SX]:
-    """The measurement where it counts (in the first substep alone), and the input at both ends of this substep.
-
-    The kernel runs straight from row to row; ``turn`` tells which of how many substeps this is.
-    """
-    if exact:
-        # An exact step takes the whole interval: there is one substep, and the measurement belongs to it.
-        return first, first.u, first.u + first.linear * (second.u - first.u)
-    # The column of 0 and 1 moves by 1/n over a substep: that says how many there are, and which this one is.
+def _measure_first_substep(first: FilterRow, second: FilterRow) -> FilterRow:
+    """The row at the beginning of a substep with its measurement where it counts, in the first substep of an interval alone."""
+    # The column of 0 and 1 runs straight from row to row, by 1/n over a substep: that says how many there are, and which this one is.
     n = ca.floor(1 / ca.fabs(second.turn - first.turn) + 0.5)
     number = ca.floor(ca.if_else(second.turn > first.turn, first.turn, 1 - first.turn) * n + 0.5)
-    ramp = (second.u - first.u) * n
-    u_start = first.u - number / n * ramp
-    ua, ub = (ca.if_else(first.linear > 0, end, u_start) for end in (first.u, second.u))
-    return first._replace(present=first.present * (number == 0)), ua, ub
+    return first._replace(present=first.present * (number == 0))
 
 
 def _advance_with_slope(step: Step, x: ca.SX, ua: ca.SX, ub: ca.SX, q: ca.SX, h: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -66,7 +66,7 @@ class BatchFilter:
         """Arguments 1 to 4 of the model's step in each substep of the intervals after ``rows``: row by row, and common to all."""
         seen, count = self.seen, self.kalman.step.substeps
         u_start, h = seen.u[rows], seen.h[rows][:, None] / count
-        ramp = (seen.u[rows + 1] - u_start) * float(seen.first_order)
+        ramp = seen.find_ends(rows) - u_start
         has_one_row = len(self.q) == 1
         for j in range(count):
             arguments = {1: u_start + ramp * (j / count), 2: u_start + ramp * ((j + 1) / count), 4: h}

@@ -226,8 +226,6 @@ def exact_hold(system: System, past: InputHistory | None = None) -> Step:
     outputs, generate = system.output_function, _make_generator(system)
     delayed = None
     if past is not None:
-        # The column says whether the input is linear between rows; a held one has no ramp.
-        u_ramp = u_ramp * ua[-2]
         delayed, outputs = DelayedHold(system, past), delay_outputs(system, past)
         # The delayed column comes in by its gains alone.
         u_start[past.column] = u_ramp[past.column] = 0

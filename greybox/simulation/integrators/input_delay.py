@@ -101,7 +101,7 @@ def delay_input(system: System, advance: AdvanceFunction, past: InputHistory) ->
         number = ca.floor(ca.if_else(ub[-3] > ua[-3], ua[-3], 1 - ua[-3]) * n + 0.5)
         ramp = (ub - ua) * n
         row = ua - number / n * ramp
-        u_ramp = ramp[:nu] * ua[-2]
+        u_ramp = ramp[:nu]
         arrival = _find_arrival(row, row + ramp, seconds(p) / (n * h), past, nu)
         is_linear = ua[-2] > 0
         # Half of the substeps on either side whatever the share is: instructions do not depend on the delay, so it

@@ -33,14 +33,14 @@ class LibraryShape(NamedTuple):
     blocks: int
     """Blocks of ``width`` directions; 0 is a simulation."""
 
-    first_order: bool
-    """Whether it takes any input, or held ones only."""
+    all_held: bool
+    """Whether it takes held inputs only."""
 
     free: frozenset[int] | None
     """The parameters that have tangents, None for all."""
 
 
-SIMULATION = LibraryShape(0, 0, True, None)
+SIMULATION = LibraryShape(0, 0, False, None)
 """The library without tangents."""
 
 
@@ -87,19 +87,19 @@ class CompiledKernel:
         """What `source` is made from, which takes longer to write than a library to load."""
         # Sorted: a set has no order, and the same library must have the same key.
         free = shape.free and sorted(shape.free)
-        return f"{self._statement} {shape.width} {shape.blocks} {shape.first_order} {self._is_one_step} {free}"
+        return f"{self._statement} {shape.width} {shape.blocks} {shape.all_held} {self._is_one_step} {free}"
 
     def _declare(self, library: ctypes.CDLL, shape: LibraryShape, leading: tuple[Any, ...] = ()) -> KernelFunctions:
         """The functions of a library, which take the types ``leading`` first."""
-        numbers = (ctypes.c_int, ctypes.c_int, ctypes.c_int)
+        numbers = (ctypes.c_int, ctypes.c_int)
         if not shape.blocks:
-            return KernelFunctions(_declare(library.simulate, None, leading, numbers, 8), None, None)
+            return KernelFunctions(_declare(library.simulate, None, leading, numbers, 9), None, None)
         # Coefficients are asked for with directions, and the library of the simulation has no lanes to carry slopes
         # in.
         has_hold = self.step.generator is not None
         return KernelFunctions(
             None,
-            _declare(library.sums, ctypes.c_long, leading, (*numbers, ctypes.c_int), 14),
+            _declare(library.sums, ctypes.c_long, leading, (*numbers, ctypes.c_int), 15),
             _declare(library.hold, None, leading, (), 5) if has_hold else None,
         )
 
@@ -111,7 +111,7 @@ class CompiledKernel:
 
     def refuse_unsupported(self) -> None:
         """Raise UnsupportedOperationError for an operation that has no tangent rule or that C does not have."""
-        for tape in self.read_tapes(LibraryShape(0, 0, True, self._free)).values():
+        for tape in self.read_tapes(LibraryShape(0, 0, False, self._free)).values():
             for kind, k in tape.order:
                 if kind == "node":
                     refuse_unwritable(tape.nodes[k].op)
@@ -148,7 +148,7 @@ class CompiledKernel:
         if blocks:
             # Sizes as constants of the text: loops over lanes and states are unrolled by the compiler.
             parts += [f"#define W {shape.width}", f"#define NB {blocks}", read_template("lanes.h")]
-            parts.append(f"#define FIRST_ORDER {'first_order' if shape.first_order else 0}")
+            parts.append(f"#define ALL_HELD {int(shape.all_held)}")
             parts.append(f"#define SUBSTEPS {1 if self._is_one_step else 'substeps'}")
         parts.append(CRoutine("advance", tapes["advance"], ADVANCE, (0, 3), blocks).text())
         parts.append(CRoutine("outputs", tapes["outputs"], OUTPUTS, (0, 2), blocks).text())
@@ -185,7 +185,7 @@ class CompiledKernel:
         directions, rows = dp.shape[1], len(record.lengths)
         p, dp = (np.ascontiguousarray(a, dtype=np.float64) for a in (p, _pad_directions(dp)))
         q, dq = np.empty((rows, self.sizes.nq)), np.empty((rows, self.sizes.nq, _count_padded(directions)))
-        self._get_functions(_choose_shape(directions, record.first_order, None)).hold(
+        self._get_functions(_choose_shape(directions, record.all_held, None)).hold(
             rows, *map(_get_address, (record.lengths, p, dp, q, dq))
         )
         return q, np.ascontiguousarray(dq[:, :, :directions])
@@ -196,7 +196,10 @@ class CompiledKernel:
         y, x = np.empty((len(record.y), self.sizes.ny)), np.empty((len(record.y), self.sizes.nx))
         self._get_functions(SIMULATION).simulate(
             *self._leading_arguments(record, len(y)),
-            *map(_get_address, (record.u, record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x)),
+            *map(
+                _get_address,
+                (record.is_linear, record.u, record.h, arguments.row, arguments.q, arguments.p, arguments.x0, y, x),
+            ),
         )
         return y, x
 
@@ -236,6 +239,7 @@ class CompiledKernel:
     ) -> int:
         """One pass over the first ``samples`` samples; the first sample that failed, or -1."""
         arrays = (
+            record.is_linear,
             record.u,
             record.y,
             record.h,
@@ -252,13 +256,13 @@ class CompiledKernel:
         # library with all of them.
         is_free = self._free is not None and self._free.issuperset(np.flatnonzero(arguments.dp.any(axis=1)).tolist())
         # Directions in whole blocks: a fit of 5 and one of 7 constants share a library of 8.
-        shape = _choose_shape(arguments.directions, record.first_order, self._free if is_free else None)
+        shape = _choose_shape(arguments.directions, record.all_held, self._free if is_free else None)
         return self._get_functions(shape).sums(
             *self._leading_arguments(record, samples), arguments.directions, *map(_get_address, (*arrays, *results))
         )
 
     def _leading_arguments(self, record: Record, n: int) -> tuple[Any, ...]:
-        return n, record.first_order, self.step.substeps, is_repeated(record.h)
+        return n, self.step.substeps, is_repeated(record.h)
 
 
 def _declare(function: Any, result: Any, leading: tuple[Any, ...], numbers: tuple[Any, ...], arrays: int) -> Any:
@@ -268,9 +272,9 @@ def _declare(function: Any, result: Any, leading: tuple[Any, ...], numbers: tupl
     return function
 
 
-def _choose_shape(directions: int, first_order: bool, free: frozenset[int] | None) -> LibraryShape:
+def _choose_shape(directions: int, all_held: bool, free: frozenset[int] | None) -> LibraryShape:
     width = choose_vector_width(directions)
-    return LibraryShape(width, _count_padded(directions) // width, first_order, free)
+    return LibraryShape(width, _count_padded(directions) // width, all_held, free)
 
 
 def _count_padded(directions: int) -> int:

@@ -60,7 +60,7 @@ class InterpretedKernel(KernelInParts):
             # The last chunk repeats the last sample up to the length of the mapped function, which is built for a
             # few lengths only; what is repeated is cut off below.
             samples = np.minimum(np.arange(start, start + size), n - 1)
-            after = np.minimum(samples + 1, len(record.u) - 1)
+            after = record.find_ends(samples)
             intervals = np.minimum(samples, max(len(record.h) - 1, 0))
             # h of a substep.
             h = np.zeros(size) if not len(record.h) else record.h[intervals] / self.step.substeps
@@ -72,7 +72,7 @@ class InterpretedKernel(KernelInParts):
             columns = [
                 state,
                 record.u[samples],
-                record.u[after],
+                after,
                 h,
                 arguments.q[row],
                 arguments.dq[row].reshape(size, -1),
@@ -84,7 +84,7 @@ class InterpretedKernel(KernelInParts):
                 np.empty((size, sizes.ny)),
                 np.empty((size, sizes.ny * directions)),
             )
-            _call_in_place(self._mapped_sample(used_dq, used_dp, record.first_order, size), columns, [states, y, dy])
+            _call_in_place(self._mapped_sample(used_dq, used_dp, size), columns, [states, y, dy])
             # States before each sample: the chunk's own results are those after it.
             x = np.vstack([state[: sizes.nx], states[: count - 1, : sizes.nx]])
             yield RecordPart(start, x, y[:count], dy[:count].reshape(count, sizes.ny, directions))
@@ -97,18 +97,18 @@ class InterpretedKernel(KernelInParts):
         # r = (y_measured - y) w, hence dr = -w dy; NaN in ``measured`` marks gaps.
         return (measured - part.y) * arguments.weight, -arguments.weight[:, None] * part.tangents
 
-    def _mapped_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, first_order: bool, size: int) -> ca.Function:
+    def _mapped_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, size: int) -> ca.Function:
         """``size`` samples: (z, u, u after, h, q, dq, p, dp) -> (z after, y, dy) with ``z`` the state and its tangents.
 
         Entries of ``dq`` and ``dp`` that are zero throughout (most are: a coefficient depends on few parameters) are
         left out.
         """
-        key = (used_dq.shape, used_dq.tobytes(), used_dp.tobytes(), first_order, size)
+        key = (used_dq.shape, used_dq.tobytes(), used_dp.tobytes(), size)
         if key not in self._mapped_samples:
-            self._mapped_samples[key] = self._build_sample(used_dq, used_dp, first_order).mapaccum(size)
+            self._mapped_samples[key] = self._build_sample(used_dq, used_dp).mapaccum(size)
         return self._mapped_samples[key]
 
-    def _build_sample(self, used_dq: np.ndarray, used_dp: np.ndarray, first_order: bool) -> ca.Function:
+    def _build_sample(self, used_dq: np.ndarray, used_dp: np.ndarray) -> ca.Function:
         """One sample and the interval after it."""
         sizes, substeps, directions = self.sizes, self.step.substeps, used_dq.shape[1]
         shapes = {
@@ -132,10 +132,7 @@ class InterpretedKernel(KernelInParts):
         # Outputs at the beginning of the interval, before the state moves on.
         y, dy = evaluate_tape(outputs, [x, symbols["u"], symbols["p"]], {0: dx, 2: dp}, directions)
         for j in range(substeps):
-            ends = [
-                symbols["u"] + (symbols["after"] - symbols["u"]) * (i / substeps) if first_order else symbols["u"]
-                for i in (j, j + 1)
-            ]
+            ends = [symbols["u"] + (symbols["after"] - symbols["u"]) * (i / substeps) for i in (j, j + 1)]
             x, dx = evaluate_tape(advance, [x, *ends, symbols["q"], symbols["h"]], {0: dx, 3: dq}, directions)
         initial = ca.vertcat(symbols["x"], symbols["dx"])
         names = ("u", "after", "h", "q", "dq", "p", "dp")

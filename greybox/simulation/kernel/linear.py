@@ -68,11 +68,9 @@ class LinearKernel(KernelInParts):
         for start in range(0, n, size):
             count = min(size, n - start)
             samples = np.arange(start, start + count)
-            # A held input is the same at both ends of the interval.
-            after = np.minimum(samples + 1, len(record.u) - 1) if record.first_order else samples
             interval = np.minimum(samples, max(len(record.h) - 1, 0))
             row = np.zeros(count, int) if arguments.row is None or not len(arguments.row) else arguments.row[interval]
-            inputs = self._evaluate(self._regressors, record.u[samples], record.u[after])[0]
+            inputs = self._evaluate(self._regressors, record.u[samples], record.find_ends(samples))[0]
             # x+ = Phi x + G r, with G r of all samples at once.
             driven = np.empty((count, nx))
             for k in np.unique(row):

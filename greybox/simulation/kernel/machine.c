@@ -109,7 +109,7 @@ INLINE struct registers open_registers(const struct routine *routine, double *r,
 #define NQ (m->nq)
 #define NY (m->ny)
 #define NB (m->nb)
-#define FIRST_ORDER first_order
+#define ALL_HELD 0
 #define SUBSTEPS substeps
 /* Registers lie on the heap: those of a large model outgrow the stack of a thread. */
 #define ROUTINE(name, once)                                                                                                              \

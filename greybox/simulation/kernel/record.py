@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,8 +42,8 @@ class Record:
     lengths: np.ndarray
     """The distinct interval lengths that those rows stand for (nh,)."""
 
-    first_order: bool = False
-    """Whether the input is linear between samples, else held."""
+    is_linear: np.ndarray = field(default_factory=lambda: np.zeros(()))
+    """Which inputs (nu,) are linear between samples (1.0), and which held (0.0); one number says it of all."""
 
     rows_per_sample: int = 1
     """How many rows make a sample; the rows between samples carry the course of the input and have NaN in ``y``."""
@@ -60,6 +60,8 @@ class Record:
             given = np.asarray(getattr(self, name))
             if name != "h" or not is_repeated(given):
                 object.__setattr__(self, name, np.ascontiguousarray(given, dtype=kind))
+        columns = self.u.shape[1:]
+        object.__setattr__(self, "is_linear", np.array(np.broadcast_to(self.is_linear, columns), np.float64))
         shapes = f"u {self.u.shape}, y {self.y.shape}, h {self.h.shape}, row {self.row.shape}"
         if self.u.ndim != 2 or self.y.ndim != 2 or len(self.u) != len(self.y) or len(self.y) < 1:
             raise DataError(f"record: {shapes}; u and y need one row for each sample, at least one")
@@ -84,6 +86,16 @@ class Record:
         if not len(self.h):
             return 0.0
         return float(self.h[0] if len(self.lengths) == 1 else np.median(self.h))
+
+    @cached_property
+    def all_held(self) -> bool:
+        """Whether no input moves between samples."""
+        return not np.any(self.is_linear)
+
+    def find_ends(self, rows: np.ndarray) -> np.ndarray:
+        """The inputs (n, nu) at the end of the intervals after ``rows`` (n,): a held one is what it was at their start."""
+        after = np.minimum(rows + 1, len(self.u) - 1)
+        return np.where(self.is_linear, self.u[after], self.u[rows])
 
     def first(self, rows: int) -> Record:
         """The beginning of the record."""
@@ -134,5 +146,7 @@ class Record:
         record = self if step.per_interval else replace(self, row=np.zeros_like(self.row))
         if step.past is None:
             return record
-        u = add_input_history(self.u, self.h, step.past, self.first_order)
-        return replace(record, u=u, first_order=True)
+        u = add_input_history(self.u, self.h, step.past, bool(self.is_linear[step.past.column]))
+        # What was added runs straight from row to row: a step tells by it which of its substeps it is.
+        added = np.ones(u.shape[1] - len(self.is_linear))
+        return replace(record, u=u, is_linear=np.concatenate([self.is_linear, added]))

@@ -1,6 +1,6 @@
-/* Simulation without sensitivities. Rows of y (n, NY) and x (n, NX) are written where the pointers are not NULL. */
+/* Simulation without sensitivities. `is_linear` (NU) is 1 for an input that is linear between rows, 0 for a held one. Rows of y (n, NY) and x (n, NX) are written where the pointers are not NULL. */
 
-EXPORT void simulate(CONTEXT long n, int first_order, int substeps, int is_even, const double *u, const double *h, const int *row,
+EXPORT void simulate(CONTEXT long n, int substeps, int is_even, const double *is_linear, const double *u, const double *h, const int *row,
                      const double *q, const double *p, const double *x0, double *y_out, double *x_out)
 {
     double x[NX], next[NX], y[NY], ua[AT_LEAST_ONE(NU)], ub[AT_LEAST_ONE(NU)];
@@ -30,8 +30,9 @@ EXPORT void simulate(CONTEXT long n, int first_order, int substeps, int is_even,
         }
         for (int j = 0; j < substeps; j++) {
             for (int i = 0; i < NU; i++) {
-                ua[i] = first_order ? u0[i] + (u1[i] - u0[i]) * j / substeps : u0[i];
-                ub[i] = first_order ? u0[i] + (u1[i] - u0[i]) * (j + 1) / substeps : u0[i];
+                const double ramp = is_linear[i] * (u1[i] - u0[i]);
+                ua[i] = u0[i] + ramp * j / substeps;
+                ub[i] = u0[i] + ramp * (j + 1) / substeps;
             }
             advance(&once, x, ua, ub, qr, &length, next);
             memcpy(x, next, sizeof x);

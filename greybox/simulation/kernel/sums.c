@@ -4,8 +4,8 @@
    h holds the length of each interval (n - 1), or of all of them (1) where `is_even`.
    residual (n, NY), jacobian (n, NY, kept) are written where something was measured, or NULL: the first `kept` lanes, the others are
    padding.
-   FIRST_ORDER and SUBSTEPS are the arguments of that name, or constants where the caller knows them: a linear model's pass then takes
-   a third less time. */
+   is_linear (NU) is 1 for an input that is linear between rows, 0 for a held one. SUBSTEPS is the argument of that name, or a constant
+   where the caller knows it, as ALL_HELD is: a linear model's pass then takes a third less time. */
 
 /* gn += e' e of the `seen` rows of e (seen, NB), above the diagonal: two rows of gn by two blocks at a time stay in registers. An entry is
    added up in the order of the rows, as it is one by one. */
@@ -29,7 +29,7 @@ static void add_products(CONTEXT int seen, const v *e, v *gn)
 #define FEW_ENTRIES 32
 #define IS_SMALL (NY * NB < FEW_ENTRIES)
 
-EXPORT long sums(CONTEXT long n, int first_order, int substeps, int is_even, int kept, const double *u, const double *measured, const double *h, const int *row,
+EXPORT long sums(CONTEXT long n, int substeps, int is_even, int kept, const double *is_linear, const double *u, const double *measured, const double *h, const int *row,
                  const double *q, const vu *dq, const double *p, const vu *dp, const double *x0, const vu *dx0,
                  const double *weight, double *sums, double *residual, double *jacobian)
 {
@@ -96,8 +96,9 @@ EXPORT long sums(CONTEXT long n, int first_order, int substeps, int is_even, int
         }
         for (int j = 0; j < SUBSTEPS; j++) {
             for (int i = 0; i < NU; i++) {
-                ua[i] = FIRST_ORDER ? u0[i] + (u1[i] - u0[i]) * j / SUBSTEPS : u0[i];
-                ub[i] = FIRST_ORDER ? u0[i] + (u1[i] - u0[i]) * (j + 1) / SUBSTEPS : u0[i];
+                const double ramp = ALL_HELD ? 0 : is_linear[i] * (u1[i] - u0[i]);
+                ua[i] = ALL_HELD ? u0[i] : u0[i] + ramp * j / SUBSTEPS;
+                ub[i] = ALL_HELD ? u0[i] : u0[i] + ramp * (j + 1) / SUBSTEPS;
             }
             advance(&once, x, (const vu *)dx, ua, ub, ql, dql, &length, next, dnext);
             memcpy(x, next, sizeof x);

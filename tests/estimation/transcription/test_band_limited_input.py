@@ -82,7 +82,7 @@ def test_rows_between_samples_carry_no_measurement():
     model = oscillator()
     y = np.arange(20.0)
     data = to_record(model, Experiment("rows", np.arange(20) * 0.1, {"u": np.sin(y)}, {"x": y}, hold="band-limited"))
-    assert data.first_order
+    assert data.is_linear.all()
     assert data.h.sum() == pytest.approx(1.9)
     assert np.array_equal(data.samples(data.y)[:, 0], y)
     assert np.isfinite(data.y).sum() == 20

@@ -81,7 +81,7 @@ def numpy_simulation(record, table, p, x0, substeps=2):
         outputs.append([x[0], p[2] * x[1] ** 2 + u0[1]])
         if k < len(record.h):
             q = table[0] if len(table) == 1 else table[record.row[k]]
-            slope = (record.u[k + 1] - u0) if record.first_order else 0 * u0
+            slope = (record.u[k + 1] - u0) * record.is_linear
             for j in range(substeps):
                 ua, ub = u0 + slope * j / substeps, u0 + slope * (j + 1) / substeps
                 x = rk4(oscillator_numpy, x, ua, ub, q, record.h[k] / substeps)
@@ -100,7 +100,7 @@ def with_gaps(record):
     y = record.y.copy()
     y[5:9, 0] = np.nan
     y[::3, 1] = np.nan
-    return Record(record.u, y, record.h, record.row, record.lengths, record.first_order)
+    return Record(record.u, y, record.h, record.row, record.lengths, record.is_linear)
 
 
 @pytest.mark.parametrize("first_order", [False, True])
