@@ -125,7 +125,7 @@ def _identify(data: Experiment, order: int | None) -> LinearResponse | None:
     response = LinearResponse(*_balance(rates[:n, :n], rates[:n, n:], model), model.D, {})
     u = np.column_stack([data.inputs[name] for name in model.inputs])
     with np.errstate(all="ignore"):
-        run = response.run(data.time, u, "zero")
+        run = response.run(data.time, u, np.zeros(u.shape[1], bool))
     y = np.column_stack([data.outputs[name] for name in model.outputs])
     error = np.mean((run - y) ** 2, axis=0) / np.mean(y**2, axis=0)
     if not np.isfinite(error).all():

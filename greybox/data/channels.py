@@ -10,8 +10,8 @@ import numpy as np
 
 from greybox.base import DataError, Finding, shorten
 from greybox.data.columns import ColumnMatch, SignalKind, check_size, check_width, describe_wrong_count
-from greybox.data.experiment import Hold
 from greybox.data.headers import TIME
+from greybox.data.input_course import Hold, choose_course
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels
 from greybox.data.stamps import Stamps, Start
@@ -138,12 +138,12 @@ class ChannelTable:
         return replace(self, names=tuple(names))
 
     def for_signals(
-        self, match: ColumnMatch, hold: Hold, interpolation: Mapping[str, Hold], step: float | None
+        self, match: ColumnMatch, common: Hold, named: Mapping[str, Hold], step: float | None
     ) -> ChannelTable:
         """The table that knows which channel is which signal.
 
-        An input moves between its samples as ``interpolation`` (name -> course) says, else in steps if it is a switch or a counter, else
-        as ``hold`` says. Outputs and conditions are straight.
+        An input moves between its samples as ``named`` (name -> course) says, else in steps if it is a switch or a counter, else as
+        all of them, ``common``. Outputs and conditions are straight.
         """
         uses = {}
         for signal, column in match.columns.items():
@@ -151,9 +151,11 @@ class ChannelTable:
                 continue
             course: Hold = "first"
             if signal.kind is SignalKind.INPUT:
-                course = "zero" if self.channels[column.position - 1].stepwise else hold
-            course = interpolation.get(signal.name, course)
-            uses[column.position] = ChannelUse(signal.name, signal.kind, course, mean=hold == "zero")
+                k, channel = column.position - 1, self.channels[column.position - 1]
+                course = named.get(signal.name, "zero" if channel.stepwise or channel.holds else common)
+                if course == "auto":
+                    course = choose_course(self.load([k])[k].values)
+            uses[column.position] = ChannelUse(signal.name, signal.kind, course)
         return replace(self, uses=uses, step=step)
 
     def values(self, positions: Sequence[int]) -> tuple[dict[int, np.ndarray | Stamps], list[str], tuple[Finding, ...]]:
@@ -181,7 +183,7 @@ class ChannelTable:
         pairs = [(*pair, self.channels[pair[0] - 1].name) for pair in shared]
         samples, findings = correct_clocks(samples, wanted, clocks, pairs)
         started = tuple(f for f in self.findings if f.subject in set(clocks.values()))
-        uses = {k: self.uses.get(k, ChannelUse(self.headers[k], SignalKind.OUTPUT, "first", True)) for k in wanted}
+        uses = {k: self.uses.get(k, ChannelUse(self.headers[k], SignalKind.OUTPUT, "first")) for k in wanted}
         base = bring_to_one_base({k: samples[k] for k in wanted}, uses, self.step, self.policy)
         columns = {0: base.time, **base.columns}
         return {k: columns[k] for k in positions}, list(base.problems), (*started, *findings, *base.findings)

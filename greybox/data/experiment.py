@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from types import MappingProxyType
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from greybox.base import DataError, Finding, Printable, nearest
 from greybox.data import sampling
 from greybox.data.closed_loop import find_loops
 from greybox.data.findings import TIMING, RecordCode
+from greybox.data.input_course import Hold, Holds, choose_courses, find_hold_problems
 from greybox.data.problems import (
     FEW_ROWS,
     RowLabels,
@@ -27,10 +28,8 @@ from greybox.data.problems import (
 )
 from greybox.data.sensor_faults import inspect_signals
 
-Hold = Literal["zero", "first", "band-limited"]
 # The name of a record that nobody named.
 UNNAMED = "unnamed record"
-HOLDS: tuple[Hold, ...] = ("zero", "first", "band-limited")
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +49,11 @@ class Experiment(Printable):
     outputs
         Name -> array (N,), NaN where nothing was measured.
     hold
-        How the input moves between samples: ``"zero"`` stays until the next row (a computer drives it), ``"first"`` runs straight
+        How the inputs move between samples: ``"zero"`` stays until the next row (a computer drives it), ``"first"`` runs straight
         to it (the input itself is a measured, smooth signal), ``"band-limited"`` has no content above half the sampling rate (a
-        smooth signal behind an anti-alias filter).
+        smooth signal behind an anti-alias filter), ``"auto"`` is first for an input whose values are smooth and carry the noise of a
+        sensor, else zero. Or input -> one of these, where inputs move differently; those that are not named are ``"auto"``. What is
+        kept is one course for all inputs, else the course of each.
     source
         The file that it came from.
     conditions
@@ -89,7 +90,7 @@ class Experiment(Printable):
     time: np.ndarray
     inputs: Mapping[str, np.ndarray]
     outputs: Mapping[str, np.ndarray]
-    hold: Hold = "zero"
+    hold: Holds = "zero"
     source: str = ""
     conditions: Mapping[str, float] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
@@ -101,12 +102,8 @@ class Experiment(Printable):
     """What results say of a record; its data are in its own file."""
 
     def __post_init__(self) -> None:
-        if self.hold not in HOLDS:
-            raise DataError(
-                f"experiment {self.name!r}: hold {self.hold!r} is unknown;"
-                " give 'zero' (held) or 'first' (linear between samples) or 'band-limited' (no content above half the rate)"
-            )
-        problems: list[str] = []
+        problems = find_hold_problems(self.hold, self.inputs)
+        raise_problems(f"experiment {self.name!r}", problems)
         time = _to_read_only("time", self.time, problems)
         rows = None if problems else len(time)
         inputs = {n: _to_read_only(f"input {n!r}", v, problems, rows) for n, v in self.inputs.items()}
@@ -125,9 +122,12 @@ class Experiment(Printable):
             *_find_noise_problems(noise, outputs),
         ]
         raise_problems(f"experiment {self.name!r}", problems)
+        courses = choose_courses(self.hold, inputs)
+        alike = len(set(courses.values())) == 1
         values = {
             "time": time,
             "inputs": MappingProxyType(inputs),
+            "hold": next(iter(courses.values())) if alike else MappingProxyType(courses) if courses else "zero",
             "outputs": MappingProxyType(outputs),
             "conditions": MappingProxyType({n: float(v) for n, v in self.conditions.items()}),
             "findings": tuple(self.findings),
@@ -146,7 +146,7 @@ class Experiment(Printable):
         outputs: Mapping[str, ArrayLike],
         *,
         name: str = UNNAMED,
-        hold: Hold = "zero",
+        hold: Holds = "auto",
         source: str = "",
         conditions: Mapping[str, float] | None = None,
         findings: tuple[Finding, ...] = (),
@@ -187,7 +187,20 @@ class Experiment(Printable):
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
         loops = find_loops(bare.inputs, bare.outputs)
         timing = sampling.inspect_timing(bare.time, bare.sampling_time, bare.outputs)
-        return replace(bare, findings=(*findings, *seen, *loops, *timing))
+        told = hold if isinstance(hold, Mapping) else dict.fromkeys(bare.inputs, hold)
+        straight = (n for n, course in bare.courses.items() if course != "zero" and told.get(n, "auto") == "auto")
+        courses = (Finding(RecordCode.INPUT_TAKEN_STRAIGHT, subject=n) for n in straight)
+        return replace(bare, findings=(*findings, *seen, *loops, *timing, *courses))
+
+    @property
+    def courses(self) -> Mapping[str, Hold]:
+        """Input -> how it moves between samples."""
+        return self.hold if isinstance(self.hold, Mapping) else dict.fromkeys(self.inputs, self.hold)
+
+    @property
+    def identity(self) -> tuple[Any, ...]:
+        """What decides a run over the record: its data, the course of each input, and its conditions."""
+        return self.fingerprint, tuple(sorted(self.courses.items())), tuple(sorted(self.conditions.items()))
 
     @property
     def rows(self) -> int:
@@ -303,8 +316,10 @@ class Experiment(Printable):
         step = sampling.find_common_sampling_time([(p.sampling_time, p.rows, p.duration) for p in parts])
         return tuple(parts) if step is None else tuple(_with_sampling_time(part, step) for part in parts)
 
-    def with_hold(self, hold: Hold) -> Experiment:
-        """The same record with another course of the input between samples: ``"zero"``, ``"first"``, ``"band-limited"``."""
+    def with_hold(self, hold: Holds) -> Experiment:
+        """The same record with another course of the inputs between samples, or of those that a mapping names."""
+        if isinstance(hold, Mapping):
+            hold = {**self.courses, **hold}
         return _with_sampling_time(replace(self, hold=hold), self.sampling_time)
 
     def with_outputs(self, outputs: Mapping[str, np.ndarray]) -> Experiment:
@@ -315,7 +330,7 @@ class Experiment(Printable):
     def __reduce__(self) -> tuple[Any, ...]:
         # Read-only mappings cannot be pickled and arrays lose their protection: rebuild through the constructor.
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.init}
-        values |= {n: dict(values[n]) for n in ("inputs", "outputs", "conditions", "noise")}
+        values |= {n: dict(v) for n, v in values.items() if isinstance(v, Mapping)}
         return _restore, (values, self.sampling_time)
 
 

@@ -21,6 +21,7 @@ class RecordCode(StrEnum):
     SENSOR_SPIKES = "sensor_spikes"
     SENSOR_SATURATED = "sensor_saturated"
     READING_COARSE = "reading_coarse"
+    INPUT_TAKEN_STRAIGHT = "input_taken_straight"
     TIME_ROUNDED = "time_rounded"
     TIME_GAP = "time_gap"
     TIME_ROWS_MISSING = "time_rows_missing"

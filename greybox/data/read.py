@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from greybox.base import DataError, Finding, Severity, nearest, shorten
+from greybox.base import DataError, Finding, Severity, shorten
 from greybox.data.channels import ChannelTable
 from greybox.data.columns import (
     ColumnMapping,
@@ -25,10 +25,11 @@ from greybox.data.columns import (
     read_conditions,
     request_conditions,
 )
-from greybox.data.experiment import HOLDS, Experiment, Hold
+from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import RecordFile, open_record_file
 from greybox.data.findings import RecordCode
 from greybox.data.headers import TIME
+from greybox.data.input_course import Hold, Holds, find_hold_problems
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import RowLabels, find_array_problems, find_measurement_problems, raise_problems
 from greybox.data.stamps import SECOND, StampReader, Stamps, Start, find_origin, from_epoch
@@ -46,7 +47,7 @@ def read_csv(
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
-    hold: Hold = "zero",
+    hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     name: str | None = None,
     conditions: Mapping[str, float | None] | None = None,
@@ -78,10 +79,9 @@ def read_csv(
         Seconds between rows, for a file without a time column; for a file whose signals have stamps of their own, the step of the
         time base that they are brought to, in the place of the stamps of the fastest.
     hold
-        How the input moves between samples, see `Experiment`.
+        How the inputs move between samples, all or by name, see `Experiment`.
     interpolation
-        Input -> ``"zero"``, ``"first"`` or ``"band-limited"``, where an input with stamps of its own does not move between them as
-        ``hold`` says.
+        Input -> ``"zero"``, ``"first"`` or ``"band-limited"``, where an input does not move between its samples as ``hold`` says.
     name
         What results call the record; None takes the file's name without suffix.
     conditions
@@ -122,7 +122,7 @@ def read_experiments(
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
-    hold: Hold = "zero",
+    hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
@@ -170,6 +170,7 @@ class RecordArrays(NamedTuple):
     outputs: Arrays
     conditions: Arrays
     labels: RowLabels
+    courses: dict[str, Hold]
     findings: tuple[Finding, ...] = ()
     start: Start | None = None
 
@@ -243,7 +244,7 @@ def read_arrays(
     sampling_time: float | None = None,
     conditions: Sequence[RequestedSignal] = (),
     inputs_only: bool = False,
-    hold: Hold = "zero",
+    hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     reading: ReadingPolicy = READING_POLICY,
 ) -> RecordArrays:
@@ -278,10 +279,14 @@ def read_arrays(
     except DataError as error:
         raise DataError(f"{file.path.name}: {error}") from None
     raise_problems(file.path.name, match.problems and (*match.problems, *match.unit_problems))
+    named = {**(hold if isinstance(hold, Mapping) else {}), **(interpolation or {})}
+    common: Hold = "auto" if isinstance(hold, Mapping) else hold
+    courses = {i.name: common for i in model.inputs} | named
+    raise_problems(file.path.name, find_hold_problems(courses, [i.name for i in model.inputs]))
     if channels is not None:
-        _check_interpolation(interpolation or {}, model)
-        table = channels.for_signals(match, hold, interpolation or {}, sampling_time)
-        file = replace(file, table=table)
+        channels = channels.for_signals(match, common, named, sampling_time)
+        courses |= {use.name: use.course for use in channels.uses.values() if use.kind is SignalKind.INPUT}
+        file = replace(file, table=channels)
     times = [c.position for s, c in match.columns.items() if s.kind is SignalKind.TIME]
     held = file.values([c.position for c in match.columns.values()], times)
     if held.day is not None:
@@ -326,22 +331,10 @@ def read_arrays(
         groups[SignalKind.OUTPUT],
         groups[SignalKind.CONDITION],
         file.table.row_labels,
+        courses,
         findings,
         start,
     )
-
-
-def _check_interpolation(interpolation: Mapping[str, str], model: Model) -> None:
-    inputs = [i.name for i in model.inputs]
-    for name, course in interpolation.items():
-        if name not in inputs:
-            raise DataError(
-                f"interpolation names {name!r}, which is no input of model {model.name!r}; {nearest(name, inputs)}"
-            )
-        if course not in HOLDS:
-            raise DataError(
-                f"interpolation of {name!r}: there is no course {course!r}; {nearest(str(course), list(HOLDS))}"
-            )
 
 
 def _read_runs(
@@ -349,7 +342,7 @@ def _read_runs(
     names: Sequence[str | None],
     model: Model,
     source: _RecordSource,
-    hold: Hold,
+    hold: Holds,
     conditions: Mapping[str, float | None] | None,
     allow_constant_input: bool,
     window: Window,
@@ -373,7 +366,7 @@ def _read_runs(
                 findings=(*record.findings, Finding(RecordCode.ORIGINS_APART, Severity.WARNING, values=values))
             )
         experiments.append(
-            partial(_to_experiments, record, name, model, hold, requested, given, allow_constant_input, window, split)
+            partial(_to_experiments, record, name, model, requested, given, allow_constant_input, window, split)
         )
     return [experiment for runs in _collect(experiments) for experiment in runs]
 
@@ -398,7 +391,6 @@ def _to_experiments(
     record: RecordArrays,
     name: str | None,
     model: Model,
-    hold: Hold,
     requested: Sequence[RequestedSignal],
     given: Mapping[str, float],
     allow_constant_input: bool,
@@ -426,7 +418,7 @@ def _to_experiments(
             u,
             y,
             name=title if len(runs) == 1 else f"{title}[{rows.start}:{rows.stop}]",
-            hold=hold,
+            hold=record.courses,
             source=file.name,
             conditions={**given, **from_file},
             findings=(*findings, *jumps),

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.base import TIME_ROUNDING, Finding, Severity
-from greybox.data import experiment, policy, sampling
+from greybox.data import input_course, policy, sampling
 from greybox.data.columns import SignalKind, check_size
 from greybox.data.findings import RecordCode
 
@@ -30,12 +30,11 @@ class Samples(NamedTuple):
 
 
 class ChannelUse(NamedTuple):
-    """What a channel is for, and its ``course`` between samples; ``mean``: a held input counts by its mean in each interval."""
+    """What a channel is for, and its ``course`` between samples; a held input counts by its mean in each interval."""
 
     name: str
     kind: SignalKind
-    course: experiment.Hold
-    mean: bool
+    course: input_course.Hold
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ def _find_window(
     return start, stop if np.isfinite(stop) else max(float(s.time[-1]) for s in samples.values())
 
 
-def _in_gap(base: np.ndarray, samples: Samples, course: experiment.Hold) -> np.ndarray:
+def _in_gap(base: np.ndarray, samples: Samples, course: input_course.Hold) -> np.ndarray:
     """Which rows lie in a gap of an input, where nobody knows it."""
     after = sampling.find_time_gaps(samples.time)
     known = _usual_step(samples.time) if course == "zero" else 0.0  # a held value stays for its step
@@ -252,13 +251,12 @@ def _interpolate(samples: Samples, base: np.ndarray, use: ChannelUse) -> np.ndar
     slack = TIME_ROUNDING * (base[-1] - base[0])
     row = np.clip(np.searchsorted(time, base + slack, side="right") - 1, 0, len(time) - 1)
     held = values[row]
-    if use.mean:
-        # The mean of a held signal over an interval does to a plant, in first order, what the signal does.
-        area = np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(time))))
-        ends = np.append(base, 2 * base[-1] - base[-2])
-        total = np.interp(ends, time, area) + values[-1] * np.maximum(ends - time[-1], 0)
-        inside = np.searchsorted(time, ends[1:] - slack) - 1 > row
-        held = np.where(inside, np.diff(total) / np.diff(ends), held)
+    # The mean of a held signal over an interval does to a plant, in first order, what the signal does.
+    area = np.concatenate(([0.0], np.cumsum(values[:-1] * np.diff(time))))
+    ends = np.append(base, 2 * base[-1] - base[-2])
+    total = np.interp(ends, time, area) + values[-1] * np.maximum(ends - time[-1], 0)
+    inside = np.searchsorted(time, ends[1:] - slack) - 1 > row
+    held = np.where(inside, np.diff(total) / np.diff(ends), held)
     return held
 
 

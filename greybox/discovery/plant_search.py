@@ -23,7 +23,7 @@ from greybox.estimation.fit import fit
 from greybox.model import Effect, Model
 from greybox.model.effects.catalogue import applicable_effects
 from greybox.simulation.local_model import build_local_model, extend_record
-from greybox.simulation.plant import LinearResponse, PlantModel
+from greybox.simulation.plant import LinearResponse, PlantModel, find_straight
 from greybox.simulation.plant_kernel import PlantKernel
 
 
@@ -83,7 +83,7 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None, test: Sequence
     kernel, behind = PlantKernel(bare), PlantKernel(model)
     traces, others = result.traces, result.validation.traces
     longest = behind.drive_experiment(max(traces, key=lambda t: len(t.time)).experiment)
-    local = build_local_model(bare, traces[0].hold, estimate_linear_response(kernel, longest))
+    local = build_local_model(bare, estimate_linear_response(kernel, longest))
 
     def extend(trace: Trace) -> Experiment:
         """The record with the run of the plant over the inputs as they reached it."""
@@ -94,7 +94,7 @@ def view_plant(result: Fit, effects: Sequence[str] | None = None, test: Sequence
         slopes = kernel.differentiate_experiment(driven, trace.initial_state)[rows]
         if local.response is not None:
             applied = stack_signals([driven.inputs[i.name] for i in bare.inputs], driven.rows)
-            known = local.response.run(driven.time, applied, driven.hold)[rows]
+            known = local.response.run(driven.time, applied, find_straight(driven, bare.inputs))[rows]
         return extend_record(trace.experiment, local, run, slopes, known)
 
     about = local.model

@@ -449,7 +449,7 @@ class DiscoveryProblem:
             job.iterations,
             job.refines,
             sorted(job.beginning.items()),
-            [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in self.experiments],
+            [e.identity for e in self.experiments],
             noise.std.tolist(),
             [c.reflection for c in noise.colour],
             sorted(asdict(self.options).items()),

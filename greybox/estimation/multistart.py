@@ -69,7 +69,7 @@ def hash_start(
     """The hash by which a start is known: equal if everything that decides its end is."""
     identity = [
         *identify(model),
-        [(e.fingerprint, e.hold, sorted(e.conditions.items())) for e in experiments],
+        [e.identity for e in experiments],
         noise.std.tolist(),
         [c.reflection for c in noise.colour],
         *([repr(sorted(noise.growth.items()))] if noise.growth else []),

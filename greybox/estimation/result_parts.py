@@ -13,7 +13,8 @@ from scipy.special import ndtri
 from greybox.base import Finding
 from greybox.base.json_shape import Finite, FiniteArray, Interval, Matrix, Unbounded
 from greybox.base.values import Printable, ReadOnly
-from greybox.data.experiment import Experiment, Hold
+from greybox.data.experiment import Experiment
+from greybox.data.input_course import Holds
 from greybox.data.noise import BoundDirection, GrowingNoise, NoiseBound, NoiseSource
 
 
@@ -151,7 +152,7 @@ class Trace(ReadOnly):
     simulated: Mapping[str, np.ndarray]
     initial_state: Mapping[str, Finite]
     inputs: Mapping[str, np.ndarray] = field(default_factory=dict)
-    hold: Hold = "zero"
+    hold: Holds = "zero"
     conditions: Mapping[str, Finite] = field(default_factory=dict)
     noise: Mapping[str, np.ndarray] = field(default_factory=dict)
 

@@ -20,7 +20,7 @@ from greybox.shell import completion
 from greybox.shell import study_values as kinds
 
 T = TypeVar("T")
-HOLDS = ("zero", "first", "band-limited")
+HOLDS = ("auto", "zero", "first", "band-limited")
 METHODS = ("automatic", "exact", "rk4", "mixed", "midpoint", "radau")
 TRANSCRIPTIONS = ("automatic", "single", "multiple", "collocation-radau", "collocation-legendre", "arcs")
 
@@ -181,9 +181,10 @@ class Study:
         "Number of rows at the start of each validation record from which its initial state is estimated; they are ignored as"
         " --skip ignores rows. 0: those of --skip, or the first 50, and more where these do not determine it; they then count.")
     hold = Option(kinds.Choice(HOLDS), "--hold", "records.hold",
-        "The input between samples: zero (held), first (straight lines) or band-limited.")
+        "The inputs between samples: zero (held), first (straight lines), band-limited, or auto: first for an input that is smooth and"
+        " carries the noise of a sensor, else zero.")
     interpolation = Option(kinds.Table("INPUT=COURSE", "u=first"), "--interpolate INPUT=COURSE", "interpolation.",
-        "How an input with stamps of its own moves between its samples, if not as --hold says: zero, first or band-limited.")
+        "How an input moves between its samples, if not as --hold says: zero, first or band-limited.")
     at_rest = Option(kinds.Switch(), "--at-rest", "records.at_rest",
         "Start each record at the initial state of the model instead of estimating the initial state.")
     free_decay = Option(kinds.Switch(), "--free-decay", "records.free_decay",

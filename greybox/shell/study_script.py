@@ -99,7 +99,7 @@ def _record_lines(study: Study, folder: Path) -> list[str]:
         "interpolation": dict(study.interpolation) or None,
     }
     how = {
-        "hold": study.hold if study.hold != "zero" else None,
+        "hold": study.hold if study.hold != "auto" else None,
         "conditions": from_files or None,
         "allow_constant_input": study.free_decay or None,
         "split": study.split_holes or None,

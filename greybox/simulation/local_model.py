@@ -15,7 +15,7 @@ import numpy as np
 from greybox.base import to_identifiers
 from greybox.data.experiment import Experiment, stack_signals
 from greybox.model import Balance, Input, Model, Output, Parameter, State
-from greybox.simulation.plant import LinearResponse, PlantModel
+from greybox.simulation.plant import LinearResponse, PlantModel, find_straight
 
 # What comes in from a run of the plant is called so before the name of the output.
 PREFIX = "run_"
@@ -52,17 +52,13 @@ class LocalModel:
     response: LinearResponse | None
 
 
-def build_local_model(
-    plant: PlantModel, hold: str, response: LinearResponse | None, *, show_inputs: bool = False
-) -> LocalModel:
+def build_local_model(plant: PlantModel, response: LinearResponse | None, *, show_inputs: bool = False) -> LocalModel:
     """The model about the present values of a plant.
 
     Parameters
     ----------
     plant
         The plant; its free constants are those of the model, and where a record begins is estimated as of any model.
-    hold
-        How the inputs of the records move between samples.
     response
         The answer to the inputs.
     show_inputs
@@ -73,19 +69,17 @@ def build_local_model(
     LocalModel
         To be used with records from `extend_record`.
     """
-    held, unknowns = hold == "zero", plant.free_parameters
+    unknowns = plant.free_parameters
     values = {q.name: q.value for q in unknowns}
     inputs = [Input(i.name, i.unit) for i in plant.inputs]
     for o in plant.outputs:
         inputs += [Input(f"{PREFIX}{o.name}", o.unit)]
-        inputs += [Input(f"{PREFIX}{o.name}_rate", f"({o.unit})/s")] if held else []
         of_unknowns = [(v.name, v.unit) for v in unknowns] + [(s.name, s.unit) for s in plant.states]
         inputs += [Input(_slope_name(o.name, name), f"({o.unit})/({unit})") for name, unit in of_unknowns]
     order = 0 if response is None else len(response.A)
     units: tuple[Input | Output, ...] = (*plant.inputs, *plant.outputs) if response is not None else ()
     hidden = to_identifiers([f"response_{k + 1}" for k in range(order)])
     states = [State(name, "1") for name in hidden]
-    states += [State(f"{PREFIX}{o.name}_moved", o.unit) for o in plant.outputs]
     # How far a record begins from where the run did.
     states += [State(f"{PREFIX}{s.name}_apart", s.unit, free_start=True) for s in plant.states]
 
@@ -99,10 +93,6 @@ def build_local_model(
                 for j, i in enumerate(plant.inputs)
             }
             result.append(Balance(name, "1/s", 1.0, name, **{f"by_{n}": t for n, t in terms.items()}))
-        for o in plant.outputs:
-            name = f"{PREFIX}{o.name}_moved"
-            # Where inputs are interpolated, so is the run of an output, and nothing moves on.
-            result.append(Balance(name, f"({o.unit})/s", 1.0, name, rate=u[f"{PREFIX}{o.name}_rate"] if held else 0.0))
         for s in plant.states:
             result.append(Balance(f"{PREFIX}{s.name}_apart", f"({s.unit})/s", 1.0, f"{PREFIX}{s.name}_apart", rest=0.0))
         return result
@@ -111,7 +101,7 @@ def build_local_model(
         o = plant.outputs[number]
 
         def equation(x: Any, u: Any, p: Any) -> Any:
-            value = u[f"{PREFIX}{o.name}"] + x[f"{PREFIX}{o.name}_moved"]
+            value = u[f"{PREFIX}{o.name}"]
             for name in values:
                 # y = y_run + (dy/dp) (p - p_run): exact at the run, of first order around it.
                 value = value + u[_slope_name(o.name, name)] * (p[name] - p[_start_name(name)])
@@ -172,24 +162,17 @@ def extend_record(
     """
     plant, response = local.plant, local.response
     if known is None and response is not None:
-        known = response.run(
-            record.time, stack_signals([record.inputs[i.name] for i in plant.inputs], record.rows), record.hold
-        )
+        applied = stack_signals([record.inputs[i.name] for i in plant.inputs], record.rows)
+        known = response.run(record.time, applied, find_straight(record, plant.inputs))
     inputs = {i.name: record.inputs[i.name] for i in plant.inputs}
     free = [*(q.name for q in plant.free_parameters), *(s.name for s in plant.states)]
     for j, o in enumerate(plant.outputs):
         # The linear answer to the inputs is in the model: what comes through the record is the rest, so that the sum
         # is the run.
-        base = run[o.name] - (0.0 if known is None else known[:, j])
-        if record.hold == "zero":
-            # Between samples an output moves on: its rate is held, and a state adds it up.
-            steps = np.diff(base) / np.diff(record.time)
-            inputs[f"{PREFIX}{o.name}"] = np.full(record.rows, base[0])
-            inputs[f"{PREFIX}{o.name}_rate"] = np.append(steps, steps[-1:])
-        else:
-            inputs[f"{PREFIX}{o.name}"] = base
+        inputs[f"{PREFIX}{o.name}"] = run[o.name] - (0.0 if known is None else known[:, j])
         inputs |= {_slope_name(o.name, name): slopes[:, j, k] for k, name in enumerate(free)}
-    return replace(record, inputs=inputs)
+    # Between samples an output moves on, straight, whatever the inputs do.
+    return replace(record, inputs=inputs, hold={**dict.fromkeys(inputs, "first"), **record.courses})
 
 
 def name_arriving(label: str) -> str:

@@ -101,14 +101,20 @@ class LinearResponse:
     D: np.ndarray
     explained: Mapping[str, float]
 
-    def run(self, time: np.ndarray, u: np.ndarray, hold: str) -> np.ndarray:
-        """Outputs (N, ny) from rest to inputs (N, nu)."""
+    def run(self, time: np.ndarray, u: np.ndarray, straight: np.ndarray) -> np.ndarray:
+        """Outputs (N, ny) from rest to inputs (N, nu), those held that are not ``straight`` (nu,) between rows."""
         if not len(self.A):
             return np.asarray(u @ self.D.T)
         from scipy.signal import lsim  # half a second to import
 
-        _, y, _ = lsim((self.A, self.B, self.C, self.D), u, time - time[0], interp=hold != "zero")
-        return np.asarray(y).reshape(len(time), -1)
+        # The answers to the held inputs and to the straight ones add up.
+        kinds = [(straight, True), (~straight, False)]
+        runs = [
+            lsim((self.A, self.B, self.C, self.D), np.where(which, u, 0.0), time - time[0], interp=is_straight)[1]
+            for which, is_straight in kinds
+            if which.any()
+        ]
+        return np.sum([np.reshape(y, (len(time), -1)) for y in runs], axis=0)
 
 
 @runtime_checkable
@@ -273,7 +279,12 @@ def to_plant_record(model: PlantModel, experiment: Experiment) -> PlantRecord:
     y = stack_signals([experiment.outputs.get(name, gap) for name in names], experiment.rows)
     u = stack_signals([experiment.inputs[i.name] for i in model.inputs], experiment.rows)
     h, one = experiment.intervals, np.ones(1)
-    return PlantRecord(u, y, h, np.zeros(len(h)), one, experiment.hold != "zero", experiment=experiment)
+    return PlantRecord(u, y, h, np.zeros(len(h)), one, find_straight(experiment, model.inputs), experiment=experiment)
+
+
+def find_straight(experiment: Experiment, inputs: Sequence[Input]) -> np.ndarray:
+    """Which of these inputs (nu,) move between the rows of a record, and are not held."""
+    return np.array([experiment.courses[i.name] != "zero" for i in inputs], bool)
 
 
 def make_plant_step(model: PlantModel) -> Step:

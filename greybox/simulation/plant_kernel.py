@@ -47,7 +47,6 @@ class PlantKernel:
         self._known: dict[tuple, np.ndarray | PlantRunError] = {}
         self._runs: dict[tuple, np.ndarray | PlantRunError] = {}
         self._slopes: dict[tuple, np.ndarray] = {}
-        self._ports: dict[str, PlantPorts] = {}
         quantities = model.stated_parameters
         starts = {**model.values, **{n: float(v) for n, v in model.tied_values.items()}}
         values = np.array([*(starts[q.name] for q in quantities), *(0.0 for _ in model.all_states)])
@@ -145,26 +144,25 @@ class PlantKernel:
             driven = self._drive(experiment, settings)
             return self._read(experiment, self._run_plant(driven, settings[self._own]), settings)
 
-        return _remember(self._known, (experiment.fingerprint, experiment.hold, settings.tobytes()), run)
+        return _remember(self._known, (experiment.identity, settings.tobytes()), run)
 
     def _drive(self, experiment: Experiment, settings: np.ndarray) -> Experiment:
         """The record as it reaches the plant. Raises PlantRunError."""
         p, x0 = (settings[part] for part in self._of_effects)
-        return self._ports_for(experiment).drive(experiment, p, x0)
+        return self._ports.drive(experiment, p, x0)
 
     def _read(self, experiment: Experiment, run: np.ndarray, settings: np.ndarray) -> np.ndarray:
         """A run (N, ny) as it is measured. Raises PlantRunError."""
         p, x0 = (settings[part] for part in self._of_effects)
-        return self._ports_for(experiment).read(experiment, run, p, x0)
+        return self._ports.read(experiment, run, p, x0)
 
-    def _ports_for(self, experiment: Experiment) -> PlantPorts:
-        if experiment.hold not in self._ports:
-            self._ports[experiment.hold] = PlantPorts(self.model, experiment.hold)
-        return self._ports[experiment.hold]
+    @cached_property
+    def _ports(self) -> PlantPorts:
+        return PlantPorts(self.model)
 
     def _run_plant(self, experiment: Experiment, settings: np.ndarray) -> np.ndarray:
         """Outputs (N, ny) of the plant alone, over inputs as they reach it. Raises PlantRunError."""
-        key = experiment.fingerprint, experiment.hold, settings.tobytes()
+        key = experiment.identity, settings.tobytes()
         return _remember(self._runs, key, lambda: self._simulate(experiment, settings))
 
     def _simulate(self, experiment: Experiment, settings: np.ndarray) -> np.ndarray:
@@ -222,7 +220,7 @@ class PlantKernel:
     def _differentiate_at(self, record: Record, settings: np.ndarray, which: np.ndarray) -> np.ndarray:
         assert isinstance(record, PlantRecord)
         experiment = record.experiment
-        key = experiment.fingerprint, experiment.hold, settings.tobytes(), which.tobytes(), self.central
+        key = experiment.identity, settings.tobytes(), which.tobytes(), self.central
         if key not in self._slopes:
             if len(self._slopes) >= KEPT_RUNS:
                 self._slopes.pop(next(iter(self._slopes)))
@@ -318,12 +316,12 @@ class PlantPorts:
     Constants ``p`` and initial states ``x0`` are those of the effects, in the order of the model.
     """
 
-    def __init__(self, model: PlantModel, hold: str) -> None:
+    def __init__(self, model: PlantModel) -> None:
         constants = tuple(replace(q, fixed=True) for q in model.parameters)
         bare = replace(model, effects=(), ties=(), parameters=constants, states=(), balances=ClosedBalances())
         self._title, self._labels = model.title, [i.name for i in model.inputs]
         self._outputs = [o.name for o in model.outputs]
-        self._local = build_local_model(bare, hold, None, show_inputs=True)
+        self._local = build_local_model(bare, None, show_inputs=True)
         self._model = replace(self._local.model, effects=model.effects)
         changes_input = [b.site in self._labels for b in self._model.bound_effects]
         self._drives, self._reads = any(changes_input), not all(changes_input)
@@ -342,8 +340,10 @@ class PlantPorts:
         finer, halves = _refine(experiment, parts), _refine(experiment, 2 * parts)
         seen = self._run(halves, np.zeros((halves.rows, len(self._outputs))), p, x0)
         # What is held over a finer interval is its value in the middle: a step at a row then belongs to the interval that begins there.
-        middle = np.minimum(np.arange(finer.rows) * 2 + (finer.hold == "zero"), halves.rows - 1)
-        arriving = {name: values[middle] for name, values in self._arriving(seen).items()}
+        arriving = {
+            name: values[np.minimum(np.arange(finer.rows) * 2 + (finer.courses[name] == "zero"), halves.rows - 1)]
+            for name, values in self._arriving(seen).items()
+        }
         return replace(finer, inputs={**finer.inputs, **arriving})
 
     def _arriving(self, seen: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -376,9 +376,8 @@ def _refine(experiment: Experiment, parts: int) -> Experiment:
     steps = np.append(experiment.intervals, experiment.intervals[-1:])
     rows = (experiment.rows - 1) * parts + 1
     time = (experiment.time[:, None] + steps[:, None] * np.arange(parts) / parts).ravel()[:rows]
-    held = experiment.hold == "zero"
     inputs = {
-        n: np.repeat(u, parts)[:rows] if held else np.interp(time, experiment.time, u)
+        n: np.repeat(u, parts)[:rows] if experiment.courses[n] == "zero" else np.interp(time, experiment.time, u)
         for n, u in experiment.inputs.items()
     }
     return Experiment(experiment.name, time, inputs, {}, experiment.hold, conditions=experiment.conditions)

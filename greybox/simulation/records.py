@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary, WeakValueDictionary
@@ -64,13 +64,14 @@ def to_record(model: Model, experiment: Experiment) -> Record:
             f"experiment {experiment.name!r} has none of the outputs of model {model.title!r}: it has {has};"
             f" {nearest(next(iter(experiment.outputs)), names)}"
         )
-    # The last effect that says so: an effect added to a model overrules those before it.
-    hold = next((e.hold for e in reversed(model.effects) if e.hold), experiment.hold)
-    inputs = tuple(i.name for i in model.inputs)
+    # An effect says it of the input that it acts at; one that is added to a model overrules those before it.
+    told = {b.site: b.effect.hold for b in model.bound_effects if b.effect.hold} if model.effects else {}
+    courses = {**experiment.courses, **told}
+    inputs = tuple((i.name, courses[i.name]) for i in model.inputs)
     laid_out = _LAID_OUT.setdefault(experiment, WeakValueDictionary())
-    record = laid_out.get((inputs, tuple(names), hold))
+    record = laid_out.get((inputs, tuple(names)))
     if record is None:
-        record = laid_out[inputs, tuple(names), hold] = _lay_out(experiment, inputs, names, hold)
+        record = laid_out[inputs, tuple(names)] = _lay_out(experiment, dict(inputs), names)
     return record
 
 
@@ -78,24 +79,25 @@ def to_record(model: Model, experiment: Experiment) -> Record:
 _LAID_OUT: WeakKeyDictionary[Experiment, WeakValueDictionary[tuple[Any, ...], Record]] = WeakKeyDictionary()
 
 
-def _lay_out(experiment: Experiment, inputs: Sequence[str], outputs: Sequence[str], hold: str) -> Record:
+def _lay_out(experiment: Experiment, inputs: Mapping[str, str], outputs: Sequence[str]) -> Record:
     rows = experiment.rows
     u = stack_signals([experiment.inputs[name] for name in inputs], rows)
     measured = (experiment.outputs.get(name) for name in outputs)
     y = stack_signals([np.full(rows, np.nan) if values is None else values for values in measured], rows)
-    if hold == "band-limited":
-        return _to_finer_record(experiment, u, y)
+    courses = np.array([*inputs.values()], str)
+    if "band-limited" in courses:
+        return _to_finer_record(experiment, u, y, courses)
     lengths, row = _group_intervals(experiment.intervals)
     # Equal intervals take the memory of one.
     h = np.broadcast_to(lengths, row.shape) if len(lengths) == 1 else lengths[row]
-    return Record(u, y, h, row, lengths, hold == "first")
+    return Record(u, y, h, row, lengths, courses != "zero")
 
 
 # Points in each interval, between which the input is linear.
 BAND_LIMITED_POINTS = 12
 
 
-def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Record:
+def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray, courses: np.ndarray) -> Record:
     if experiment.sampling_time is None:
         raise DataError(
             f"experiment {experiment.name!r}: a band-limited input needs uniform sampling; resample it or take hold='first'"
@@ -106,9 +108,15 @@ def _to_finer_record(experiment: Experiment, u: np.ndarray, y: np.ndarray) -> Re
     # NaN between the samples: those rows count in no cost.
     measured[::points] = y
     length = np.array([experiment.sampling_time / points])
-    interpolated = interpolate_band_limited(u, points)
+    # A held input is repeated, a straight one is on its line: the rows between samples change nothing of their course.
+    place, sample = np.arange(rows) / points, np.arange(rows) // points
+    finer = u[sample]
+    band_limited = courses == "band-limited"
+    finer[:, band_limited] = interpolate_band_limited(u[:, band_limited], points)
+    for j in np.flatnonzero(courses == "first"):
+        finer[:, j] = np.interp(place, np.arange(len(u)), u[:, j])
     h = np.broadcast_to(length, (rows - 1,))
-    return Record(interpolated, measured, h, np.zeros(rows - 1), length, np.ones(()), rows_per_sample=points)
+    return Record(finer, measured, h, np.zeros(rows - 1), length, courses != "zero", rows_per_sample=points)
 
 
 # Half the length of the interpolating filter, in intervals.

@@ -18,7 +18,8 @@ from numpy.typing import ArrayLike
 from greybox.base import DataError, ModelError, nearest, write_file
 from greybox.base.numerics import REFERENCE_TOLERANCE, ROWS_AT_A_TIME
 from greybox.data.columns import ColumnMapping
-from greybox.data.experiment import UNNAMED, Experiment, Hold
+from greybox.data.experiment import UNNAMED, Experiment
+from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.problems import find_array_problems, raise_problems
 from greybox.data.read import read_arrays
@@ -38,7 +39,7 @@ def read_inputs(
     *,
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
-    hold: Hold = "zero",
+    hold: Holds = "auto",
     interpolation: Mapping[str, Hold] | None = None,
     reading: ReadingPolicy = READING_POLICY,
 ) -> Experiment:
@@ -80,7 +81,7 @@ def read_inputs(
         raise_problems(file.name, find_array_problems(record.time, record.inputs, {}, labels))
     else:
         raise_problems(file.name, [f"{len(record.time)} rows; a record needs at least 2"])
-    return Experiment(file.stem, record.time, record.inputs, {}, hold, source=file.name)
+    return Experiment(file.stem, record.time, record.inputs, {}, record.courses, source=file.name)
 
 
 @dataclass(frozen=True, eq=False)

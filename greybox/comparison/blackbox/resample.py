@@ -62,11 +62,11 @@ def resample(experiment: Experiment, sampling_time: float) -> Experiment:
 
     resampled = {"sampling_time": sampling_time, "rows": experiment.rows}
     # A held input interpolated would move before it did.
-    convert = hold if experiment.hold == "zero" else interpolate
+    convert = {name: hold if course == "zero" else interpolate for name, course in experiment.courses.items()}
     return replace(
         experiment,
         time=new,
-        inputs={name: convert(values) for name, values in experiment.inputs.items()},
+        inputs={name: convert[name](values) for name, values in experiment.inputs.items()},
         outputs={name: interpolate(values) for name, values in experiment.outputs.items()},
         findings=(*experiment.findings, Finding(RecordCode.RESAMPLED, values=resampled)),
     )

@@ -31,7 +31,7 @@ class ObservedRecord:
     """One record as the observer reads it.
 
     ``y`` (N, ny) with NaN where nothing was measured, ``u`` (N, nu), ``h`` (N-1,) seconds, ``start`` and ``spread`` (nx,) of the first
-    state, ``scale`` (nx,) the size of each state's motion; ``holds``: whether inputs are held between rows.
+    state, ``scale`` (nx,) the size of each state's motion; ``straight`` (nu,): which inputs move between rows.
     """
 
     y: np.ndarray
@@ -40,7 +40,7 @@ class ObservedRecord:
     start: np.ndarray
     spread: np.ndarray
     scale: np.ndarray
-    holds: bool
+    straight: np.ndarray
 
     @property
     def duration(self) -> float:
@@ -115,7 +115,7 @@ class StateObserver:
         # The readings of a row in; a state stays within its bounds.
         P, S = ca.SX.sym("P", nx, nx), ca.SX.sym("S", nx, nx + count)
         y, seen, noise, push = (ca.SX.sym(n, m) for n, m in (("y", ny), ("seen", ny), ("r", ny), ("q", nx)))
-        row = FilterRow(u, y, seen, ca.SX(0), ca.SX(0))
+        row = FilterRow(u, y, seen, ca.SX(0))
         corrected, innovation = correct_by_measurement(step, Moments(x, P), row, p, noise)
         low, high = (np.array([state.bounds[k] for state in system.states]) for k in (0, 1))
         bounded = ca.fmin(ca.fmax(corrected.x, low), high)
@@ -141,7 +141,7 @@ class StateObserver:
         nx = len(record.start)
         if rows not in self._runs:
             self._runs[rows] = self._row.mapaccum(rows)
-        after = record.u if record.holds else np.vstack([record.u[1:], record.u[-1:]])
+        after = np.where(record.straight, np.vstack([record.u[1:], record.u[-1:]]), record.u)
         seen = np.isfinite(record.y)
         given = np.hstack([np.nan_to_num(record.y), seen, record.u, after, np.append(record.h, 0.0)[:, None]]).T
         p = np.array(list(self.model.values.values()))
@@ -195,11 +195,11 @@ def observe_records(
         y, u = record.samples(record.y), record.samples(record.u)
         time = estimation.experiments[e].time
         every = max(1, -(-len(time) // most_rows))
-        holds = estimation.experiments[e].hold == "zero"  # a band-limited input is nearer to a straight line
-        if holds and every > 1:  # what acts from one row that is kept to the next
-            starts = np.arange(0, len(time), every)
-            u = np.add.reduceat(u, starts, axis=0) / np.diff(np.append(starts, len(time)))[:, None]
-        y, u, time = y[::every], u if holds and every > 1 else u[::every], time[::every]
+        straight = record.is_linear > 0  # a band-limited input is nearer to a straight line
+        # Of a held input the mean acts from one row that is kept to the next.
+        starts = np.arange(0, len(time), every)
+        means = np.add.reduceat(u, starts, axis=0) / np.diff(np.append(starts, len(time)))[:, None]
+        y, u, time = y[::every], np.where(straight, u[::every], means), time[::every]
         start = estimation.variables.initial.guess[e].astype(float).copy()
         spread, scale = np.empty(len(names)), np.empty(len(names))
         for j, name in enumerate(names):
@@ -215,5 +215,5 @@ def observe_records(
                 spread[j] = abs(start[j]) or size or 1.0
                 scale[j] = (size or spread[j]) if name in pushed else 0.0
                 start[j] = start[j] or OFF_REST * size  # where a root of it has a slope
-        observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, holds))
+        observed.append(ObservedRecord(y, u, np.diff(time), start, spread, scale, straight))
     return observed

@@ -18,7 +18,8 @@ import numpy as np
 from greybox.base import DataError, Finding, Printable, Severity, read_json, write_json
 from greybox.base.files import hold_file
 from greybox.base.json_shape import FileKind, Unbounded, from_json_data, to_json_data
-from greybox.data.experiment import Experiment, Hold
+from greybox.data.experiment import Experiment
+from greybox.data.input_course import Hold
 from greybox.data.signals import SignalLimit
 from greybox.discovery.decision import Verdict
 from greybox.discovery.pipeline import discover

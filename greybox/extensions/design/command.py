@@ -23,6 +23,8 @@ class DesignStudy(Study):
 
     # A table: an option is a row or two.
     # fmt: off
+    hold = Option(Choice(("zero", "first", "band-limited")), "--hold", "records.hold",
+        "The generator between samples: zero holds, first and band-limited are smooth.")
     goal = Option(Choice(("precision", "discrimination", "detection")), "--goal", "goal",
         "precision: narrow intervals. discrimination: tell explanations apart. detection: effects that may hide.")
     criterion = Option(Choice(("D", "A", "E")), "--criterion", "criterion",
@@ -291,7 +293,7 @@ DESIGN = Command(
         Study.effects.but(
             help="For detection: an effect that may hide; may be repeated. [default: all that have a place]"
         ),
-        Study.hold.but(help="The generator between samples: zero holds, first and band-limited are smooth."),
+        OWN.hold,
         Study.at_rest.but(help="Records begin at the initial state of the model. [default: as fitted]"),
         Study.model.but(
             usage="--model MODEL",
@@ -336,7 +338,7 @@ CAMPAIGN = Command(
         Study.sampling_time.but(help="Seconds between rows."),
         Study.duration.but(help="Duration of each record."),
         Study.effects.but(help="Try only this effect of the catalogue; may be repeated. [default: all]"),
-        Study.hold.but(help="The generator between samples."),
+        OWN.hold,
         Study.at_rest.but(help="Records begin at the initial state of the model."),
         Study.output.but(help="Folder of the campaign. [default: results/MODEL-campaign]"),
         *(*SHARING, *SHOWING),

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.base import TINY, DataError, Finding, FitError, ModelError, Severity, nearest
-from greybox.data.experiment import Experiment, Hold
+from greybox.data.experiment import Experiment
+from greybox.data.input_course import Hold
 from greybox.data.noise.noise_model import DETECTION_RATIO, NEW_SENSOR_NOISE
 from greybox.data.signals import SignalLimit
 from greybox.discovery.candidates import estimate_scales, generate_starting_points

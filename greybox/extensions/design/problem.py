@@ -13,7 +13,8 @@ import numpy as np
 
 from greybox.base import DataError, FileKind, Finding, ModelError, nearest, write_json
 from greybox.base.values import Printable, ReadOnly
-from greybox.data.experiment import Experiment, Hold
+from greybox.data.experiment import Experiment
+from greybox.data.input_course import Hold
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.data.signals import SignalLimit
 from greybox.estimation.options import FitOptions

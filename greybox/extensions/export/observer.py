@@ -231,7 +231,7 @@ def _make_correction(step: Step, nx: int, nu: int, ny: int, constants: int) -> c
     sizes = (nx + nx * (nx + 1) // 2, nu, ny, ny, constants, ny)
     names = ("z", "u", "y", "present", "p", "noise")
     z, u, y, present, p, noise = symbols = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    row = kalman.FilterRow(u, y, present, ca.SX(0), ca.SX(0))
+    row = kalman.FilterRow(u, y, present, ca.SX(0))
     moments, _ = kalman.correct_by_measurement(
         step, kalman.Moments(z[:nx], kalman.to_symmetric(z[nx:], nx)), row, p, noise
     )

@@ -307,10 +307,5 @@ def _hash_records(work: _Work, items: Sequence[Item]) -> Iterable[str]:
     )
     for item in items:
         each = common.copy()
-        identity = (
-            (item.fingerprint, item.hold, sorted(item.conditions.items()))
-            if isinstance(item, Experiment)
-            else item.identity
-        )
-        each.update(repr((item.name, identity)).encode(errors="backslashreplace"))
+        each.update(repr((item.name, item.identity)).encode(errors="backslashreplace"))
         yield each.hexdigest()[:32]

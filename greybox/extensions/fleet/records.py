@@ -14,8 +14,9 @@ from typing import Any
 
 from greybox.base import DataError
 from greybox.data.columns import ColumnMapping
-from greybox.data.experiment import Experiment, Hold
+from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
+from greybox.data.input_course import Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.read import read_csv
 from greybox.model import Model
@@ -91,7 +92,7 @@ def find_records(
     record: str = "",
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
-    hold: Hold = "zero",
+    hold: Holds = "auto",
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     reading: ReadingPolicy = READING_POLICY,

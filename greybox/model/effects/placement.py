@@ -130,7 +130,7 @@ def _placements_of(model: Model, entry: Effect) -> list[Placement]:
     places = find_sites(entry.site, model.sites, model.inputs)
     if not places:
         return [_try(model, entry, "")]
-    one_place = entry.on_parameter or entry.on_term or entry.on_state or entry.on_storage or entry.hold
+    one_place = entry.on_parameter or entry.on_term or entry.on_state or entry.on_storage
     first = entry
     other_input = (
         entry.site != FIRST_INPUT and places[0].kind is PlaceKind.INPUT and places[0].name != model.inputs[0].name

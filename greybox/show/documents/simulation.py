@@ -67,7 +67,7 @@ def run_figures(
     for name in order:
         signals, caption, role = groups[name]
         if signals:
-            held = role is Role.INPUT and run.source.hold == "zero"
+            held = [n for n, course in run.source.courses.items() if course == "zero"] if role is Role.INPUT else ()
             figure = plot_signals(name, run.time, signals, units, role, caption, held=held)
             yield FigureBlock(figure, stretches, group="run")
 

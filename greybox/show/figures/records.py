@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 
@@ -66,14 +66,14 @@ def plot_signals(
     role: fig.Role,
     caption: str,
     *,
-    held: bool = False,
+    held: Collection[str] = (),
 ) -> fig.Figure:
-    """Signals (N,) over ``time`` (N,), a panel for each; ``held``: as steps."""
+    """Signals (N,) over ``time`` (N,), a panel for each; those of ``held`` as steps."""
     panels, description = [], []
     for signal, given in signals.items():
         values = np.asarray(given)
         factor, unit = scale_to_prefix(units[signal], values)
-        curve = draw_over_time(time, values, role, signal, factor=factor, held=held)
+        curve = draw_over_time(time, values, role, signal, factor=factor, held=signal in held)
         panels.append(fig.Panel(signal, (curve,), TIME, fig.Axis(signal, unit), height=fig.Height.LOW))
         low, high = value_range(values)
         missing = int((~np.isfinite(values)).sum())
@@ -88,7 +88,9 @@ def plot_inputs(record: Trace | Experiment, units: Mapping[str, str], name: str)
     if not record.inputs:
         return None
     caption = f"Inputs of {record_text(record.name)}."
-    return plot_signals(name, record.time, record.inputs, units, fig.Role.INPUT, caption, held=record.hold == "zero")
+    courses = (record if isinstance(record, Experiment) else record.experiment).courses
+    held = [n for n, course in courses.items() if course == "zero"]
+    return plot_signals(name, record.time, record.inputs, units, fig.Role.INPUT, caption, held=held)
 
 
 def plot_outputs(record: Experiment, units: Mapping[str, str], name: str) -> fig.Figure | None:

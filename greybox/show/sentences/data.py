@@ -137,6 +137,9 @@ _TEMPLATES: dict[RecordCode, str | Callable[[Finding], str]] = {
     + _LEAVE_EMPTY
     + " (an end stop of the plant looks the same)",
     RecordCode.READING_COARSE: "{kind} '{subject}' reads in steps of {step:.4g}, which alone make an error of 0.29 steps (rms)",
+    RecordCode.INPUT_TAKEN_STRAIGHT: "input {subject} is smooth and carries the noise of a sensor, as what is measured does and a"
+    " computer's output does not: it is taken as straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate"
+    " {subject}=zero)",
     RecordCode.TIME_ROUNDED: "time is rounded: steps from {shortest:.6g} to {longest:.6g} s differ by at most one unit of the last"
     " digit; a uniform step of {sampling_time:.6g} s is assumed",
     RecordCode.TIME_GAP: lambda f: (
@@ -209,12 +212,20 @@ def describe_range(values: np.ndarray) -> str:
     return f"{known.min():.6g} to {known.max():.6g}, {count_noun(len(values) - len(known), 'gap')}"
 
 
+def _describe_courses(experiment: Experiment) -> str:
+    if not isinstance(experiment.hold, Mapping):
+        return HOLDS[experiment.hold]
+    return ", ".join(
+        f"{n} {HOLDS[course].replace('input ', '').replace(' input', '')}" for n, course in experiment.hold.items()
+    )
+
+
 @renders("Experiment")
 def write_experiment(experiment: Experiment) -> str:
     """Rows, sampling, signals with their ranges, conditions and findings."""
     pace = f"every {experiment.sampling_time:.6g} s" if experiment.regular else "at irregular times"
     lines = [
-        f"{experiment.name}: {experiment.rows} rows {pace}, {experiment.duration:.6g} s, {HOLDS[experiment.hold]},"
+        f"{experiment.name}: {experiment.rows} rows {pace}, {experiment.duration:.6g} s, {_describe_courses(experiment)},"
         f" data {experiment.fingerprint}"
     ]
     for kind, signals in (("input", experiment.inputs), ("output", experiment.outputs)):
