@@ -187,8 +187,8 @@ class Experiment(Printable):
         seen = inspect_signals(bare.time, bare.inputs, bare.outputs)
         loops = find_loops(bare.inputs, bare.outputs)
         timing = sampling.inspect_timing(bare.time, bare.sampling_time, bare.outputs)
-        told = hold if isinstance(hold, Mapping) else dict.fromkeys(bare.inputs, hold)
-        straight = (n for n, course in bare.courses.items() if course != "zero" and told.get(n, "auto") == "auto")
+        asked = hold if isinstance(hold, Mapping) else dict.fromkeys(bare.inputs, hold)
+        straight = (n for n, course in bare.courses.items() if course != "zero" and asked.get(n, "auto") == "auto")
         courses = (Finding(RecordCode.INPUT_TAKEN_STRAIGHT, subject=n) for n in straight)
         return replace(bare, findings=(*findings, *seen, *loops, *timing, *courses))
 

@@ -96,14 +96,14 @@ def _find_white_floor(values: np.ndarray) -> float | None:
 
 def find_hold_problems(hold: Holds, inputs: Iterable[str]) -> list[str]:
     """What is wrong with a ``hold`` for these ``inputs``."""
-    told, inputs = hold if isinstance(hold, Mapping) else {"": hold}, list(inputs)
-    unknown = [n for n in told if n and n not in inputs]
+    asked, inputs = hold if isinstance(hold, Mapping) else {"": hold}, list(inputs)
+    unknown = [n for n in asked if n and n not in inputs]
     return [
         *(f"hold names {n!r}, which is no input; {nearest(n, inputs)}" for n in unknown),
         *(
             f"hold {course!r}{f' of {n!r}' if n else ''} is unknown; {nearest(str(course), HOLDS)}: 'zero' (held), 'first' (straight"
             " between rows), 'band-limited' (no content above half the rate), 'auto' (as the values show)"
-            for n, course in told.items()
+            for n, course in asked.items()
             if course not in HOLDS
         ),
     ]
@@ -111,8 +111,13 @@ def find_hold_problems(hold: Holds, inputs: Iterable[str]) -> list[str]:
 
 def choose_courses(hold: Holds, inputs: Mapping[str, np.ndarray]) -> dict[str, Hold]:
     """Input -> its course between rows: as told, else as its values (N,) show."""
-    told = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
-    return {n: choose_course(values) if told.get(n, "auto") == "auto" else told[n] for n, values in inputs.items()}
+    asked = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
+    return {n: choose_course(values) if asked.get(n, "auto") == "auto" else asked[n] for n, values in inputs.items()}
+
+
+def is_open(course: Hold, values: np.ndarray) -> bool:
+    """Whether an input (N,) that moves by this course may move by the other one, held or straight, for all that its values show."""
+    return course in ("zero", "first") and inspect_course(values) is not CourseEvidence.STEPS
 
 
 def choose_course(values: np.ndarray) -> Hold:

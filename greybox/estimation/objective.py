@@ -95,6 +95,9 @@ class Objective(Protocol):
     def halve_step(self) -> Self:
         """The same with half the integration step, where that is not exact."""
 
+    def with_records(self, records: tuple[Record, ...]) -> Self:
+        """The same over other records of the same rows."""
+
 
 @dataclass(frozen=True)
 class SimulationErrorObjective:
@@ -131,6 +134,10 @@ class SimulationErrorObjective:
         """The same with half the integration step."""
         return SimulationErrorObjective(self.problem.halve_step())
 
+    def with_records(self, records: tuple[Record, ...]) -> SimulationErrorObjective:
+        """The same over other records of the same rows."""
+        return SimulationErrorObjective(replace(self.problem, records=records))
+
 
 @dataclass(frozen=True)
 class PredictionErrorObjective:
@@ -158,6 +165,10 @@ class PredictionErrorObjective:
     def halve_step(self) -> PredictionErrorObjective:
         """The same with half the integration step."""
         return replace(self, kalman=self.kalman.with_substeps(2 * self.kalman.step.substeps))
+
+    def with_records(self, records: tuple[Record, ...]) -> PredictionErrorObjective:
+        """The same over other records of the same rows."""
+        return replace(self, records=records)
 
     @property
     def squares(self) -> None:

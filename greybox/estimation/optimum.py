@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from greybox.base import FitError
+from greybox.data.input_course import is_open
 from greybox.data.noise.noise_model import AutoRegression, NoiseModel, NoiseSource
 from greybox.estimation.covariance import ParameterCovariance, estimate_covariance, estimate_likelihood_covariance
 from greybox.estimation.errors import compute_misfits
@@ -67,6 +68,17 @@ def make_traces(problem: EstimationProblem, runs: Sequence[tuple[np.ndarray, np.
             )
         )
     return tuple(result)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherCourse:
+    """What the other ``course`` between the rows of an ``input`` makes of an optimum: the ``change`` of each free constant (nf,), and by
+    how much the cost is less."""
+
+    input: str
+    course: str
+    change: np.ndarray
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +189,36 @@ class Optimum(ABC):
         bounds = variables.bounds()
         # The steps to the optimum at half the step and at the whole one: their difference is that of the optima.
         return finer.bounded_step(*bounds) - self.evaluation.bounded_step(*bounds)
+
+    @cached_property
+    def other_courses(self) -> tuple[OtherCourse, ...]:
+        """For each input that may move otherwise between its rows, by its values: what one step with the other course gives.
+
+        The steps to the optimum with the one course and with the other are compared, so that what the search has left over does not count.
+        """
+        variables, problem = self.variables, self.problem
+        if self.solution.joined or not (len(variables.which) and np.isfinite(self.evaluation.cost)):
+            return ()
+        bounds = variables.bounds()
+        step = self.evaluation.bounded_step(*bounds)
+        least = self.evaluation.cost - self.evaluation.predicted_decrease(*bounds)
+        result = []
+        for column, i in enumerate(problem.model.inputs):
+            pairs = zip(problem.records, problem.experiments, strict=True)
+            records = tuple(
+                record.with_other_course(column, i.name) if is_open(e.courses[i.name], e.inputs[i.name]) else record
+                for record, e in pairs
+            )
+            if all(a is b for a, b in zip(records, problem.records, strict=True)):
+                continue
+            evaluation = self.objective.with_records(records).evaluate(variables.here)
+            if not np.isfinite(evaluation.cost):
+                continue
+            change = (evaluation.bounded_step(*bounds) - step)[: len(variables.which)] * variables.spans
+            gain = least - (evaluation.cost - evaluation.predicted_decrease(*bounds))
+            k = next(k for k, (a, b) in enumerate(zip(records, problem.records, strict=True)) if a is not b)
+            result.append(OtherCourse(i.name, "first" if records[k].is_linear[column] else "zero", change, float(gain)))
+        return tuple(result)
 
     @cached_property
     def parameter_shifts(self) -> list[ParameterShift]:

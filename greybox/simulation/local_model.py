@@ -80,6 +80,8 @@ def build_local_model(plant: PlantModel, response: LinearResponse | None, *, sho
     units: tuple[Input | Output, ...] = (*plant.inputs, *plant.outputs) if response is not None else ()
     hidden = to_identifiers([f"response_{k + 1}" for k in range(order)])
     states = [State(name, "1") for name in hidden]
+    # A model has a state, if one that rests.
+    states += [] if states or plant.states else [State(f"{PREFIX}rest", "1")]
     # How far a record begins from where the run did.
     states += [State(f"{PREFIX}{s.name}_apart", s.unit, free_start=True) for s in plant.states]
 
@@ -93,8 +95,8 @@ def build_local_model(plant: PlantModel, response: LinearResponse | None, *, sho
                 for j, i in enumerate(plant.inputs)
             }
             result.append(Balance(name, "1/s", 1.0, name, **{f"by_{n}": t for n, t in terms.items()}))
-        for s in plant.states:
-            result.append(Balance(f"{PREFIX}{s.name}_apart", f"({s.unit})/s", 1.0, f"{PREFIX}{s.name}_apart", rest=0.0))
+        for s in states[len(hidden) :]:
+            result.append(Balance(s.name, f"({s.unit})/s", 1.0, s.name, rest=0.0))
         return result
 
     def read(number: int) -> Any:

@@ -15,6 +15,7 @@ import numpy as np
 
 from greybox.base import DataError, GreyboxError, ModelError, nearest
 from greybox.data.experiment import Experiment, stack_signals
+from greybox.data.input_course import Hold
 from greybox.model import Effect, Input, Model, Output, Parameter, State
 from greybox.model.balance import ClosedBalances, closed_output
 from greybox.simulation.integrators.step import Step
@@ -256,6 +257,13 @@ class PlantRecord(Record):
         part = super().cut(first, end)
         assert isinstance(part, PlantRecord)
         return replace(part, experiment=self.experiment.window(first, end))
+
+    def with_other_course(self, column: int, name: str) -> PlantRecord:
+        """The record with one input held that was straight between rows, or straight that was held."""
+        other = super().with_other_course(column, name)
+        assert isinstance(other, PlantRecord)
+        course: Hold = "first" if other.is_linear[column] else "zero"
+        return replace(other, experiment=self.experiment.with_hold({name: course}))
 
 
 def to_plant_record(model: PlantModel, experiment: Experiment) -> PlantRecord:

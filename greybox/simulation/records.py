@@ -65,8 +65,8 @@ def to_record(model: Model, experiment: Experiment) -> Record:
             f" {nearest(next(iter(experiment.outputs)), names)}"
         )
     # An effect says it of the input that it acts at; one that is added to a model overrules those before it.
-    told = {b.site: b.effect.hold for b in model.bound_effects if b.effect.hold} if model.effects else {}
-    courses = {**experiment.courses, **told}
+    by_effects = {b.site: b.effect.hold for b in model.bound_effects if b.effect.hold} if model.effects else {}
+    courses = {**experiment.courses, **by_effects}
     inputs = tuple((i.name, courses[i.name]) for i in model.inputs)
     laid_out = _LAID_OUT.setdefault(experiment, WeakValueDictionary())
     record = laid_out.get((inputs, tuple(names)))

@@ -272,11 +272,11 @@ def test_doubtful_sensors_and_holes_are_said_without_a_model(tmp_path: Path) -> 
 # --- what belongs to each signal
 
 
-def as_input(course: str, mean: bool = True) -> ChannelUse:
-    return ChannelUse("u", SignalKind.INPUT, course, mean)  # type: ignore[arg-type]
+def as_input(course: str) -> ChannelUse:
+    return ChannelUse("u", SignalKind.INPUT, course)  # type: ignore[arg-type]
 
 
-OUTPUT = ChannelUse("y", SignalKind.OUTPUT, "first", True)
+OUTPUT = ChannelUse("y", SignalKind.OUTPUT, "first")
 
 
 def test_a_held_input_counts_by_its_mean_in_each_interval() -> None:
@@ -369,9 +369,9 @@ def test_limits_hold_before_anything_is_loaded(files: Callable[[str], Path], kin
 
 
 def test_the_course_of_an_unknown_input_is_refused(files: Callable[[str], Path]) -> None:
-    with pytest.raises(DataError, match="no input of model"):
+    with pytest.raises(DataError, match="no input"):
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"v": "first"})
-    with pytest.raises(DataError, match="no course"):
+    with pytest.raises(DataError, match="hold 'cubic' of 'u' is unknown"):
         gb.read_csv(files("mdf"), LAG_MODEL, interpolation={"u": "cubic"})  # type: ignore[dict-item]
 
 

@@ -250,7 +250,7 @@ def test_bad_input_is_told_in_one_message_and_nothing_is_written(
     [
         (["ft"], "did you mean 'fit'"),
         (["fit", "m", "d.csv", "--fxi", "M=1"], "--fix"),
-        (["fit", "m", "d.csv", "--hold", "second"], "known: zero, first"),
+        (["fit", "m", "d.csv", "--hold", "second"], "known: auto, zero, first"),
         (["fit", "m"], "DATA is missing"),
         (["fit", "m", "d.csv", "--skip", "-1"], "--skip"),
     ],

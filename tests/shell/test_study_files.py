@@ -161,7 +161,7 @@ HEAD = 'model = "micro_actuator"\n[records]\nestimation = ["a.csv"]\n'
         (HEAD + "skip = 1.5", "study.toml, [records] skip: 1.5 must be a whole number"),
         (
             HEAD + "hold = 'second'",
-            "study.toml, [records] hold: there is no choice 'second'; known: zero, first, band-limited",
+            "study.toml, [records] hold: there is no choice 'second'; known: auto, zero, first, band-limited",
         ),
         (HEAD + "at_rest = 1", "study.toml, [records] at_rest: 1 must be true or false"),
         (HEAD + "quiet = [1]", "study.toml, [records] quiet: 1 must be a text in quotes"),

@@ -192,7 +192,7 @@ def design_observer(
     y = ca.if_else(present, reading, 0.0)
 
     def row(share: float) -> ca.SX:
-        return ca.vertcat(u, y, present, share, 0.0)
+        return ca.vertcat(u, y, present, share)
 
     following, n = z, step.substeps
     for k in range(n):

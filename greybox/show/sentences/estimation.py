@@ -169,6 +169,37 @@ def _write_narrowed(finding: Finding) -> str:
     return f"{finding.subject} {where} as exactly known there; with {'them' if several else 'it'} free, {' and '.join(parts)}"
 
 
+_COURSES = {"zero": "held between its rows", "first": "straight between its rows"}
+
+
+def _write_course_contradicted(finding: Finding) -> str:
+    course = _COURSES[finding.values["course"]]
+    changes = f", with {_list_changes(finding)}" if finding.values["changes"] else ""
+    return (
+        f"the records fit better with input {finding.subject} {course}{changes}: {_course_remedy(finding, 'fit anew')}"
+    )
+
+
+def _write_course_open(finding: Finding) -> str:
+    return (
+        f"the records do not tell whether input {finding.subject} is held between its rows or straight, and it matters:"
+        f" {_COURSES[finding.values['course']]} it would give {_list_changes(finding)};"
+        f" {_course_remedy(finding, 'if it moves so, fit anew')}"
+    )
+
+
+def _list_changes(finding: Finding) -> str:
+    changes = finding.values["changes"].items()
+    return ", ".join(
+        f"{n} = {new:.5g} for {old:.5g} ({size:.2g} standard deviations)" for n, (old, new, size) in changes
+    )
+
+
+def _course_remedy(finding: Finding, what: str) -> str:
+    course = finding.values["course"]
+    return f"{what} with hold={{'{finding.subject}': '{course}'}} (shell: --interpolate {finding.subject}={course})"
+
+
 def _write_step_shifts(finding: Finding) -> str:
     shifts = ", ".join(f"{name} by {shift:.2g}" for name, shift in finding.values["shifts"].items())
     return (
@@ -399,6 +430,8 @@ register(
             "the balance {subject} stores nothing, and its terms miss zero by {share:.2g} of the largest: give {state} a start value of"
             " the right size, and bounds"
         ),
+        EstimationCode.INPUT_COURSE_CONTRADICTED: _write_course_contradicted,
+        EstimationCode.INPUT_COURSE_OPEN: _write_course_open,
         EstimationCode.STEP_MOVES_PARAMETERS: _write_step_shifts,
         EstimationCode.VALIDATION_ERROR_LARGER: (
             "the simulation error in {subject} is {ratio:.1f} times that on the estimation records: a free run accumulates small errors"

@@ -97,6 +97,17 @@ class Record:
         after = np.minimum(rows + 1, len(self.u) - 1)
         return np.where(self.is_linear, self.u[after], self.u[rows])
 
+    def with_other_course(self, column: int, name: str) -> Record:
+        """The record with one input, of this column and name, held that was linear between rows, or linear that was held.
+
+        Itself where there are rows between samples.
+        """
+        if self.rows_per_sample > 1:
+            return self
+        is_linear = self.is_linear.copy()
+        is_linear[column] = 1.0 - is_linear[column]
+        return replace(self, is_linear=is_linear)
+
     def first(self, rows: int) -> Record:
         """The beginning of the record."""
         return self.cut(0, rows)

@@ -252,6 +252,27 @@ GOLDEN = [
         "the integration error exceeds a tenth of the noise in x, i: increase the number of substeps",
     ),
     (
+        "input_course_contradicted",
+        "u",
+        {"course": "first", "odds": 91.2, "changes": {"tau": [0.468, 0.4993, 13.7], "K": [1.968, 1.998, 9.8]}},
+        "the records fit better with input u straight between its rows, with tau = 0.4993 for 0.468 (14 standard deviations), K = 1.998"
+        " for 1.968 (9.8 standard deviations): fit anew with hold={'u': 'first'} (shell: --interpolate u=first)",
+    ),
+    (
+        "input_course_contradicted",
+        "u",
+        {"course": "zero", "odds": 40.0, "changes": {}},
+        "the records fit better with input u held between its rows: fit anew with hold={'u': 'zero'} (shell: --interpolate u=zero)",
+    ),
+    (
+        "input_course_open",
+        "u",
+        {"course": "first", "odds": 1.5, "changes": {"tau": [0.47, 0.5, 4.06]}},
+        "the records do not tell whether input u is held between its rows or straight, and it matters: straight between its rows it would"
+        " give tau = 0.5 for 0.47 (4.1 standard deviations); if it moves so, fit anew with hold={'u': 'first'} (shell: --interpolate"
+        " u=first)",
+    ),
+    (
         "step_moves_parameters",
         "",
         {"shifts": {"K": 0.25}},

@@ -143,6 +143,12 @@ GOLDEN = {
         "output 'x' reads exactly its largest value, 0.9, in 60 rows and stays there 4 times: if the sensor or the converter saturates,"
         " leave these fields empty (an end stop of the plant looks the same)",
     ),
+    RecordCode.INPUT_TAKEN_STRAIGHT: (
+        "T_air",
+        {},
+        "input T_air is smooth and carries the noise of a sensor, as what is measured does and a computer's output does not: it is taken as"
+        " straight between its rows; if it is held tell so with hold='zero' (shell: --interpolate T_air=zero)",
+    ),
     RecordCode.TIME_ROUNDED: (
         "",
         {"shortest": 2e-4, "longest": 3e-4, "sampling_time": 2.5e-4},
