@@ -40,6 +40,8 @@ STEPPED_RATIO = 1.0
 SMOOTH_RATIO = 0.5
 # A white floor may have so many times the squared first differences that the signal has: else the noise hides whether that is smooth.
 MOST_NOISE = 1.0
+# The usual move over the root mean square of all: 0.67 of noise, 0.7 of a sine; an input that stands most of the time has less.
+EVEN_MOVE = 0.4
 # Moves below this share of the range are rounding of the arithmetic.
 ROUNDED_MOVE = 1e-9
 # Readings of more than so many levels that move by no more than so many of their steps are coarse: a slow signal, and no generator's steps.
@@ -56,7 +58,8 @@ def inspect_course(values: np.ndarray) -> CourseEvidence:
     step, slope, bend = moves.min(), np.mean(first**2), np.mean(np.diff(first) ** 2) if len(first) > 1 else math.inf
     # A floor below the smallest move is rounding: of a sensor's readings, or of a table of commands.
     variance = _find_white_floor(values) or 0.0
-    if variance > step**2 and 2 * variance < np.var(values) / 2:
+    moves_evenly = np.median(np.abs(first)) > EVEN_MOVE * math.sqrt(slope)
+    if moves_evenly and variance > step**2 and 2 * variance < np.var(values) / 2:
         # White noise of variance s^2 has first differences of 2 s^2, and second ones of 6 s^2.
         slope, bend = slope - 2 * variance, bend - 6 * variance
         if slope * MOST_NOISE < 2 * variance:
