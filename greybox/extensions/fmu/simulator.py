@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from greybox.base.errors import OutputError, is_own_bug, shorten
+from greybox.base.errors import DataError, OutputError, is_own_bug, shorten
 from greybox.data.experiment import Experiment
 from greybox.extensions.fmu.description import FmuDescription, FmuVariable
 from greybox.simulation.plant import PlantRunError
@@ -59,6 +59,16 @@ class FmuRunError(PlantRunError):
 SENSITIVITY_ERROR = 0.0001
 # Relative tolerance asked of the FMU's solver.
 RELATIVE_TOLERANCE = 1e-08
+
+
+def _find_straight(record: Experiment, plant: FmuDescription) -> np.ndarray:
+    """Which inputs (nu,) move between rows; a band-limited one is taken as straight."""
+    return np.array([record.courses[i.label] != "zero" for i in plant.inputs], bool)
+
+
+# Steps of a co-simulation in each row where an input is straight between rows: what a staircase through the middles leaves of a straight
+# line is a hundredth of what the held input would.
+STEPS_OF_STRAIGHT = 10
 
 
 class FmuSimulator:
@@ -130,11 +140,11 @@ class FmuSimulator:
             Where the FMU reports an error, or an output is not finite.
         """
         time = experiment.time - experiment.time[0]
-        step = experiment.sampling_time or float(np.median(np.diff(time)))
+        self._refuse_uneven_steps(experiment)
         self.runs += 1
         self.rows += experiment.rows
         try:
-            result = self._simulate(experiment, time, step, values)
+            result = self._simulate(experiment, time, values)
         # Of the FMU, its solver or fmpy, which raises Exception itself: whatever it is, the run is lost. A bug of ours ends all.
         except Exception as error:
             if is_own_bug(error):
@@ -146,28 +156,61 @@ class FmuSimulator:
             ) from error
         outputs = {}
         for o in self.plant.outputs:
-            # The solver's own grid has rounding in its times; at the times of the record there is one value each.
-            values_at = np.interp(time, result["time"], np.asarray(result[o.name], dtype=float))
-            if not np.isfinite(values_at).all() or result["time"][-1] < time[-1] - step:
+            # The solver's own grid has rounding in its times; at the times of the record there is one value each, that after an event.
+            _, last = np.unique(result["time"][::-1], return_index=True)
+            kept = len(result["time"]) - 1 - last
+            values_at = np.interp(time, result["time"][kept], np.asarray(result[o.name], dtype=float)[kept])
+            if not np.isfinite(values_at).all() or result["time"][-1] < time[-1] - experiment.intervals[-1]:
                 self.failures += 1
                 raise FmuRunError(f"{self.plant.path.name}: output {o.name!r} is not finite to the end of the record")
             outputs[o.label] = values_at
         return outputs
 
-    def _simulate(self, experiment: Experiment, time: np.ndarray, step: float, values: Mapping[str, float]) -> Any:
+    def _refuse_uneven_steps(self, experiment: Experiment) -> None:
+        """Raise DataError where the FMU takes equal steps alone, and the record has others."""
+        exchange, description = self.plant.kind == "ModelExchange", self._description.coSimulation
+        if not (experiment.regular or exchange or description.canHandleVariableCommunicationStepSize):
+            raise DataError(
+                f"experiment {experiment.name!r} is sampled at irregular times, and {self.plant.path.name} takes equal steps only"
+                " (co-simulation without canHandleVariableCommunicationStepSize): resample the record, or export the FMU for model exchange"
+            )
+
+    def _tabulate(self, experiment: Experiment, time: np.ndarray, parts: int) -> np.ndarray:
+        """Rows ``time, inputs``, so many in each interval, for the input of fmpy, which is straight between rows of different times."""
+        exchange, straight = self.plant.kind == "ModelExchange", _find_straight(experiment, self.plant)
+        lengths = np.append(np.diff(time), 0.0)[:, None] / parts
+        at = (time[:, None] + lengths * np.arange(parts)).ravel()[: (len(time) - 1) * parts + 1]
+        columns = [at]
+        for i, moves in zip(self.plant.inputs, straight, strict=True):
+            u = experiment.inputs[i.label]
+            # In co-simulation an input is held over a step: its value in the middle does what a straight line does, to the second order.
+            middle = at if exchange else at + np.repeat(lengths, parts)[: len(at)] / 2
+            columns.append(np.interp(middle, time, u) if moves else np.repeat(u, parts)[: len(at)])
+        rows = np.column_stack(columns)
+        if experiment.regular and (straight.all() or not exchange):
+            return rows
+        # The held value again at the end of its interval: two rows of one time are a step, and a point at which the solver stops.
+        stepped = np.empty((2 * len(rows) - 1, rows.shape[1]))
+        stepped[::2], stepped[1::2] = rows, rows[:-1]
+        moving = np.append(True, straight & exchange)
+        stepped[1::2, moving] = rows[1:, moving]
+        return stepped
+
+    def _simulate(self, experiment: Experiment, time: np.ndarray, values: Mapping[str, float]) -> Any:
         import fmpy
 
-        table = None
+        table, straight = None, _find_straight(experiment, self.plant)
+        parts = 1 if self.plant.kind == "ModelExchange" or not straight.any() else STEPS_OF_STRAIGHT
+        step = (experiment.sampling_time or float(np.median(np.diff(time)))) / parts
         if self.plant.inputs:
-            rows = np.column_stack([time, *(experiment.inputs[i.label] for i in self.plant.inputs)])
-            if experiment.hold == "zero" and self.plant.kind == "ModelExchange":
-                # The held value again at the end of its interval: two rows of one time are a step.
-                held = np.empty((2 * len(rows) - 1, rows.shape[1]))
-                held[::2], held[1::2] = rows, rows[:-1]
-                held[1::2, 0] = time[1:]
-                rows = held
+            rows = self._tabulate(experiment, time, parts)
             names = [("time", float), *((i.name, float) for i in self.plant.inputs)]
             table = np.array([tuple(row) for row in rows], dtype=names)
+            if not experiment.regular:
+                # The rows of the table are where it stops, and nothing between.
+                step = float(time[-1])
+        elif not experiment.regular:
+            step /= STEPS_OF_STRAIGHT
         with _silence() as lost:
             if self._instance is None:
                 self._instance = fmpy.instantiate_fmu(self._folder, self._description, self.plant.kind)
@@ -175,7 +218,7 @@ class FmuSimulator:
                 self._instance.reset()
                 # The instance is used again: what followed the inputs of the last record must not see this one.
                 vars(self._instance).pop("setTime", None)
-            if self.plant.kind == "ModelExchange" and self.plant.inputs and experiment.hold != "zero":
+            if self.plant.kind == "ModelExchange" and straight.any():
                 self._follow_inputs(experiment, time)
             result = fmpy.simulate_fmu(
                 self._folder,
@@ -186,7 +229,7 @@ class FmuSimulator:
                 step_size=step,
                 # Far below the difference of a slope, which would measure the solver otherwise.
                 relative_tolerance=RELATIVE_TOLERANCE,
-                record_events=False,
+                record_events=not experiment.regular,
                 fmi_type=self.plant.kind,
                 start_values=dict(values),
                 input=table,
@@ -277,11 +320,14 @@ class FmuSimulator:
         return slopes
 
     def _follow_inputs(self, experiment: Experiment, time: np.ndarray) -> None:
-        """Set the inputs wherever the solver asks for rates: by itself fmpy holds them over each of its steps."""
+        """Set the straight inputs wherever the solver asks for rates: by itself fmpy holds them over each of its steps."""
         instance, kind = self._instance, type(self._instance)
         known = {v.name: v.valueReference for v in self._description.modelVariables}
-        references = [known[i.name] for i in self.plant.inputs]
-        columns = [experiment.inputs[i.label] for i in self.plant.inputs]
+        moving = [
+            i for i, moves in zip(self.plant.inputs, _find_straight(experiment, self.plant), strict=True) if moves
+        ]
+        references = [known[i.name] for i in moving]
+        columns = [experiment.inputs[i.label] for i in moving]
 
         def set_time(at: float) -> Any:
             result = kind.setTime(instance, at)
@@ -373,6 +419,7 @@ class SensitivityRunner:
         ]
         time = record.time - record.time[0]
         u = np.column_stack([record.inputs[i.label] for i in self.plant.inputs] or [np.empty((record.rows, 0))])
+        straight = _find_straight(record, self.plant)
         x = self._read(self.base, "getContinuousStates")
         # S(0) = dx(0)/dp: an instance that begins with the parameter moved shows it.
         S = np.column_stack([(self._read(m, "getContinuousStates") - x) / w for m, w in self.moved])
@@ -389,12 +436,10 @@ class SensitivityRunner:
             slopes.append(np.column_stack(along))
             if k + 1 == record.rows:
                 break
-            h, rise = (time[k + 1] - time[k]) / SENSITIVITY_STEPS, u[k + 1] - u[k]
+            h, rise = (time[k + 1] - time[k]) / SENSITIVITY_STEPS, np.where(straight, u[k + 1] - u[k], 0.0)
             for j in range(SENSITIVITY_STEPS):
                 # The inputs at the beginning, the middle and the end of the step: held, or linear between the rows.
-                shares = (
-                    (0.0, 0.0, 0.0) if record.hold == "zero" else [(j + c) / SENSITIVITY_STEPS for c in (0, 0.5, 1)]
-                )
+                shares = [(j + c) / SENSITIVITY_STEPS for c in (0, 0.5, 1)]
                 x, S = self._step(time[k] + h * j, h, x, S, [u[k] + rise * share for share in shares])
         return np.array(outputs), np.array(slopes)
 
