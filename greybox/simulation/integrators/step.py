@@ -54,6 +54,16 @@ class InputHistory(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
+class AdaptiveRates:
+    """What steps of any length need to know of a model: ``rates`` (x, u, p) -> dx/dt, the units of its states, and the relative error
+    of each state that a step may make."""
+
+    rates: ca.Function
+    units: tuple[str, ...]
+    tolerance: float
+
+
+@dataclass(frozen=True, eq=False)
 class Step:
     """One discrete step of a model: what every integrator makes and every kernel runs."""
 
@@ -90,6 +100,10 @@ class Step:
     """Of a step that is linear ``(ua, ub) -> r (nr,)``: ``x_next = Q [x; r]`` with ``q`` the matrix ``Q`` (nx, nx + nr), column by
     column."""
 
+    adaptive: AdaptiveRates | None = None
+    """Of steps whose lengths follow the error: what a kernel needs instead of ``advance``, which is RK4; ``substeps`` then says how many
+    times shorter they are than the tolerance asks for."""
+
     reach: float | None = None
     """Largest ``|h lambda|`` of a substep where that is not as `DiscretisationPolicy` says: the method has an order of its own."""
 
@@ -99,5 +113,8 @@ class Step:
 
     @property
     def label(self) -> str:
-        """Name with the substeps: ``RK4, 4 substeps a sample``."""
+        """Name with the substeps: ``RK4, 4 substeps a sample``; with the tolerance where they follow the error."""
+        if self.adaptive is not None:
+            shorter = "" if self.substeps == 1 else f", steps {self.substeps} times shorter"
+            return f"{self.name} with steps that follow the error, {self.adaptive.tolerance:g}{shorter}"
         return self.name if self.substeps == 1 else f"{self.name}, {self.substeps} substeps a sample"

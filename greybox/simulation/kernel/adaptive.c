@@ -1,0 +1,304 @@
+/* A pass over a record by ESDIRK steps whose length follows the error: states, and their tangents along W * NB lanes, at every row.
+   The steps are those of the run without tangents; the tangents are the derivatives of just these steps, lengths held.
+   TABLE[i * STAGES + j] are the coefficients of stage i, the last of which is the end of the step; GAMMA is their diagonal, LESS the weights of what
+   the embedded method differs by. */
+
+/* What depends on the constants alone is computed once. */
+struct context {
+    struct rates_once rates;
+    struct jacobian_once jacobian;
+#ifdef NB
+    struct slopes_once slopes;
+    const vu *dp;
+#endif
+    const double *p;
+};
+
+static void rates_of(const struct context *c, const double *x, const double *u, double *f)
+{
+    rates(&c->rates, x, u, c->p, f);
+}
+
+static void jacobian_of(const struct context *c, const double *x, const double *u, double (*j)[NX])
+{
+    double entries[AT_LEAST_ONE(NJ)];
+    jacobian(&c->jacobian, x, u, c->p, entries);
+    memset(j, 0, NX * sizeof *j);
+    for (int k = 0; k < NJ; k++)
+        j[JACOBIAN_ROW[k]][JACOBIAN_COLUMN[k]] = entries[k];
+}
+
+/* I - scale J = P' L U, rows exchanged for the largest pivot; whether it can be solved. */
+static int factorise(double scale, const double (*j)[NX], double (*m)[NX], int *pivot)
+{
+    for (int i = 0; i < NX; i++)
+        for (int k = 0; k < NX; k++)
+            m[i][k] = (i == k) - scale * j[i][k];
+    for (int k = 0; k < NX; k++) {
+        int best = k;
+        for (int i = k + 1; i < NX; i++)
+            if (fabs(m[i][k]) > fabs(m[best][k]))
+                best = i;
+        pivot[k] = best;
+        if (!(fabs(m[best][k]) > 0) || !isfinite(m[best][k]))
+            return 0;
+        if (best != k)
+            for (int l = 0; l < NX; l++) {
+                const double other = m[k][l];
+                m[k][l] = m[best][l], m[best][l] = other;
+            }
+        const double inverse = 1 / m[k][k];
+        for (int i = k + 1; i < NX; i++) {
+            if (m[i][k] == 0)
+                continue;
+            const double factor = m[i][k] *= inverse;
+            for (int l = k + 1; l < NX; l++)
+                m[i][l] -= factor * m[k][l];
+        }
+    }
+    return 1;
+}
+
+/* b = M^-1 b, once for numbers and once for blocks of tangents. */
+#define SOLVE(NAME, TYPE, COUNT)                                                                                                           \
+    static void NAME(const double (*m)[NX], const int *pivot, TYPE *b)                                                                     \
+    {                                                                                                                                      \
+        for (int k = 0; k < NX; k++)                                                                                                       \
+            for (int c = 0; c < COUNT; c++) {                                                                                              \
+                const TYPE other = b[k * COUNT + c];                                                                                       \
+                b[k * COUNT + c] = b[pivot[k] * COUNT + c], b[pivot[k] * COUNT + c] = other;                                               \
+            }                                                                                                                              \
+        for (int i = 0; i < NX; i++)                                                                                                       \
+            for (int k = 0; k < i; k++)                                                                                                    \
+                if (m[i][k] != 0)                                                                                                          \
+                    for (int c = 0; c < COUNT; c++)                                                                                        \
+                        b[i * COUNT + c] -= m[i][k] * b[k * COUNT + c];                                                                    \
+        for (int i = NX - 1; i >= 0; i--) {                                                                                                \
+            for (int k = i + 1; k < NX; k++)                                                                                               \
+                if (m[i][k] != 0)                                                                                                          \
+                    for (int c = 0; c < COUNT; c++)                                                                                        \
+                        b[i * COUNT + c] -= m[i][k] * b[k * COUNT + c];                                                                    \
+            for (int c = 0; c < COUNT; c++)                                                                                                \
+                b[i * COUNT + c] /= m[i][i];                                                                                               \
+        }                                                                                                                                  \
+    }
+SOLVE(solve, double, 1)
+
+/* What the error of a state is measured against: its present size, a small share of its largest, and a smaller one of the largest of the
+   states in the same unit. Zero where none of them has moved yet. */
+static double scale_of(int i, double x, const double *size)
+{
+    double mates = 0;
+    for (int l = 0; l < NX; l++)
+        if (UNIT[l] == UNIT[i])
+            mates = fmax(mates, size[l]);
+    return fabs(x) + FLOOR * fmax(size[i], MATES * mates);
+}
+
+static void set_scales(const double *x, double *size, double *scale)
+{
+    for (int i = 0; i < NX; i++)
+        size[i] = fmax(size[i], fabs(x[i]));
+    for (int i = 0; i < NX; i++)
+        scale[i] = scale_of(i, x[i], size);
+}
+
+/* Root mean square of the errors over what a step may make. */
+static double measure(const double *error, const double *scale, double tolerance)
+{
+    double sum = 0;
+    for (int i = 0; i < NX; i++)
+        if (scale[i] > 0) {
+            const double part = error[i] / (tolerance * scale[i]);
+            sum += part * part;
+        } else if (!isfinite(error[i]))
+            return INFINITY;
+    return sqrt(sum / NX);
+}
+
+#ifdef NB
+SOLVE(solve_lanes, v, NB)
+
+static void rates_along(const struct context *c, const double *x, const v *dx, const double *u, double *f, v *df)
+{
+    slopes(&c->slopes, x, (const vu *)dx, u, c->p, c->dp, f, df);
+}
+
+/* dK of a stage: (I - h GAMMA J) dK = J V + df/dp dp, with J at the stage itself; M is that of the start of the step. */
+static void solve_stage(const struct context *c, const double *x, const v *base, double scale, const double *u, const double (*m)[NX],
+                        const int *pivot, v *dk)
+{
+    double f[NX], largest, change;
+    v moved[NX * NB], left[NX * NB];
+    for (int i = 0; i < NX * NB; i++)
+        dk[i] = zero;
+    for (int iteration = 0; iteration < MOST_TANGENT_ITERATIONS; iteration++) {
+        for (int i = 0; i < NX * NB; i++)
+            moved[i] = base[i] + scale * dk[i];
+        rates_along(c, x, moved, u, f, left);
+        for (int i = 0; i < NX * NB; i++)
+            left[i] -= dk[i];
+        solve_lanes(m, pivot, left);
+        largest = change = 0;
+        for (int i = 0; i < NX * NB; i++) {
+            dk[i] += left[i];
+            for (int l = 0; l < W; l++) {
+                change = fmax(change, fabs(left[i][l]));
+                largest = fmax(largest, fabs(dk[i][l]));
+            }
+        }
+        if (!(change > TANGENT_CHANGE * largest))
+            break;
+    }
+}
+#endif
+
+/* n rows; `tolerance` of a step relative to each state; carry (1 + NX): the length of the next step, 0 to choose it, and the largest
+   size of each state so far. xs (n, NX), dxs (n, NX, W * NB). work: steps, steps refused, Jacobians, factorisations. Returns the first
+   row that was not reached, else -1. */
+EXPORT long integrate(long n, int first_order, int is_even, double tolerance, const double *u, const double *h, const double *p,
+                      const double *x0, const double *dp_lanes, const double *dx0_lanes, double *carry, double *xs, double *dxs,
+                      long *work)
+{
+    static _Thread_local double j[NX][NX], m[NX][NX];
+    double x[NX], k[STAGES][NX], stage[STAGES][NX], base[NX], trial[NX], error[NX], ui[STAGES][AT_LEAST_ONE(NU)], scale[NX];
+    double *const size = carry + 1;
+    int pivot[NX];
+    double next = carry[0], factored = NAN, before = 1;
+    int jacobian_is_fresh = 0, has_jacobian = 0;
+#ifdef NB
+    v dx[NX * NB], dk[STAGES][NX * NB], moved[NX * NB];
+#endif
+    struct context c;
+    c.p = p;
+    memcpy(x, x0, sizeof x);
+    prepare_rates(&c.rates, x, u, p);
+    prepare_jacobian(&c.jacobian, x, u, p);
+#ifdef NB
+    c.dp = (const vu *)dp_lanes;
+    memcpy(dx, dx0_lanes, sizeof dx);
+    prepare_slopes(&c.slopes, x, (const vu *)dx, u, p, c.dp);
+#endif
+    set_scales(x, size, scale);
+    for (long row = 0; row < n; row++) {
+        memcpy(xs + row * NX, x, sizeof x);
+#ifdef NB
+        memcpy(dxs + row * NX * NB * W, dx, sizeof dx);
+#endif
+        if (row + 1 == n)
+            break;
+        const double *u0 = u + row * NU, *u1 = u0 + NU, length = h[is_even ? 0 : row];
+        double done = 0;
+        /* Where the input jumps the rate does, too: the last stage of the step before is not the first of this. */
+        rates_of(&c, x, u0, k[0]);
+#ifdef NB
+        rates_along(&c, x, dx, u0, k[0], dk[0]);
+#endif
+        if (!(next > 0)) {
+            double state = 0, rate = 0;
+            for (int i = 0; i < NX; i++) {
+                if (scale[i] > 0)
+                    state += pow(x[i] / scale[i], 2), rate += pow(k[0][i] / scale[i], 2);
+            }
+            next = state > 0 && rate > 0 ? FIRST_SHARE * sqrt(state / rate) : FIRST_SHARE * length;
+        }
+        jacobian_is_fresh = 0, has_jacobian = 0;
+        for (long count = 0; done < length; count++) {
+            const double left = length - done;
+            /* The last two steps of an interval are equally long: no tiny one is left over. */
+            const double step = next >= left ? left : 2 * next > left ? left / 2 : next;
+            if (count == MOST_STEPS || !(step > SMALLEST_STEP * length))
+                return row + 1;
+            if (!has_jacobian) {
+                jacobian_of(&c, x, u0, j); /* input inside the interval moves the Jacobian little */
+                has_jacobian = jacobian_is_fresh = 1, factored = NAN, work[2]++;
+            }
+            if (GAMMA * step != factored) {
+                factored = factorise(GAMMA * step, (const double(*)[NX])j, m, pivot) ? GAMMA * step : NAN;
+                work[3]++;
+            }
+            int is_good = factored == GAMMA * step, is_slow = 0;
+            for (int s = 0; s < STAGES; s++)
+                for (int i = 0; i < NU; i++)
+                    ui[s][i] = first_order ? u0[i] + (u1[i] - u0[i]) * (done + NODES[s] * step) / length : u0[i];
+            memcpy(stage[0], x, sizeof x);
+            for (int s = 1; s < STAGES && is_good; s++) {
+                for (int i = 0; i < NX; i++) {
+                    base[i] = x[i];
+                    for (int l = 0; l < s; l++)
+                        base[i] += step * TABLE[s * STAGES + l] * k[l][i];
+                    stage[s][i] = base[i] + GAMMA * step * k[s - 1][i];
+                }
+                double last = INFINITY;
+                int iteration = 0;
+                for (is_good = 0; iteration < MOST_ITERATIONS && !is_good; iteration++) {
+                    rates_of(&c, stage[s], ui[s], k[s]);
+                    for (int i = 0; i < NX; i++)
+                        trial[i] = base[i] + GAMMA * step * k[s][i] - stage[s][i];
+                    solve((const double(*)[NX])m, pivot, trial);
+                    for (int i = 0; i < NX; i++)
+                        stage[s][i] += trial[i];
+                    const double change = measure(trial, scale, tolerance), ratio = change / last;
+                    if (!(change < INFINITY) || ratio > DIVERGING)
+                        break;
+                    is_slow |= ratio < INFINITY && ratio > SLOW;
+                    /* What is left after this change: a geometric series. */
+                    is_good = iteration ? change * fmin(ratio / (1 - fmin(ratio, 0.9)), 1) <= NEWTON_SHARE : change <= NEWTON_SHARE * NEWTON_SHARE;
+                    last = change;
+                }
+                /* From the stage itself: f would multiply what the iteration left by the stiffness. */
+                for (int i = 0; i < NX; i++)
+                    k[s][i] = (stage[s][i] - base[i]) / (GAMMA * step);
+            }
+            double wrong = INFINITY;
+            if (is_good) {
+                for (int i = 0; i < NX; i++) {
+                    error[i] = 0;
+                    for (int s = 0; s < STAGES; s++)
+                        error[i] += step * LESS[s] * k[s][i];
+                }
+                /* A stiff mode, which the method damps, is no error. */
+                solve((const double(*)[NX])m, pivot, error);
+                wrong = measure(error, scale, tolerance);
+            }
+            if (!(wrong <= 1)) {
+                work[1]++;
+                if (!is_good && !jacobian_is_fresh) {
+                    has_jacobian = 0; /* the same step with a Jacobian of its own */
+                    continue;
+                }
+                next = step * (wrong < INFINITY ? fmax(0.2, SAFETY * pow(wrong, -1 / ORDER)) : 0.25);
+                continue;
+            }
+            work[0]++;
+#ifdef NB
+            for (int s = 1; s < STAGES; s++) {
+                for (int i = 0; i < NX * NB; i++) {
+                    moved[i] = dx[i];
+                    for (int l = 0; l < s; l++)
+                        moved[i] += step * TABLE[s * STAGES + l] * dk[l][i];
+                }
+                solve_stage(&c, stage[s], moved, GAMMA * step, ui[s], (const double(*)[NX])m, pivot, dk[s]);
+            }
+            for (int i = 0; i < NX * NB; i++)
+                dx[i] = moved[i] + GAMMA * step * dk[STAGES - 1][i];
+            memcpy(dk[0], dk[STAGES - 1], sizeof dk[0]);
+#endif
+            memcpy(x, stage[STAGES - 1], sizeof x);
+            memcpy(k[0], k[STAGES - 1], sizeof k[0]);
+            set_scales(x, size, scale);
+            /* Proportional and integral: errors of neighbouring steps damp one another. */
+            const double growth = SAFETY * pow(fmax(wrong, 1e-10), -0.7 / ORDER) * pow(before, 0.4 / ORDER);
+            before = fmax(wrong, 1e-4);
+            done = step == left ? length : done + step;
+            if (step == next || growth < 1)
+                next = growth > KEPT_GROWTH || growth < 1 ? step * fmin(fmax(growth, 0.2), 6) : step;
+            else if (growth * step > next) /* cut short by the end of the interval */
+                next = fmin(growth, 6) * step;
+            has_jacobian = !is_slow && NX > FEW_STATES;
+            jacobian_is_fresh = 0;
+        }
+    }
+    carry[0] = next;
+    return -1;
+}
