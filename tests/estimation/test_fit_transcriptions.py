@@ -187,7 +187,9 @@ def test_a_stiff_plant_is_fitted_with_implicit_steps_and_says_so():
     data = experiment(model, np.arange(80) * 0.01, u[:, None], np.array(y), {"x": 1e-4})
     start = model.start(a=3.0, c=0.2)
     found = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True))
-    assert "Radau IIA" in found.discretisation.label
+    assert (
+        "ESDIRK" in found.discretisation.label
+    )  # the input jumps in every row: Radau steps of one length would be many
     assert found.solver.strategy.values["reason"] == TranscriptionReason.STIFF_IMPLICIT
     explicit = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, method="rk4"))
     points = fit(start, data, noise={"x": 1e-4}, options=FitOptions(at_rest=True, transcription="collocation-radau"))

@@ -99,7 +99,7 @@ def test_profile_and_bootstrap_meet_the_interval(path):
 @every_path
 def test_the_residual_is_tested(path, tmp_path):
     found = residual_tests(found_on(path))
-    assert len(found.tests) == 14
+    assert len(found.tests) == 16
     assert all(np.isfinite(t.statistic) and 0 <= t.p_value <= 1 for t in found.tests)
     whiteness = [t.alarm for t in found.tests if t.kind == "whiteness"]
     assert all(whiteness) if path == "sandwich" else sum(whiteness) <= 1

@@ -440,9 +440,8 @@ def _compute_sensitivity(
         step = discretise(model.system, p, starts[e : e + 1], record.lengths)
         if finer > 1:
             step = discretise(model.system, p, starts[e : e + 1], record.lengths, substeps=finer * step.substeps)
-        kernel = (
-            InterpretedKernel(step) if variables.size * step.substeps <= INTERPRETED_OPERATIONS else make_kernel(step)
-        )
+        is_short = step.adaptive is None and variables.size * step.substeps <= INTERPRETED_OPERATIONS
+        kernel = InterpretedKernel(step) if is_short else make_kernel(step)
         shooting = SingleShooting(variables, step, kernel, (record,), np.ones(ny))
         ((residual, jacobian),) = shooting.residuals(variables.here)
         if not np.isfinite(jacobian).all():

@@ -141,6 +141,7 @@ class EstimationProblem:
             substeps=substeps,
             rows=0 if self.model.noisy_states else sum(len(r.u) for r in self.records),
             directions=self.variables.size,
+            written_out=bool(self.model.noisy_states),
             policy=policy,
         )
         return replace(self, step=step, kernel=make_kernel(step, self.variables.which))
@@ -216,6 +217,7 @@ def prepare_problem(
             # A Kalman filter takes the matrices apart.
             rows=0 if model.noisy_states else sum(len(r.u) for r in records),
             directions=len(model.free_parameters) + int(beginning.free.sum()),
+            written_out=bool(model.noisy_states),
             policy=policy.discretisation,
         )
     if not step.per_interval:

@@ -15,7 +15,7 @@ from greybox.base import Finding, Severity
 from greybox.estimation.options import DEFAULT_POLICY, FitOptions, Transcription, TranscriptionPolicy
 from greybox.estimation.transcription.problem import EstimationProblem, TranscriptionReason, make_strategy
 from greybox.model import System
-from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES
+from greybox.simulation.integrators.discretisation import choose_implicit_method
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate
 from greybox.simulation.kernel.record import Record
 from greybox.simulation.linearise import linearise_along
@@ -53,7 +53,7 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
         free_run=options.transcription == Transcription.SINGLE,
     )
     if proposal.implicit and options.method == "automatic" and not options.substeps:
-        problem = replace(problem, method="radau").with_step(0, p)
+        problem = replace(problem, method=proposal.implicit).with_step(0, p)
     if options.arc_length:
         return TranscriptionChoice(Transcription.ARCS, None, problem)
     if options.transcription != Transcription.AUTOMATIC:
@@ -62,11 +62,11 @@ def select_transcription(problem: EstimationProblem, options: FitOptions) -> Tra
 
 
 class TranscriptionProposal(NamedTuple):
-    """A transcription, why it was proposed (a finding with a code of `TranscriptionReason`), and whether it needs implicit steps."""
+    """A transcription, why it was proposed (a finding with a code of `TranscriptionReason`), and the implicit method it needs, if any."""
 
     transcription: Transcription
     reason: Finding
-    implicit: bool = False
+    implicit: str = ""
 
 
 # Points along the record in which the equations are linearised.
@@ -88,9 +88,9 @@ def propose_transcription(
     """The transcription that suits a model and its record, and why.
 
     Multiple shooting where errors grow along the record (an unstable or chaotic plant). Where the fastest mode asks for more explicit
-    steps than are sensible (stiff, nonlinear) single shooting with implicit steps, or collocation if there are too many states for
-    those (smooth, and not too long). Else single shooting on a growing part of the record, which also keeps the drift of an
-    integrator near the data.
+    steps than are sensible (stiff, nonlinear) single shooting with implicit steps (multiple shooting then has them, too), or collocation
+    if there are too many states for those (smooth, and not too long). Else single shooting on a growing part of the record, which also
+    keeps the drift of an integrator near the data.
 
     Parameters
     ----------
@@ -108,10 +108,11 @@ def propose_transcription(
     duration = record.duration
     growth = 0.0 if free_run else estimate_error_growth(system, p, record, policy, jacobians)
     # exp(rate duration) is the factor by which an error grows over the record.
+    stiff = _propose_for_stiff(system, jacobians, record)
     if growth * duration > math.log(policy.max_error_growth):
         values = {"rate": growth, "exponent": growth * duration, "duration": duration}
-        return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values)
-    stiff = _propose_for_stiff(system, jacobians, record)
+        implicit = stiff.implicit if stiff else ""
+        return _propose(Transcription.MULTIPLE, TranscriptionReason.UNSTABLE, values, implicit)
     if stiff:
         return stiff
     eigenvalues = np.linalg.eigvals(jacobians).ravel()
@@ -158,7 +159,7 @@ def _propose(
     transcription: Transcription,
     reason: TranscriptionReason,
     values: Mapping[str, float | None] = MappingProxyType({}),
-    implicit: bool = False,
+    implicit: str = "",
 ) -> TranscriptionProposal:
     return TranscriptionProposal(transcription, Finding(reason, Severity.NOTE, "", dict(values)), implicit)
 
@@ -202,8 +203,8 @@ def _propose_for_stiff(system: System, jacobians: np.ndarray, record: Record) ->
     if system.linear or substeps <= MAX_EXPLICIT_SUBSTEPS:
         return None
     values = {"fastest": 1 / fastest, "substeps": substeps}
-    if system.x.numel() <= MAX_IMPLICIT_STATES:
-        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, True)
+    if method := choose_implicit_method(system, record.lengths):
+        return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_IMPLICIT, values, method)
     if system.dry or system.updates or system.delays:
         return _propose(Transcription.SINGLE, TranscriptionReason.STIFF_NOT_SMOOTH, values)
     samples = len(record.samples(record.u))

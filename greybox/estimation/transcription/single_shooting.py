@@ -21,7 +21,12 @@ from greybox.estimation.transcription.problem import (
     make_strategy,
 )
 from greybox.estimation.transcription.shooting_cost import Evaluation
-from greybox.simulation.integrators.discretisation import IMPLICIT, choose_substeps, follow_step
+from greybox.simulation.integrators.discretisation import (
+    ADAPTIVE,
+    choose_implicit_method,
+    choose_substeps,
+    follow_step,
+)
 from greybox.simulation.integrators.runge_kutta import find_fast_relaxing_states
 
 # How much of a record to fit at first, and how much more next.
@@ -152,6 +157,8 @@ def solve_with_refined_steps(
     return solution
 
 
+# Implicit substeps in each interval, all of one length, beyond which steps that follow the error cost less.
+MOST_EQUAL_STEPS = 8
 # The change is looked at over the first quarter of every record, or so many rows: three more simulations of all of it cost too much.
 CHECKED_ROWS = 2000
 
@@ -180,7 +187,7 @@ def refine_step(
         return None, error
     # Substeps that an explicit method needs at the states it came by to be stable, and a little more.
     needed, system, p = 1, problem.model.system, problem.variables.fixed
-    if problem.method not in IMPLICIT:
+    if not problem.step.implicit:
         visited = np.concatenate([x[:: max(1, len(x) // 10)] for _, x in runs])
         longest = max(float(r.lengths.max()) for r in problem.records)
         fast = find_fast_relaxing_states(system, p, visited) if problem.method == "mixed" else None
@@ -188,6 +195,10 @@ def refine_step(
         needed = choose_substeps(system, p, visited, longest, relaxing=fast, policy=rules)
     needed = min(needed, policy.max_substeps)
     if is_too_coarse(error, problem, solution.evaluation):
+        if problem.step.implicit and 2 * used > MOST_EQUAL_STEPS and options.method == "automatic":
+            lengths = np.unique(np.concatenate([r.lengths for r in problem.records]))
+            if choose_implicit_method(system, lengths, alike=False) == ADAPTIVE != problem.method:
+                return replace(problem, method=ADAPTIVE).with_step(0, p), error
         return halved if needed <= halved.step.substeps else problem.with_substeps(needed), error
     return (problem.with_substeps(needed) if needed > used else None), error
 
@@ -208,7 +219,7 @@ MOVEMENT_SHARE = 1e-07
 # Records of so few steps altogether cost nothing, and get the share below.
 FEW_STEPS = 2000
 # Allowed change over noise and misfit of records of few steps. An error of a share s of the residual changes the cost by 2 s at most, so
-# the cost has its first six digits.
+# the cost has its first six digits. Steps that follow the error are as many as that takes, however few the rows are.
 NOISE_SHARE_OF_FEW = 1e-06
 
 
@@ -220,7 +231,7 @@ def is_too_coarse(error: np.ndarray, problem: EstimationProblem, evaluation: Eva
     # Misfit of each output over its noise.
     ratio = np.sqrt(evaluation.squares / np.maximum(evaluation.counts, 1))
     steps = (substeps or problem.step.substeps) * sum(len(r.h) for r in problem.records)
-    few = steps <= FEW_STEPS
+    few = steps <= FEW_STEPS and problem.step.adaptive is None
     noise_share = NOISE_SHARE_OF_FEW if few else STEP_REFINEMENT_NOISE_SHARE
     misfit_share = NOISE_SHARE_OF_FEW if few else MISFIT_SHARE
     # A share of the noise (of the misfit where that is even less), or of a misfit far above it.

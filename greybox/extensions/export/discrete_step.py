@@ -121,7 +121,7 @@ def make_discrete_step(
         rows = np.searchsorted(elapsed, np.arange(count) * period * (1 + 1e-12), side="right") - 1
         inputs = np.column_stack([record.inputs[i.name][rows] for i in plant.model.inputs])
         chosen = {"target": DISCRETE_STEP_PRECISION, "inputs": inputs}
-    step = discretise(system, p, x0[None, :], np.array([float(period)]), method=method, **chosen)
+    step = discretise(system, p, x0[None, :], np.array([float(period)]), method=method, written_out=True, **chosen)
     start = ca.Function("start", [system.p], [ca.densify(system.start)])
     return DiscreteStep(known, step, float(period), p, x0, known, start)
 

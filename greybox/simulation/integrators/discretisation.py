@@ -11,8 +11,9 @@ import numpy as np
 
 from greybox.base import ModelError, nearest
 from greybox.model import System
+from greybox.simulation.integrators.esdirk import MOST_STATES, esdirk
 from greybox.simulation.integrators.exact_hold import exact_hold
-from greybox.simulation.integrators.implicit import midpoint, radau
+from greybox.simulation.integrators.implicit import MAX_IMPLICIT_STATES, midpoint, radau
 from greybox.simulation.integrators.input_delay import add_input_history, require_history
 from greybox.simulation.integrators.runge_kutta import compute_fastest_rate, find_fast_relaxing_states, mixed, rk4
 from greybox.simulation.integrators.step import MANY_STATES, InputHistory, Step
@@ -28,7 +29,7 @@ class DiscretisationPolicy:
     thousand."""
 
     max_substeps: int = 1000
-    """Substeps in one sampling interval; a model that asks for more is stiff and wants an implicit method."""
+    """Substeps in one sampling interval; a model that asks for more is stiff and gets an implicit method."""
 
 
 DEFAULT_POLICY = DiscretisationPolicy()
@@ -144,8 +145,27 @@ EXPLICIT = {"rk4": rk4}
 IMPLICIT = {"midpoint": midpoint, "radau": radau}
 """Methods that take stiff modes in one step: ``(system, substeps, past) -> Step``."""
 
-METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT)
+ADAPTIVE = "esdirk"
+"""The method whose steps follow the error, whatever the lengths of the intervals are."""
+
+METHODS = ("automatic", "exact", *EXPLICIT, "mixed", *IMPLICIT, ADAPTIVE)
 """What may be asked for."""
+
+
+def choose_implicit_method(
+    system: System, lengths: np.ndarray, *, alike: bool = True, written_out: bool = False
+) -> str:
+    """The method that suits a stiff model; "" where there is none.
+
+    Radau IIA for few states and intervals alike, whose steps are all the same (unless not ``alike``); else steps that follow the error,
+    for a smooth model. ``written_out``: only a step that can be written out as instructions.
+    """
+    is_smooth = not (system.dry or system.updates or system.delays)
+    few = system.x.numel() <= MAX_IMPLICIT_STATES
+    longest, shortest = (float(f(lengths, initial=v)) for f, v in ((np.max, 0.0), (np.min, np.inf)))
+    if few and (written_out or not is_smooth or (alike and longest <= ALIKE_LENGTHS * shortest)):
+        return "radau"
+    return ADAPTIVE if is_smooth and not written_out and system.x.numel() <= MOST_STATES else ""
 
 
 # Distinct interval lengths for which the exact hold is taken: each needs a matrix exponential of its own.
@@ -168,6 +188,7 @@ def discretise(
     inputs: np.ndarray | None = None,
     rows: int = 0,
     directions: int = 0,
+    written_out: bool = False,
     policy: DiscretisationPolicy = DEFAULT_POLICY,
 ) -> Step:
     """One discrete step of ``system`` for records with given interval lengths.
@@ -182,9 +203,10 @@ def discretise(
         The distinct interval lengths of the records, in seconds.
     method
         ``automatic`` takes the exact hold for a linear model (unless the time is so irregular that every interval has a length of its
-        own), by its series where the model is so large and sparse that this costs less, and RK4 otherwise.
+        own), by its series where the model is so large and sparse that this costs less, and RK4 otherwise, but an implicit method
+        where that would need more substeps than the policy allows.
         ``exact``, ``rk4``, ``mixed`` (RK4 with exponentials of fast relaxing states), and for stiff nonlinear
-        models ``midpoint`` and ``radau``.
+        models ``midpoint``, ``radau`` and ``esdirk``, whose steps follow the error.
     substeps
         Substeps in each sampling interval. 0 ties them to the fastest eigenvalue; the implicit methods then take one.
     target
@@ -193,6 +215,8 @@ def discretise(
     rows, directions
         Rows of all records over which a search will run it, and directions of the tangents: what a large linear model costs decides how
         its exact hold is computed (`greybox.simulation.integrators.taylor`). Zero for single runs.
+    written_out
+        Whether the step must be written out as instructions, as a filter or an export takes it; then its length is fixed.
     policy
         How fine a step has to be, and what the methods can take.
 
@@ -234,11 +258,17 @@ def discretise(
             return _make_taylor(system, chosen[0], substeps or chosen[1])
     if method == "exact" or (method == "automatic" and system.linear and few_lengths and not uneven_delay):
         return _make(system, "exact", (), 1, past)
+    # As written out they take few states only.
+    if method in IMPLICIT and system.x.numel() > MAX_IMPLICIT_STATES:
+        method = choose_implicit_method(system, lengths, written_out=written_out) or method
     fast = find_fast_relaxing_states(system, p, x) if method == "mixed" else system.relaxing
     first = substeps or (
         # An implicit step is stable at any length; whether it is accurate is what ``target`` asks.
-        1 if method in IMPLICIT else choose_substeps(system, p, x, longest, relaxing=fast, policy=policy)
+        1 if method in (*IMPLICIT, ADAPTIVE) else choose_substeps(system, p, x, longest, relaxing=fast, policy=policy)
     )
+    if method == "automatic" and not substeps and first >= policy.max_substeps:
+        implicit = choose_implicit_method(system, lengths, written_out=written_out)
+        method, first = (implicit, 1) if implicit else (method, first)
 
     def make(count: int) -> Step:
         return _make(system, method, tuple(fast), count, past)
@@ -258,4 +288,6 @@ def _make(system: System, method: str, fast: tuple[int, ...], substeps: int, pas
         return exact_hold(system, past)
     if method == "mixed":
         return mixed(system, fast, substeps, past)
+    if method == ADAPTIVE:
+        return esdirk(system, substeps)
     return (IMPLICIT | EXPLICIT).get(method, rk4)(system, substeps, past)

@@ -44,7 +44,10 @@ _EMBEDDED = (
     Fraction(61727, 225920),
 )
 TABLE = np.array(
-    [[*map(float, row), *([0.0] if i == 0 else [float(GAMMA)]), *[0.0] * (STAGES - 1 - i)] for i, row in enumerate(_ROWS)]
+    [
+        [*map(float, row), *([0.0] if i == 0 else [float(GAMMA)]), *[0.0] * (STAGES - 1 - i)]
+        for i, row in enumerate(_ROWS)
+    ]
 )
 NODES = TABLE.sum(axis=1)
 # What the weights of the method, the last row, are more than those of the embedded one.
@@ -65,9 +68,15 @@ def esdirk(system: System, refinement: int = 1) -> Step:
     Raises ModelError for a model that is not smooth (dry friction, states that are set, a delayed input) and for one of more than
     `MOST_STATES` states.
     """
-    reasons = {"dry friction": system.dry, "states that are set (play)": system.updates, "a delayed input": system.delays}
-    if rough := [reason for reason, there in reasons.items() if there]:
-        raise ModelError(f"steps that follow the error take smooth models, this one has {' and '.join(rough)}; use 'rk4'")
+    obstacles = {
+        "dry friction": system.dry,
+        "states that are set (play)": system.updates,
+        "a delayed input": system.delays,
+    }
+    if present := [name for name, parts in obstacles.items() if parts]:
+        raise ModelError(
+            f"steps that follow the error take smooth models, this one has {' and '.join(present)}; use 'rk4'"
+        )
     if system.x.numel() > MOST_STATES:
         raise ModelError(
             f"steps that follow the error take up to {MOST_STATES} states, this model has {system.x.numel()}; use 'rk4'"
@@ -85,4 +94,6 @@ def esdirk(system: System, refinement: int = 1) -> Step:
     )
     advance = ca.Function("advance", [x, ua, ub, p, h], [rk4_step(rates)(x, ua, ub, p, h)])
     adaptive = AdaptiveRates(rates, tuple(state.unit for state in system.states), TOLERANCE)
-    return Step("ESDIRK4(3)", advance, system.output_function, as_coefficients, refinement, adaptive=adaptive)
+    return Step(
+        "ESDIRK4(3)", advance, system.output_function, as_coefficients, refinement, implicit=True, adaptive=adaptive
+    )

@@ -7,6 +7,7 @@ ordinary instructions, so that both kernels run them and differentiate them exac
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import casadi as ca
 
@@ -22,7 +23,8 @@ def midpoint(system: System, substeps: int = 1, past: InputHistory | None = None
     A mode much faster than the step rings on without decay: take `radau` for those. Raises ModelError beyond the states that
     ``policy`` allows.
     """
-    return make_step("implicit midpoint", _require_few_states(system), midpoint_step(), substeps, past)
+    step = make_step("implicit midpoint", _require_few_states(system), midpoint_step(), substeps, past)
+    return replace(step, implicit=True)
 
 
 def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -> Step:
@@ -30,7 +32,7 @@ def radau(system: System, substeps: int = 1, past: InputHistory | None = None) -
 
     Hairer, Wanner, Solving Ordinary Differential Equations II, table IV.5.5. Raises ModelError beyond the states that ``policy`` allows.
     """
-    return make_step("Radau IIA", _require_few_states(system), radau_step(), substeps, past)
+    return replace(make_step("Radau IIA", _require_few_states(system), radau_step(), substeps, past), implicit=True)
 
 
 # Newton iterations of an implicit step, from the Jacobian at its start. Each gains one order in ``h``, and the methods are of order two

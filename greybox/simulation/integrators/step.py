@@ -100,6 +100,9 @@ class Step:
     """Of a step that is linear ``(ua, ub) -> r (nr,)``: ``x_next = Q [x; r]`` with ``q`` the matrix ``Q`` (nx, nx + nr), column by
     column."""
 
+    implicit: bool = False
+    """Whether it is stable however fast a mode decays."""
+
     adaptive: AdaptiveRates | None = None
     """Of steps whose lengths follow the error: what a kernel needs instead of ``advance``, which is RK4; ``substeps`` then says how many
     times shorter they are than the tolerance asks for."""

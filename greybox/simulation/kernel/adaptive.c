@@ -103,16 +103,18 @@ static void set_scales(const double *x, double *size, double *scale)
         scale[i] = scale_of(i, x[i], size);
 }
 
-/* Root mean square of the errors over what a step may make. */
-static double measure(const double *error, const double *scale, double tolerance)
+/* Root mean square of the errors over what a step may make. A state that has no scale yet has that of its present rate over the step. */
+static double measure(const double *error, const double *scale, const double *rate, double step, double tolerance)
 {
     double sum = 0;
-    for (int i = 0; i < NX; i++)
-        if (scale[i] > 0) {
-            const double part = error[i] / (tolerance * scale[i]);
+    for (int i = 0; i < NX; i++) {
+        const double size = scale[i] > 0 ? scale[i] : FLOOR * step * fabs(rate[i]);
+        if (size > 0) {
+            const double part = error[i] / (tolerance * size);
             sum += part * part;
         } else if (!isfinite(error[i]))
             return INFINITY;
+    }
     return sqrt(sum / NX);
 }
 
@@ -194,14 +196,13 @@ EXPORT long integrate(long n, int first_order, int is_even, double tolerance, co
 #ifdef NB
         rates_along(&c, x, dx, u0, k[0], dk[0]);
 #endif
-        if (!(next > 0)) {
-            double state = 0, rate = 0;
-            for (int i = 0; i < NX; i++) {
-                if (scale[i] > 0)
-                    state += pow(x[i] / scale[i], 2), rate += pow(k[0][i] / scale[i], 2);
-            }
+        double state = 0, rate = 0;
+        for (int i = 0; i < NX; i++)
+            if (scale[i] > 0)
+                state += pow(x[i] / scale[i], 2), rate += pow(k[0][i] / scale[i], 2);
+        /* Where all is at zero the steps before tell nothing. */
+        if (!(next > 0) || !(state > 0))
             next = state > 0 && rate > 0 ? FIRST_SHARE * sqrt(state / rate) : FIRST_SHARE * length;
-        }
         jacobian_is_fresh = 0, has_jacobian = 0;
         for (long count = 0; done < length; count++) {
             const double left = length - done;
@@ -238,7 +239,7 @@ EXPORT long integrate(long n, int first_order, int is_even, double tolerance, co
                     solve((const double(*)[NX])m, pivot, trial);
                     for (int i = 0; i < NX; i++)
                         stage[s][i] += trial[i];
-                    const double change = measure(trial, scale, tolerance), ratio = change / last;
+                    const double change = measure(trial, scale, k[0], step, tolerance), ratio = change / last;
                     if (!(change < INFINITY) || ratio > DIVERGING)
                         break;
                     is_slow |= ratio < INFINITY && ratio > SLOW;
@@ -259,7 +260,7 @@ EXPORT long integrate(long n, int first_order, int is_even, double tolerance, co
                 }
                 /* A stiff mode, which the method damps, is no error. */
                 solve((const double(*)[NX])m, pivot, error);
-                wrong = measure(error, scale, tolerance);
+                wrong = measure(error, scale, k[0], step, tolerance);
             }
             if (!(wrong <= 1)) {
                 work[1]++;

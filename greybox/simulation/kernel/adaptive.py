@@ -85,20 +85,18 @@ class AdaptiveKernel(KernelInParts):
         self._libraries: dict[tuple[int, int], Any] = {}
         self.work = np.zeros(4, np.int64)
         """Steps, steps refused, Jacobians and factorisations so far."""
-        self.reason = "stiff, and smooth"
+        self.reason, self.is_compiled = "stiff, and smooth", True
         try:
             self._get_library(0, 0)
         except (CompilerError, UnsupportedOperationError) as error:
-            self.reason = f"no compiled code: {error}"
-            self._run = self._run_by_numpy
+            self.reason, self.is_compiled = f"no compiled code: {error}", False
 
     name = "adaptive"
 
     @property
     def description(self) -> str:
         """What runs it, and to which tolerance."""
-        way = "NumPy" if self._run == self._run_by_numpy else "compiled C"
-        return f"{way}, {self.step.label}"
+        return f"{'compiled C' if self.is_compiled else 'NumPy'}, {self.step.label}"
 
     def with_substeps(self, substeps: int) -> AdaptiveKernel:
         """The same with steps as many times shorter than the tolerance of the step asks for."""
@@ -115,7 +113,8 @@ class AdaptiveKernel(KernelInParts):
             end = min(start + count + 1, n)
             h = record.h if is_repeated(record.h) else record.h[start : end - 1]
             xs, dxs = np.full((end - start, nx), np.nan), np.zeros((end - start, nx, directions))
-            self._run(record.u[start:end], h, record.first_order, arguments, x, dx, carry, xs, dxs)
+            run = self._run if self.is_compiled else self._run_by_numpy
+            run(record.u[start:end], h, record.first_order, arguments, x, dx, carry, xs, dxs)
             y = self._map(0, xs[:count], record.u[start : start + count], arguments.p)
             yield RecordPart(start, xs[:count], y, dxs[:count])
             x, dx, start = xs[-1].copy(), dxs[-1].copy(), start + count
@@ -227,7 +226,9 @@ class AdaptiveKernel(KernelInParts):
         routines = [CRoutine(name, fuse_products(simplify_tape(t)), inputs, (), 0).text() for name, t in tapes.items()]
         if blocks:
             elements = {} if self.free is None else {2: self.free}
-            tape = fuse_products(simplify_tape(read_tape(self._rates, active=(0, 2), varying=(0, 1), elements=elements)))
+            tape = fuse_products(
+                simplify_tape(read_tape(self._rates, active=(0, 2), varying=(0, 1), elements=elements))
+            )
             routines.append(CRoutine("slopes", tape, inputs, (0, 2), blocks).text())
         return "\n".join(
             [
@@ -283,21 +284,24 @@ class _NumpyRun:
         mates = np.array([size[units == unit].max() for unit in units])
         self.scale = np.abs(x) + FLOOR * np.maximum(size, MATES * mates)
 
-    def measure(self, error: np.ndarray) -> float:
+    def measure(self, error: np.ndarray, rate: np.ndarray, step: float) -> float:
+        """Root mean square of the errors over what a step may make; a state without a scale has that of its present rate over the step."""
         if not np.isfinite(error).all():
             return np.inf
-        known = self.scale > 0
-        return float(np.sqrt(np.sum((error[known] / (self.kernel.tolerance * self.scale[known])) ** 2) / len(error)))
+        scale = np.where(self.scale > 0, self.scale, FLOOR * step * np.abs(rate))
+        known = scale > 0
+        return float(np.sqrt(np.sum((error[known] / (self.kernel.tolerance * scale[known])) ** 2) / len(error)))
 
     def cross(
         self, x: np.ndarray, dx: np.ndarray, length: float, start: np.ndarray, end: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray] | None:
-        """State and tangents at the end of an interval over which the input runs from ``start`` to ``end``; None where it is not reached."""
+        """State and tangents after an interval over which the input runs from ``start`` to ``end``; None where its end is not reached."""
         self.set_scales(x)
         first, dfirst = self.rates(x, start), self.rates_along(x, dx, start)
-        if not self.carry[0] > 0:
-            known = self.scale > 0
-            state, rate = (float(np.sum((v[known] / self.scale[known]) ** 2)) for v in (x, first))
+        known = self.scale > 0
+        state, rate = (float(np.sum((v[known] / self.scale[known]) ** 2)) for v in (x, first))
+        # Where all is at zero the steps before tell nothing.
+        if not (self.carry[0] > 0 and state > 0):
             self.carry[0] = FIRST_SHARE * (np.sqrt(state / rate) if state > 0 and rate > 0 else length)
         done, jacobian, matrix, is_fresh = 0.0, None, None, False
         for _ in range(MOST_STEPS):
@@ -317,7 +321,7 @@ class _NumpyRun:
             wrong = np.inf
             if stages is not None:
                 error = _solve(matrix, step * (esdirk.LESS @ np.array(rates)))
-                wrong = self.measure(error)
+                wrong = self.measure(error, first, step)
             if not wrong <= 1:
                 self.kernel.work[1] += 1
                 if stages is None and not is_fresh:
@@ -331,7 +335,9 @@ class _NumpyRun:
             dx, dfirst = self._move_tangents(dx, dfirst, step, stages, inputs, matrix)
             x, first = stages[-1], rates[-1]
             self.set_scales(x)
-            growth = SAFETY * max(wrong, 1e-10) ** (-0.7 / esdirk.ERROR_ORDER) * self.before ** (0.4 / esdirk.ERROR_ORDER)
+            growth = (
+                SAFETY * max(wrong, 1e-10) ** (-0.7 / esdirk.ERROR_ORDER) * self.before ** (0.4 / esdirk.ERROR_ORDER)
+            )
             self.before = max(wrong, 1e-4)
             done = length if step == left else done + step
             if step == self.carry[0] or growth < 1:
@@ -354,7 +360,7 @@ class _NumpyRun:
             for iteration in range(MOST_ITERATIONS):
                 moved = _solve(matrix, base + matrix.scale * self.rates(stage, inputs[s]) - stage)
                 stage = stage + moved
-                change = self.measure(moved)
+                change = self.measure(moved, first, step)
                 ratio = change / last
                 if not change < np.inf or ratio > DIVERGING:
                     return None, rates, is_slow

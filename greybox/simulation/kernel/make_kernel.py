@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.base import GreyboxError
 from greybox.simulation.integrators.step import MANY_STATES, Step
+from greybox.simulation.kernel.adaptive import AdaptiveKernel
 from greybox.simulation.kernel.c_compiler import CompilerError, GreyboxWarning, NoCompilerError
 from greybox.simulation.kernel.compiled import CompiledKernel
 from greybox.simulation.kernel.gradual import GradualKernel
@@ -125,6 +126,9 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
     GreyboxError
         If ``GREYBOX_KERNEL`` names no kernel.
     """
+    which = None if free is None else tuple(sorted(set(map(int, free))))
+    if step.adaptive is not None:
+        return _make_adaptive(step, which)
     forced = os.environ.get("GREYBOX_KERNEL", "")
     if forced not in ("", "compiled", "interpreted"):
         raise GreyboxError(f"GREYBOX_KERNEL={forced}: no such kernel; set it to compiled or interpreted, or unset it")
@@ -135,7 +139,7 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
     try:
         # Forced, the simulation is compiled before anything runs; else the machine begins at once.
         make = _make_compiled if forced == "compiled" else _make_fallback
-        return make(step, None if free is None else tuple(sorted(set(map(int, free)))))
+        return make(step, which)
     except (CompilerError, UnsupportedOperationError) as error:
         if forced == "compiled":
             raise
@@ -145,6 +149,7 @@ def make_kernel(step: Step, free: Collection[int] | None = None) -> Kernel:
 
 # These are for the next fit with the same step.
 _make_linear = lru_cache(maxsize=64)(LinearKernel)
+_make_adaptive = lru_cache(maxsize=64)(AdaptiveKernel)
 
 
 @lru_cache(maxsize=64)

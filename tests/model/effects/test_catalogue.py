@@ -122,6 +122,18 @@ def test_force_is_the_hand_formula(model, name):
 
 
 @each_model
+def test_a_reversed_wire_turns_the_sign_wherever_the_signal_goes(model):
+    values = list(model.values.values())
+    driven, read = model + effect("reversed_input"), model + effect("reversed_reading")
+    for x, u in points(model):
+        np.testing.assert_allclose(rates(driven, x, u), rates(model, x, -u), rtol=1e-12)
+        np.testing.assert_allclose(rates(read, x, u), rates(model, x, u), rtol=1e-12)
+        plain = np.array(model.system.output_function(x, u, values)).ravel()
+        mirrored = np.array(read.system.output_function(x, u, values)).ravel()
+        np.testing.assert_allclose(mirrored, [-plain[0], *plain[1:]], rtol=1e-12)
+
+
+@each_model
 def test_input_offset_moves_the_input_wherever_it_enters(model):
     changed = model + effect("input_offset")
     values = list((changed.values | {"u0": -0.6}).values())
