@@ -194,14 +194,11 @@ def test_every_effect_of_the_catalogue_is_compared_here_or_by_hand():
 
 def test_every_effect_of_both_rigs_is_compared():
     for rig, model in MODELS.items():
-        assert (
-            set(TRUTHS[rig])
-            == {
-                e.name
-                for e in greybox.model.effects.catalogue.applicable_effects(model)
-                if e.name.partition("_at_")[0] not in BY_HAND
-            }
-        )
+        assert set(TRUTHS[rig]) == {
+            e.name
+            for e in greybox.model.effects.catalogue.applicable_effects(model)
+            if e.name.partition("_at_")[0] not in BY_HAND
+        }
         for name, values in TRUTHS[rig].items():
             assert set(values) == {q.name for q in effect(name).parameters}
 
