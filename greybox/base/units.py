@@ -451,35 +451,32 @@ def unit_converter(source: str, target: str) -> Conversion:
 
 def _compare_counted(source: str, target: str) -> tuple[float, Note]:
     """Power of 2 pi between two units of one dimension, and what it takes for granted. Raises UnitError for different quantities."""
-    first, second = _sum_counted(source), _sum_counted(target)
-    if first == second:
-        return 0.0, Note.NONE
-    for unit, mine, other in ((source, first, second), (target, second, first)):
-        if mine.get("number") and mine.get("number") != other.get("number"):
-            raise UnitError(f"{unit} is a number and no unit of a reading")
-    angles = first.get("angle", 0.0), second.get("angle", 0.0)
-    counts = first.get("count", 0.0) - second.get("count", 0.0)
-    note = Note.COUNTS if counts else Note.NONE
-    if not any(angles):
+    units = source, target
+    counted = [_sum_counted(unit) for unit in units]
+    kinds = {kind for sums in counted for kind in sums if counted[0].get(kind) != counted[1].get(kind)}
+    if "number" in kinds:
+        unit = next(unit for unit, sums in zip(units, counted, strict=True) if "number" in sums)
+        raise UnitError(f"{unit} is a number and no unit of a reading")
+    note = Note.COUNTS if "count" in kinds else Note.NONE
+    if not any("angle" in sums for sums in counted):
         return 0.0, note
-    periods = [first.get("period", 0.0), second.get("period", 0.0)]
-    missing = angles[0] + periods[0] - angles[1] - periods[1]
-    if missing and not counts and not {"share"} & {*first, *second}:
-        # The side that names no angle; per minute it counts turns (1/min is rpm), else only a radian may be left out.
-        side, unit = (1, target) if abs(angles[0]) > abs(angles[1]) else (0, source)
-        per_minute = parse_powers(unit)[1].get("min", 0.0)
-        if per_minute == (-missing if side else missing):
-            periods[side] -= per_minute
-            missing = 0.0
-        elif _is_in_radians(target if side == 0 else source) and not _is_rate(unit):
-            return 0.0, note
-    if missing or counts or {"share"} & {*first, *second}:
-        raise UnitError(
-            f"{source or '1'} and {target or '1'} share a dimension and may count different things (turns, radians, counts, percent);"
-            " say which, in turn/s, rad/s, deg, rad, ..."
-        )
-    turns = periods[0] - periods[1]
-    return turns, Note.TURNS if turns else note
+    # Where nothing else is counted, per minute means turns: 1/min is rpm.
+    periods = [
+        sums.get("period", 0.0 if "angle" in sums else -parse_powers(unit)[1].get("min", 0.0))
+        for unit, sums in zip(units, counted, strict=True)
+    ]
+    turns = [sums.get("angle", 0.0) + period for sums, period in zip(counted, periods, strict=True)]
+    if turns[0] == turns[1] and not {"count", "share"} & kinds:
+        return periods[0] - periods[1], Note.TURNS if periods[0] != periods[1] else note
+    # A radian may be left out, but for a rate: that of a rotation or of anything else.
+    is_rate = {symbol for symbol, _ in parse_unit(source).dimensions} == {"s"}
+    angles = [s for unit in units for s in parse_powers(unit)[1] if _symbol(s, unit).counted == "angle"]
+    if kinds == {"angle"} and 0.0 in turns and not is_rate and all(s.endswith(("rad", "radian")) for s in angles):
+        return 0.0, note
+    raise UnitError(
+        f"{source or '1'} and {target or '1'} share a dimension and may count different things (turns, radians, counts, percent);"
+        " say which, in turn/s, rad/s, deg, rad, ..."
+    )
 
 
 def _sum_counted(unit: str) -> dict[str, float]:
@@ -487,19 +484,8 @@ def _sum_counted(unit: str) -> dict[str, float]:
     result: dict[str, float] = {}
     for symbol, exponent in parse_powers(unit)[1].items():
         counted = _symbol(symbol, unit).counted
-        # rpm and Hz are turns and periods by themselves.
         result[counted] = result.get(counted, 0.0) + exponent
     return {counted: exponent for counted, exponent in result.items() if counted and exponent}
-
-
-def _is_in_radians(unit: str) -> bool:
-    """Whether every angle in a unit is a radian, which SI allows to be left out."""
-    angles = [s for s in parse_powers(unit)[1] if _symbol(s, unit).counted == "angle"]
-    return all(s.endswith(("rad", "radian")) for s in angles)
-
-
-def _is_rate(unit: str) -> bool:
-    return {symbol for symbol, _ in parse_unit(unit).dimensions} == {"s"}
 
 
 def convert(values: Any, source: str, target: str) -> np.ndarray:

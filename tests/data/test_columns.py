@@ -282,3 +282,30 @@ def test_the_survey_proposes_what_a_model_and_the_reader_accept(tmp_path):
     model = SimpleNamespace(name="any", inputs=(), outputs=outputs, stated_parameters=())
     arrays = read_arrays(path, model, columns=dict(survey.columns))
     np.testing.assert_allclose(arrays.time, 0.01 * np.arange(8))
+
+
+@pytest.mark.parametrize(
+    ("header", "cell_format", "value", "share"),
+    [
+        ("u", "0%", 0.5, 0.5),
+        ("u [%]", "0.0%", 0.5, 0.5),
+        ("u (%)", "#,##0.00%", 0.25, 0.25),
+        ("u [%]", "General", 50, 0.5),
+        ("u [%]", '0.0"%"', 50, 0.5),
+        ("u [1]", "0%", 0.5, 0.5),
+        ("u [%]", r"0\%", 50, 0.5),
+    ],
+)
+@pytest.mark.parametrize("unit", ["1", "%"])
+def test_cells_that_are_shown_as_percent_are_percent(tmp_path, header, cell_format, value, share, unit):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["time [s]", header, "x"])
+    for k in range(4):
+        book.active.append([k, None if k == 1 else value * (k + 1), k])
+    for row in range(2, 6):
+        book.active.cell(row, 2).number_format = cell_format
+    book.save(tmp_path / "run.xlsx")
+    model = SimpleNamespace(name="any", inputs=(), outputs=(Output("u", unit), Output("x", "V")), stated_parameters=())
+    read = read_arrays(tmp_path / "run.xlsx", model).outputs["u"]
+    np.testing.assert_allclose(read[[0, 2, 3]], np.array([1, 3, 4]) * share * (100 if unit == "%" else 1))

@@ -142,7 +142,7 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
     """The first block of a sheet: headers, then rows until one is empty. None where there is none."""
     rows = iter(page.iter_rows(values_only=True))
     head: Sequence[Any] | None = None
-    for row in rows:
+    for number, row in enumerate(rows, 1):
         texts = sum(isinstance(cell, str) and bool(cell.strip()) for cell in row)
         values = sum(_is_value(cell) for cell in row)
         # A row of texts alone is one of headers; the fuller one counts, and a shorter one below it holds units.
@@ -152,8 +152,23 @@ def _read_sheet(page: Any, policy: ReadingPolicy) -> _Sheet | None:
                 continue
             head = join_units(head, row)
         elif head is not None and values:
-            return _read_block(page.title, head, row, rows, policy)
+            return _read_block(page.title, head, row, rows, policy, _find_percents(page, number))
     return None
+
+
+# Rows in which the format of a column is looked for: its first cells may be empty.
+FORMAT_ROWS = 20
+
+
+def _find_percents(page: Any, first: int) -> set[int]:
+    """Positions of the columns whose first numbers, from row ``first`` on, are shown as percent: 50 % is kept as 0.5."""
+    formats: dict[int, str] = {}
+    for row in page.iter_rows(min_row=first, max_row=first + FORMAT_ROWS):
+        for k, cell in enumerate(row):
+            if isinstance(cell.value, (int, float)):
+                formats.setdefault(k, cell.number_format)
+    # A sign in quotation marks or behind a backslash is only written beside the number.
+    return {k for k, text in formats.items() if "%" in re.sub(r'"[^"]*"|\\.', "", text)}
 
 
 def _is_value(cell: Any) -> bool:
@@ -161,7 +176,12 @@ def _is_value(cell: Any) -> bool:
 
 
 def _read_block(
-    title: str, head: Sequence[Any], first: Sequence[Any], rows: Iterator[Sequence[Any]], policy: ReadingPolicy
+    title: str,
+    head: Sequence[Any],
+    first: Sequence[Any],
+    rows: Iterator[Sequence[Any]],
+    policy: ReadingPolicy,
+    percents: set[int],
 ) -> _Sheet:
     # A column without a header holds remarks, sums or nothing, or an index: it is one if its first row is a number or a date.
     named = {k: str(cell).strip() for k, cell in enumerate(head) if cell is not None and str(cell).strip()}
@@ -181,7 +201,15 @@ def _read_block(
     left = sum(any(cell is not None for cell in below) for below in rows)
     values = {"row": count + 1, "rows": left}
     findings = (Finding(RecordCode.ROWS_BELOW_TABLE, Severity.WARNING, title, values),) if left else ()
-    return _Sheet(title, {named[k]: _to_column(column) for k, column in cells.items()}, findings)
+    columns: dict[str, np.ndarray | Stamps] = {}
+    for k, column in cells.items():
+        numbers, header = _to_column(column), parse_header(named[k], k)
+        # The number that is shown, in percent, unless the header states another unit for the one that is kept.
+        if k in percents and header.unit in ("", "%") and isinstance(numbers, np.ndarray) and numbers.dtype != object:
+            columns[named[k] if header.unit else f"{named[k]} [%]"] = 100 * numbers
+        else:
+            columns[named[k]] = numbers
+    return _Sheet(title, columns, findings)
 
 
 def _to_column(cells: list[Any]) -> np.ndarray | Stamps:
