@@ -261,6 +261,11 @@ def merge_mappings(first: Mapping[str, str], second: Mapping[str, str]) -> dict[
     return {key: header for key, header in first.items() if split_signal(key)[0] not in names} | dict(second)
 
 
+def _list_signals(model: Model) -> list[RequestedSignal]:
+    inputs = [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
+    return inputs + [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+
+
 def match_columns(
     table: DataTable,
     model: Model,
@@ -280,9 +285,7 @@ def match_columns(
     columns = [parse_header(h, k) for k, h in enumerate(table.headers)]
     clock = RequestedSignal(SignalKind.TIME, TIME, "s")
     signals = [] if has_clock else [clock]
-    signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
-    if not inputs_only:
-        signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+    signals += [s for s in _list_signals(model) if s.kind is SignalKind.INPUT or not inputs_only]
     signals += conditions
     known = [s.name for s in signals]
     optional = {o.name for o in model.outputs} if inputs_only else set()
@@ -294,9 +297,8 @@ def match_columns(
         for n in mapping
         if n not in known and n != TIME
     ]
-    problems += [
-        f"columns names {n!r} {count} times; keep one" for n in mapping if (count := [e[0] for e in named].count(n)) > 1
-    ]
+    twice = [n for n in mapping if [name for name, *_ in named].count(n) > 1]
+    problems += [f"columns names {n!r} more than once; keep one" for n in twice]
     matched, free = _apply_mapping(columns, signals, mapping, table.numbered, problems)
     units = {name: unit for name, unit, _ in named if unit}
     matched = {
@@ -397,9 +399,7 @@ def propose_columns(
     }
     used = {c.position for c in match.columns.values()}
     spare = [c for c in columns if c.position not in used and c.position in names]
-    signals = [] if has_clock else [RequestedSignal(SignalKind.TIME, TIME, "s")]
-    signals += [RequestedSignal(SignalKind.INPUT, i.name, i.unit) for i in model.inputs]
-    signals += [RequestedSignal(SignalKind.OUTPUT, o.name, o.unit) for o in model.outputs]
+    signals = [*([] if has_clock else [RequestedSignal(SignalKind.TIME, TIME, "s")]), *_list_signals(model)]
     chosen = {split_signal(key)[0] for key in kept}
     choices = []
     for signal in signals:

@@ -150,6 +150,8 @@ def read_endings(column: Column) -> tuple[Column, ...]:
 def _find_everyday(text: str) -> str:
     """The text as an everyday unit; in small letters where it begins with a capital (``MS``, ``Mm``); "" where it is none."""
     plain = text.removeprefix("(").removesuffix(")") if text[:1] == "(" else text
+    if len(plain) == 1 and plain.isalpha() and plain not in _EVERYDAY:
+        return ""  # phi_r is a reference, not turns
     for unit in dict.fromkeys((plain.lower(), plain) if plain[:1].isupper() and len(plain) > 1 else (plain,)):
         try:
             powers = parse_powers(read_notation(unit))[1]

@@ -8,7 +8,7 @@ from functools import lru_cache
 from greybox.base import ModelError, is_unit, parse_unit, unit_converter
 from greybox.base.units import Conversion, UnitError, has_zero_point, parse_powers
 
-# Everyday words, English and German, in small letters unless their case tells them apart; those that the registry knows are not repeated.
+# Everyday words, English and German, in small letters unless their case tells them apart.
 WORDS: dict[str, str] = {
     word: unit
     for unit, words in {
@@ -20,36 +20,44 @@ WORDS: dict[str, str] = {
         "h": "hr hrs hour hours std stunde stunden",
         "day": "day days tag tage",
         "turn": "U rev revs rot rots rotation rotations umdr umdrehung umdrehungen tr r",
-        "rpm": "rpm upm",
         "deg": "degs degree degrees Grad winkelgrad",
         "rad": "rads radian radians radiant",
         "degC": "degc celsius °c ºc ºC",
         "degF": "degf fahrenheit °f ºF",
         "K": "°K degk kelvin",
-        "psi": "psia",
-        "kPa": "kpa",
-        "hPa": "hpa",
-        "l/min": "lpm",
-        "gal/min": "gpm",
-        "m^3": "cbm",
-        "cm^3": "ccm",
-        "kgf": "kp",
-        "lb": "lbs",
-        "metric_horsepower": "ps PS",
-        "knot": "kts",
-        "km/h": "kmh",
-        "m/s": "mps",
-        "Hz": "hz",
-        "kHz": "khz",
-        "ohm": "ohms",
         "V": "volt volts vdc",
         "A": "amp amps ampere",
-        "inch": "zoll",
         "%": "pct percent prozent",
-        "permille": "promille ‰",
     }.items()
     for word in words.split()
 }
+WORDS |= dict(
+    pair.split("=")
+    for pair in [
+        "rpm=rpm",
+        "upm=rpm",
+        "psia=psi",
+        "kpa=kPa",
+        "hpa=hPa",
+        "lpm=l/min",
+        "gpm=gal/min",
+        "cbm=m^3",
+        "ccm=cm^3",
+        "kp=kgf",
+        "lbs=lb",
+        "ps=metric_horsepower",
+        "PS=metric_horsepower",
+        "kts=knot",
+        "kmh=km/h",
+        "mps=m/s",
+        "hz=Hz",
+        "khz=kHz",
+        "ohms=ohm",
+        "zoll=inch",
+        "promille=permille",
+        "‰=permille",
+    ]
+)
 # Words of readings that are in nobody's unit: each is 1.
 COUNT_WORDS = frozenset(
     re.split(

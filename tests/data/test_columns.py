@@ -186,7 +186,14 @@ def test_a_unit_of_another_quantity_is_asked_for_where_a_person_chose_the_column
 
 @pytest.mark.parametrize(
     ("name", "unit", "asked"),
-    [("x_mm", "mm", False), ("x_mm", "m", True), ("v_s", "m/s", False), ("u_A", "V", False), ("p_bar", "bar", False)],
+    [
+        ("x_mm", "mm", False),
+        ("x_mm", "m", True),
+        ("v_s", "m/s", False),
+        ("u_A", "V", False),
+        ("p_bar", "bar", False),
+        ("phi_r", "rad", False),
+    ],
 )
 def test_a_signal_of_the_model_that_is_called_so_is_asked_only_where_its_unit_differs(tmp_path, name, unit, asked):
     model = Model(
