@@ -316,6 +316,15 @@ class FitOptions:
             )
         if self.transcription == "arcs" and not self.arc_length:
             raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
+        if self.arc_length and self.at_rest:
+            raise ModelError(
+                f"arc_length {self.arc_length:g} s: each arc begins at an initial state of its own, and not at rest; leave out one of at_rest"
+                " and arc_length"
+            )
+        if self.transcription.startswith("collocation") and self.method != "automatic":
+            raise ModelError(
+                f"method {self.method!r}: transcription {self.transcription!r} integrates by its own polynomials; leave out one of the two"
+            )
         if self.hessian == "exact" and not self.transcription.startswith("collocation"):
             raise ModelError(
                 f"hessian 'exact': transcription {self.transcription!r} has none; take 'collocation-radau' or"

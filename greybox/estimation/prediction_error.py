@@ -203,7 +203,7 @@ def estimate_by_prediction_error(
     are more likely; ``initial`` as in `greybox.fit`. An intensity for which zero is as likely becomes zero; with all at zero the fit is
     the one by simulation error.
 
-    Raises ModelError for a robust loss or a transcription, which have no meaning here.
+    Raises ModelError for a robust loss, a transcription or common noise, which have no meaning here.
     """
     if options.loss != "squares":
         raise ModelError(
@@ -214,6 +214,11 @@ def estimate_by_prediction_error(
         raise ModelError(
             f"transcription {options.transcription!r}: a model with process noise is fitted by its one-step predictions, which have"
             " none; leave out transcription and arc_length, or the process noise"
+        )
+    if options.common_noise:
+        raise ModelError(
+            "common_noise: a model with process noise estimates the noise of each output by itself; give the noise of the outputs, or leave"
+            " out common_noise or the process noise"
         )
     names = tuple(q.name for q in model.free_parameters if q.name in model.noise_parameters)
     undriven = model.fix(*names)  # a free run knows nothing of the intensities

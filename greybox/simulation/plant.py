@@ -295,8 +295,17 @@ def find_straight(experiment: Experiment, inputs: Sequence[Input]) -> np.ndarray
     return np.array([experiment.courses[i.name] != "zero" for i in inputs], bool)
 
 
-def make_plant_step(model: PlantModel) -> Step:
-    """What stands for a discrete step: the plant steps by itself, exactly as far as anybody here can tell."""
+def make_plant_step(model: PlantModel, method: str = "automatic", substeps: int = 0, **asked: object) -> Step:
+    """What stands for a discrete step: the plant steps by itself, exactly as far as anybody here can tell.
+
+    Raises ModelError where a ``method``, ``substeps``, or anything else that needs equations, was ``asked`` for.
+    """
+    given = {"method": method != "automatic" and method, "substeps": substeps if substeps > 1 else 0, **asked}
+    idle = ", ".join(f"{name} {value!r}" for name, value in given.items() if value)
+    if idle:
+        raise ModelError(
+            f"{model.title} is run from outside, as it steps by itself: {idle} would have no effect; leave it out"
+        )
     nothing = ca.Function("closed", [ca.SX.sym("x", 0)], [ca.SX(0, 1)])
 
     def coefficients(p: np.ndarray, lengths: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

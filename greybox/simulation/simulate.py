@@ -191,8 +191,9 @@ def simulate(
     record = to_record(model, experiment)
     p, x0 = np.array(list(model.values.values())), declared_initial_state(model, initial)
     if isinstance(model, PlantModel):
+        step = make_plant_step(model, method, substeps)
         y, x = PlantKernel(model).simulate(record, np.empty((1, 0)), p, x0)
-        return _to_simulation(model, experiment, y, x, make_plant_step(model))
+        return _to_simulation(model, experiment, y, x, step)
     y, x, step = run_freely(model, record, p, x0, method=method, substeps=substeps, policy=policy)
     return _to_simulation(model, experiment, y, x, step)
 

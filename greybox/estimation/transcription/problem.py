@@ -205,7 +205,14 @@ def prepare_problem(
         beginning = apply_initial_guess(model, beginning, initial)
     p, lengths = np.array(list(model.values.values())), np.unique(np.concatenate([r.lengths for r in records]))
     if isinstance(model, PlantModel):
-        step = make_plant_step(model)
+        named = options.transcription not in ("automatic", "single")
+        step = make_plant_step(
+            model,
+            options.method,
+            options.substeps,
+            transcription=options.transcription if named else "",
+            arc_length=options.arc_length,
+        )
     else:
         step = discretise(
             model.system,

@@ -16,7 +16,7 @@ from greybox.base import DataError
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
-from greybox.data.input_course import Holds
+from greybox.data.input_course import Hold, Holds
 from greybox.data.policy import READING_POLICY, ReadingPolicy
 from greybox.data.read import read_csv
 from greybox.model import Model
@@ -93,6 +93,7 @@ def find_records(
     columns: ColumnMapping | Sequence[str] | None = None,
     sampling_time: float | None = None,
     hold: Holds = "auto",
+    interpolation: Mapping[str, Hold] | None = None,
     conditions: Mapping[str, float | None] | None = None,
     allow_constant_input: bool = False,
     reading: ReadingPolicy = READING_POLICY,
@@ -105,7 +106,7 @@ def find_records(
         Files of any kind that can be read, and folders of such files. Files of the same name get their folder's name in front.
     record
         Column that names the record of each row, for Parquet files that hold many; the rows of a record stand together.
-    columns, sampling_time, hold, conditions, allow_constant_input, reading
+    columns, sampling_time, hold, interpolation, conditions, allow_constant_input, reading
         As of `greybox.read_csv`, for all records.
 
     Returns
@@ -147,6 +148,7 @@ def find_records(
         "columns": columns,
         "sampling_time": sampling_time,
         "hold": hold,
+        "interpolation": interpolation,
         "conditions": conditions,
         "allow_constant_input": allow_constant_input,
         "reading": reading,
