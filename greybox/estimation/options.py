@@ -318,8 +318,8 @@ class FitOptions:
             raise ModelError("transcription 'arcs' needs their length: give arc_length, in seconds")
         if self.arc_length and self.at_rest:
             raise ModelError(
-                f"arc_length {self.arc_length:g} s: each arc begins at an initial state of its own, and not at rest; leave out one of at_rest"
-                " and arc_length"
+                f"arc_length {self.arc_length:g} s: each arc begins at an initial state of its own, and not at rest; leave out at_rest or"
+                " arc_length"
             )
         if self.transcription.startswith("collocation") and self.method != "automatic":
             raise ModelError(

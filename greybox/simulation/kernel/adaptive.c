@@ -158,7 +158,7 @@ static void solve_stage(const struct context *c, const double *x, const v *base,
 /* n rows; `tolerance` of a step relative to each state; carry (1 + NX): the length of the next step, 0 to choose it, and the largest
    size of each state so far. xs (n, NX), dxs (n, NX, W * NB). work: steps, steps refused, Jacobians, factorisations. Returns the first
    row that was not reached, else -1. */
-EXPORT long integrate(long n, int first_order, int is_even, double tolerance, const double *u, const double *h, const double *p,
+EXPORT long integrate(long n, int is_even, double tolerance, const double *is_linear, const double *u, const double *h, const double *p,
                       const double *x0, const double *dp_lanes, const double *dx0_lanes, double *carry, double *xs, double *dxs,
                       long *work)
 {
@@ -221,7 +221,7 @@ EXPORT long integrate(long n, int first_order, int is_even, double tolerance, co
             int is_good = factored == GAMMA * step, is_slow = 0;
             for (int s = 0; s < STAGES; s++)
                 for (int i = 0; i < NU; i++)
-                    ui[s][i] = first_order ? u0[i] + (u1[i] - u0[i]) * (done + NODES[s] * step) / length : u0[i];
+                    ui[s][i] = u0[i] + is_linear[i] * (u1[i] - u0[i]) * (done + NODES[s] * step) / length;
             memcpy(stage[0], x, sizeof x);
             for (int s = 1; s < STAGES && is_good; s++) {
                 for (int i = 0; i < NX; i++) {

@@ -114,7 +114,7 @@ class AdaptiveKernel(KernelInParts):
             h = record.h if is_repeated(record.h) else record.h[start : end - 1]
             xs, dxs = np.full((end - start, nx), np.nan), np.zeros((end - start, nx, directions))
             run = self._run if self.is_compiled else self._run_by_numpy
-            run(record.u[start:end], h, record.first_order, arguments, x, dx, carry, xs, dxs)
+            run(record.u[start:end], h, record.is_linear, arguments, x, dx, carry, xs, dxs)
             y = self._map(0, xs[:count], record.u[start : start + count], arguments.p)
             yield RecordPart(start, xs[:count], y, dxs[:count])
             x, dx, start = xs[-1].copy(), dxs[-1].copy(), start + count
@@ -141,7 +141,7 @@ class AdaptiveKernel(KernelInParts):
         self,
         u: np.ndarray,
         h: np.ndarray,
-        first_order: bool,
+        is_linear: np.ndarray,
         arguments: KernelArguments,
         x: np.ndarray,
         dx: np.ndarray,
@@ -155,10 +155,9 @@ class AdaptiveKernel(KernelInParts):
         blocks = -(-directions // width) if directions else 0
         lanes = np.zeros((*xs.shape, blocks * width))
         dp, dx0 = (_pad(a, blocks * width) for a in (arguments.dp, dx))
-        arrays = [np.ascontiguousarray(a, np.float64) for a in (u, h, arguments.p, x, dp, dx0)]
+        arrays = [np.ascontiguousarray(a, np.float64) for a in (is_linear, u, h, arguments.p, x, dp, dx0)]
         self._get_library(width, blocks)(
             len(u),
-            first_order,
             is_repeated(h),
             self.tolerance,
             *(a.ctypes.data for a in (*arrays, carry, xs, lanes, self.work)),
@@ -169,7 +168,7 @@ class AdaptiveKernel(KernelInParts):
         self,
         u: np.ndarray,
         h: np.ndarray,
-        first_order: bool,
+        is_linear: np.ndarray,
         arguments: KernelArguments,
         x: np.ndarray,
         dx: np.ndarray,
@@ -184,7 +183,7 @@ class AdaptiveKernel(KernelInParts):
                 xs[row], dxs[row] = x, dx
                 if row + 1 == len(u):
                     break
-                length, ends = float(h[row]), (u[row], u[row + 1] if first_order else u[row])
+                length, ends = float(h[row]), (u[row], np.where(is_linear, u[row + 1], u[row]))
                 reached = run.cross(x, dx, length, *ends)
                 if reached is None:
                     break
@@ -201,8 +200,8 @@ class AdaptiveKernel(KernelInParts):
                 is_quick=True,
             )
             function = library.integrate
-            numbers = (ctypes.c_long, ctypes.c_int, ctypes.c_int, ctypes.c_double)
-            function.argtypes, function.restype = (*numbers, *[ctypes.c_void_p] * 10), ctypes.c_long
+            numbers = (ctypes.c_long, ctypes.c_int, ctypes.c_double)
+            function.argtypes, function.restype = (*numbers, *[ctypes.c_void_p] * 11), ctypes.c_long
             self._libraries[key] = function
         return self._libraries[key]
 

@@ -103,7 +103,7 @@ def with_gaps(record):
     return Record(record.u, y, record.h, record.row, record.lengths, record.is_linear)
 
 
-@pytest.mark.parametrize("first_order", [False, True])
+@pytest.mark.parametrize("first_order", [False, True, (1.0, 0.0)], ids=["held", "linear", "the first linear"])
 @pytest.mark.parametrize("rows", [1, 3])
 def test_simulation_is_that_of_numpy(build, first_order, rows):
     record = oscillator_record(first_order=first_order, rows=rows)
@@ -114,7 +114,7 @@ def test_simulation_is_that_of_numpy(build, first_order, rows):
     np.testing.assert_allclose(y, expected_y, rtol=1e-10, atol=1e-12)
 
 
-@pytest.mark.parametrize("first_order", [False, True])
+@pytest.mark.parametrize("first_order", [False, True, (1.0, 0.0)], ids=["held", "linear", "the first linear"])
 @pytest.mark.parametrize(("rows", "directions"), [(1, 3), (3, 6), (1, 11)])
 def test_jacobian_is_that_of_finite_differences(build, first_order, rows, directions):
     """Along random directions through coefficients, parameters and first state at once."""
