@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any
 
+from greybox.base.texts import to_line
+
 
 class GreyboxError(Exception):
     """Base of every error the library raises on purpose. The command line ends with exit code 2."""
@@ -90,8 +92,7 @@ class WorkersLostError(GreyboxError):
 
 def shorten(text: str, length: int = 60) -> str:
     """``text`` on one line, fit for a message whatever a file held: no control characters, and not too long."""
-    plain = "".join(letter if letter.isprintable() else " " for letter in text[: 4 * length])
-    words = " ".join(plain.split())
+    words = " ".join(to_line(text[: 4 * length]).split())
     return words if len(words) <= length else f"{words[: length - 3]}..."
 
 

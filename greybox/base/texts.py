@@ -3,20 +3,48 @@
 from __future__ import annotations
 
 import re
+import shlex
 import unicodedata
 from collections.abc import Collection, Iterable
 
-# Control characters, marks that turn the direction of writing (a reviewer would see another order than the compiler), separators
-# of lines and paragraphs, and halves of characters, which no file in UTF-8 can hold.
-UNWRITABLE = frozenset({"Cc", "Cs", "Zl", "Zp"})
-TURNING = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\ufeff\ufffe\uffff")
+# Control and format characters (escapes of a terminal, marks that turn the direction of writing: a reviewer would see another order than
+# the compiler, letters without width), separators of lines and paragraphs, and halves of characters, which no file in UTF-8 can hold.
+UNWRITABLE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
+# Of no category that tells them from characters to come: no document in XML may hold them.
+NONCHARACTERS = frozenset("\ufffe\uffff")
 # What ends or opens a comment of C, alone or after the compiler has joined lines and replaced trigraphs.
 COMMENT_MARKS = (("\\", "/"), ("*/", "* /"), ("/*", "/ *"), ("??", "? ?"))
+# With what a cell of a table begins that a spreadsheet runs, also in letters of full width.
+FORMULA_MARKS = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
 
 
 def to_line(text: str) -> str:
     """``text`` on one line: each character that no line can hold becomes a space."""
-    return "".join(" " if unicodedata.category(c) in UNWRITABLE or c in TURNING else c for c in text)
+    if text.isprintable():
+        return text
+    return "".join(" " if unicodedata.category(c) in UNWRITABLE or c in NONCHARACTERS else c for c in text)
+
+
+def to_message(text: str) -> str:
+    """``text`` for a terminal that it cannot command: lines after the first are indented, so that none looks like a message of its own."""
+    first, *more = (to_line(line).rstrip() for line in text.split("\n"))
+    return "\n".join([first, *(line if line.startswith("  ") else f"  {line}" for line in more)])
+
+
+def to_lines(text: str) -> str:
+    """``text`` as an answer shows it: its lines stay."""
+    return "\n".join(map(to_line, text.split("\n")))
+
+
+def to_word(text: str) -> str:
+    """``text`` as one word of a command that is proposed: a shell takes it as it is."""
+    return shlex.quote(to_line(text))
+
+
+def to_cell(text: str) -> str:
+    """``text`` as a cell of a CSV table: one line, and no formula to a spreadsheet."""
+    line = to_line(text)
+    return f"'{line}" if line.lstrip().startswith(FORMULA_MARKS) else line
 
 
 def to_comment(text: str) -> str:
@@ -29,9 +57,13 @@ def to_comment(text: str) -> str:
 
 
 def escape_line(text: str) -> str:
-    r"""``text`` between quotation marks of Python, as its own: ``\x00``, ``\ud800`` and the like are written out."""
+    r"""``text`` between quotation marks of Python or TOML, as its own: ``\u0000``, ``\ud800`` and the like are written out."""
     marks = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\r": "\\r", "\t": "\\t"}
-    return "".join(marks.get(c) or (c if c.isprintable() else c.encode("unicode_escape").decode("ascii")) for c in text)
+    return "".join(marks.get(c) or (c if c.isprintable() else _escape(ord(c))) for c in text)
+
+
+def _escape(code: int) -> str:
+    return f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 # Names as other programs allow them: letters, digits and underscores, each once.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -14,6 +13,7 @@ import numpy as np
 
 from greybox.base import Finding
 from greybox.base.errors import DataError, ModelError, is_slip_of, nearest, shorten
+from greybox.base.texts import to_word
 from greybox.base.units import Conversion, unit_converter
 from greybox.data.findings import RecordCode
 from greybox.data.headers import LONGEST_HEADER, TIME, Column, UnitSource, parse_header, read_endings, read_time
@@ -575,7 +575,7 @@ def _explain_mapping(signal: RequestedSignal, column: Column | None = None, are_
     key, header = f"{signal.name} [{unit}]", shorten(column.header)
     if are_named:
         return f"write {key!r} for {header!r} in columns (shell: --columns)"
-    return f"write columns={{{key!r}: {header!r}}} (shell: --column {shlex.quote(f'{key}={header}')})"
+    return f"write columns={{{key!r}: {header!r}}} (shell: --column {to_word(f'{key}={header}')})"
 
 
 def _list_headers(columns: Sequence[Column], shown: int = 12) -> list[str]:

@@ -11,6 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from greybox.base import ExitCode, Finding, GreyboxError
+from greybox.base.texts import to_word
 from greybox.shell.study import Answer, Command, Option, Study
 from greybox.shell.study_file import is_study_file, read_study, with_overrides, write_study
 from greybox.shell.study_values import Choice, Count, File, ModelName, Number, Switch, Word
@@ -21,6 +22,7 @@ from greybox.shell.terminal import (
     describe_missing_argument,
     exit_on_error,
     exit_with_error,
+    print_answer,
     print_findings,
 )
 
@@ -154,7 +156,7 @@ def _write_study(ctx: click.Context, study: Study, target: Path, name: str, comm
     if idle:
         it = "it" if len(idle) == 1 else "them"
         raise GreyboxError(f"{', '.join(idle)}: no effect with --write-study, which runs nothing; leave {it} out")
-    click.echo(study_line(write_study(study, target, name, commands), name))
+    print_answer(study_line(write_study(study, target, name, commands), name))
 
 
 def confirm_model(study: Study, named_model: str | None = None) -> Study:
@@ -175,10 +177,10 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
     Raises
     ------
     GreyboxError
-        If the file names a model file, or lies in a project other than that of the working folder, and the user named no model; if
-        a model is named twice.
+        If the file names a model file or a plant that runs code, or lies in a project other than that of the working folder, and the
+        user named no model; if a model is named twice.
     """
-    from greybox.shell.project import is_model_path, project_root
+    from greybox.shell.project import project_root, runs_code
 
     # A command that starts from a result has an option for its model; where its source is a model, that option names the source.
     holder = "model"
@@ -191,18 +193,20 @@ def confirm_model(study: Study, named_model: str | None = None) -> Study:
         if holder not in study.from_file:
             raise GreyboxError(f"--model {named_model}: the model is {model} already; leave out one of the two")
         return study.but(**{holder: named_model}, from_file=study.from_file - {holder})
+    # The file may hold both, and which of them a command takes is its own affair.
+    for name in (getattr(study, field) for field in ("model", "source") if field in study.from_file):
+        if runs_code(name) and not (name == study.source and name.endswith(".json")):
+            raise GreyboxError(
+                f"{study.file}: names the model file {name}, which is a program; a study alone runs none: if you trust it, run the"
+                f" command again with --model {to_word(name)}"
+            )
     if study.file is None or holder not in study.from_file:
         return study
-    again = f"if you trust it, run the command again with --model {model}"
-    if is_model_path(model):
-        raise GreyboxError(
-            f"{study.file}: names the model file {model}, which is a program; a study alone runs none: {again}"
-        )
     root = project_root(study.folder, named=True)
     if root not in (None, project_root()):
         raise GreyboxError(
             f"{study.file}: belongs to the project {root}, whose models are programs; run the command from that folder, or name the"
-            f" model, as in --model {root}/models/{model}.py"
+            f" model, as in --model {to_word(f'{root}/models/{model}.py')}"
         )
     return study
 
@@ -212,7 +216,7 @@ def _show(answer: Answer, study: Study) -> None:
     from greybox.show.sentences.shell import report_line, written
 
     if not (study.silent or study.json):
-        click.echo(str(answer.text))
+        print_answer(str(answer.text))
     try:
         pictures = answer.pictures() if answer.pictures and study.figures else []
         page = answer.page() if answer.page and not study.no_report else None
@@ -223,7 +227,7 @@ def _show(answer: Answer, study: Study) -> None:
     elif not study.silent:
         lines = [f"\n{written([*answer.files, *pictures])}"] if answer.files else []
         if lines := [*lines, *([report_line(page)] if page else [])]:
-            click.echo("\n".join(lines))
+            print_answer("\n".join(lines))
     if answer.failure:
         exit_with_error(answer.failure, answer.code)
     if answer.code:

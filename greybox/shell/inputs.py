@@ -335,9 +335,9 @@ def find_model_of(path: Path, named: str, model: str, effects: Iterable[str] = (
     the model cannot be found.
     """
     from greybox.model.effects.catalogue import effect
-    from greybox.shell.project import find_model, is_model_path
+    from greybox.shell.project import find_model, runs_code
 
-    if not model and is_model_path(named):
+    if not model and runs_code(named):
         raise DataError(
             f"{path}: its model {named!r} is a file, and a result names its model without a path; give --model MODEL"
         )

@@ -29,6 +29,8 @@ class PlantKind:
         ``read(path)`` is the plant in a file as a model. Raises GreyboxError.
     set_parameters
         ``set_parameters(model, study)`` is that with its constants freed, started and fixed as the study has it. Raises GreyboxError.
+    runs_code
+        Whether reading or running such a file runs a program that lies in it. Then a file that names one is not enough: the user has to.
     """
 
     suffixes: tuple[str, ...]
@@ -36,6 +38,8 @@ class PlantKind:
     unused: tuple[Option[Any], ...]
     read: Callable[[str], Any]
     set_parameters: Callable[[Any, Study], Any]
+    # A kind that does not say it is taken for one that does.
+    runs_code: bool = True
 
 
 def find_plant_kind(path: str) -> PlantKind | None:

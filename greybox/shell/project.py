@@ -339,8 +339,18 @@ def find_model(name: str, folder: Path | None = None) -> Model:
 
 
 def is_model_path(name: str) -> bool:
-    """Whether `find_model` takes ``name`` as a file, which it runs, and not as the name of a model."""
-    return name.endswith(".py") or ".py:" in name or "/" in name or "\\" in name
+    """Whether `find_model` takes ``name`` as a file, and not as the name of a model."""
+    is_python = name.endswith(".py") or ".py:" in name or "/" in name or "\\" in name
+    return is_python or find_plant_kind(name) is not None
+
+
+def runs_code(name: str) -> bool:
+    """Whether `find_model` runs a program in the file that ``name`` is: then nothing but the user may name it.
+
+    The one gate for what comes from study files and results.
+    """
+    kind = find_plant_kind(name)
+    return is_model_path(name) if kind is None else kind.runs_code
 
 
 def find_shipped_model(name: str) -> Model:

@@ -6,7 +6,6 @@ program: it runs only where the user names it too (`greybox.shell.command_line.c
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import tomllib
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.base import GreyboxError, nearest, write_file
+from greybox.base.texts import escape_line, to_word
 from greybox.shell.study import Command, Option, Study
 from greybox.shell.study_values import Table
 
@@ -98,7 +98,7 @@ def write_study(study: Study, path: Path, name: str, commands: Mapping[str, Comm
         raise GreyboxError(f"--write-study {path}: the file exists; give another name, or delete it first")
     if not is_study_file(path.name):
         raise GreyboxError(
-            f"--write-study {path}: a study file ends in {SUFFIX}; write --write-study {path.stem}{SUFFIX}"
+            f"--write-study {path}: a study file ends in {SUFFIX}; write --write-study {to_word(path.stem + SUFFIX)}"
         )
     return write_file(path, study_text(study, path, name, commands))
 
@@ -121,7 +121,7 @@ def study_text(study: Study, path: Path, name: str, commands: Mapping[str, Comma
         table = option.table or (name if users_of(option, commands) == [name] else "")
         (tables.setdefault(table, []) if table else top).append(f"{option.key} = {_toml(data)}")
     head = [
-        f"# Run with: greybox {name} {path.name}",
+        f"# Run with: greybox {name} {to_word(path.name)}",
         "# Paths are relative to this file; numbers are in the units of the model.",
     ]
     parts = [[*head], top, *([f"[{table}]", *lines] for table, lines in tables.items())]
@@ -201,7 +201,7 @@ def _key(name: str) -> str:
 
 
 def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return f'"{escape_line(text)}"'
 
 
 def _toml(value: Any) -> str:

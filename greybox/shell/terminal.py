@@ -22,6 +22,7 @@ import click
 
 from greybox.base.errors import ExitCode, GreyboxError, OutputError, WorkersLostError, nearest
 from greybox.base.extensions import ExtensionKind, describe_failures
+from greybox.base.texts import to_lines, to_message
 
 if TYPE_CHECKING:
     from greybox.base import Finding
@@ -106,13 +107,18 @@ def exit_on_error(command: Callable[..., None]) -> Callable[..., None]:
 
 def exit_with_error(message: str, code: ExitCode) -> NoReturn:
     """End with ``message`` on stderr."""
-    click.echo(f"error: {message}", err=True)
+    print_note(f"error: {message}")
     raise click.exceptions.Exit(code)
 
 
 def print_note(message: str) -> None:
     """A line on stderr, so that stdout stays what was asked for."""
-    click.echo(message, err=True)
+    click.echo(to_message(message), err=True)
+
+
+def print_answer(text: str) -> None:
+    """What was asked for, on stdout."""
+    click.echo(to_lines(text))
 
 
 def print_findings(findings: Iterable[Finding]) -> None:

@@ -22,6 +22,7 @@ from greybox.shell.study import LAYOUT, SUBSTEPS, Command, Idle, Option, Study
 from greybox.shell.study_file import study_text
 from greybox.shell.study_script import study_script
 from greybox.shell.study_values import Count, Switch
+from greybox.shell.terminal import print_answer
 
 if TYPE_CHECKING:
     from greybox.data.columns import ColumnChoice
@@ -116,7 +117,7 @@ def app(study: AppStudy) -> None:
         if study.json:
             click.echo(json_format.dumps({"address": address, "folder": str(folder)}, indent=2))
             return
-        click.echo(f"{address}\n")
+        print_answer(f"{address}\n")
         if not study.no_browser:
             webbrowser.open(address)
 
@@ -130,7 +131,7 @@ def app(study: AppStudy) -> None:
     if last is not None and not study.json:
         from greybox.show.sentences.shell import study_line
 
-        click.echo(study_line(last, APP))
+        print_answer(study_line(last, APP))
 
 
 class StudyOnFile:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from greybox.base import DataError, ExitCode, GreyboxError
+from greybox.base.texts import to_word
 from greybox.shell.inputs import find_model_of, limits_of, load_fit_with_model, result_folder, set_parameters
 from greybox.shell.study import LAYOUT, SHARING, SHOWING, Answer, Command, Idle, Option, Study
 from greybox.shell.study_values import Choice, Count, Names, Numbers, Quantity, Word
@@ -170,7 +171,7 @@ def _from_discovery(path: Path, data: Sequence[Path], study: Study) -> tuple[Fit
     content = read_json(path, Discovery)
     if not data:
         raise GreyboxError(
-            f"{path}: a discovery does not hold its records; give them too, as in greybox design {path} train.csv"
+            f"{path}: a discovery does not hold its records; give them too, as in greybox design {to_word(str(path))} train.csv"
         )
     plain = find_model_of(path, content["model"], study.model)
     stated = {

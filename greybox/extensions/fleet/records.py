@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.base import DataError
+from greybox.base.texts import to_word
 from greybox.data.columns import ColumnMapping
 from greybox.data.experiment import Experiment
 from greybox.data.file_kinds import list_record_files
@@ -163,7 +164,7 @@ def _list_parts(file: Path, record: str) -> list[RecordReference]:
     if file.suffix.lower() not in PARQUET.suffixes:
         raise DataError(
             f"{file.name}: a column names the record of each row in Parquet files only; give a Parquet file, or one file for each"
-            f" record without record={record!r} (shell: --record {record})"
+            f" record without record={record!r} (shell: --record {to_word(record)})"
         )
     try:
         rows = find_record_rows(file, record)

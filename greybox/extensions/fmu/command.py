@@ -53,5 +53,13 @@ def set_fmu_parameters(model: PlantModel, study: Study) -> PlantModel:
     return alone.fix(**{n: v for n, v in fixed_beside.items() if v is not None})
 
 
-FMU = PlantKind((".fmu",), "on an FMU, whose equations are closed", NEED_EQUATIONS, read_fmu_model, set_fmu_parameters)
+FMU = PlantKind(
+    (".fmu",),
+    "on an FMU, whose equations are closed",
+    NEED_EQUATIONS,
+    read_fmu_model,
+    set_fmu_parameters,
+    # The compiled model in it is loaded into this process.
+    runs_code=True,
+)
 """An FMU in the place of a model."""

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from greybox.base import Finding
+from greybox.base import Finding, to_line
 from greybox.base import document as doc
+from greybox.base.texts import to_lines
 from greybox.show.sentences.registry import sentence
 
 
@@ -49,16 +50,15 @@ def _indented(block: doc.Block) -> list[str]:
 
 
 def _say(text: doc.Text) -> str:
-    return sentence(text) if isinstance(text, Finding) else text
+    return sentence(text) if isinstance(text, Finding) else to_lines(text)
 
 
 def _name(name: str, width: int) -> str:
-    return f"{name:<{width}}" if width else f"{name}: " if name else ""
+    return f"{to_line(name):<{width}}" if width else f"{to_line(name)}: " if name else ""
 
 
 def table_lines(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table, indented by two; each column as wide as it must be."""
-    widths = [max(len(row[k]) for row in [head, *rows]) for k in range(len(head))]
-    return [
-        "  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]
-    ]
+    lines = [[to_line(cell) for cell in row] for row in [head, *rows]]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return ["  " + "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in lines]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from greybox.base import Finding
 from greybox.base.document import Block, Details, Facts, Paragraphs, TableBlock
+from greybox.base.texts import to_word
 from greybox.data.findings import RecordCode
 from greybox.data.noise.noise_model import BoundDirection, NoiseSource
 from greybox.show.sentences.registry import register, renders, sentences
@@ -255,7 +255,7 @@ def write_survey(survey: FileSurvey) -> list[Block]:
     lines += [f'gb.Output("{s.name}", "{s.model_unit}")' for s in outputs]
     guess = "for a model (which signal is an input is a guess from names and from how they move):"
     renamed = {name: header for name, header in survey.columns.items() if name not in (header, _bare(header))}
-    columns = " ".join(f"--column {shlex.quote(name)}={shlex.quote(header)}" for name, header in renamed.items())
+    columns = " ".join(f"--column {to_word(name)}={to_word(header)}" for name, header in renamed.items())
     return [
         Paragraphs([f"{survey.file}: {survey.kind}, {count_noun(len(rows), 'signal')}"]),
         TableBlock("Signals", head, rows),

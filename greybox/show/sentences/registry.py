@@ -10,7 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from greybox.base import Check, Finding
+from greybox.base import Check, Finding, to_line
 
 Template = str | Callable[[Any], str]
 Writer = Callable[[Any], str | Sequence[Any]]
@@ -68,12 +68,15 @@ def sentence(item: Finding | Check) -> str:
         _load_all()
     template = _templates[code]
     if not isinstance(template, str):
-        return template(item)
-    if isinstance(item, Finding):
-        return template.format_map({"subject": item.subject, **item.values})
-    return template.format(
-        value=item.value, limit=item.limit, subject=item.subject, outcome="passed" if item.passed else "failed"
-    )
+        text = template(item)
+    elif isinstance(item, Finding):
+        text = template.format_map({"subject": item.subject, **item.values})
+    else:
+        text = template.format(
+            value=item.value, limit=item.limit, subject=item.subject, outcome="passed" if item.passed else "failed"
+        )
+    # Subjects and values may be texts of a file.
+    return to_line(text)
 
 
 def sentences(items: Iterable[Finding | Check]) -> tuple[str, ...]:

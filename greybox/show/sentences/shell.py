@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from greybox.base.texts import to_word
 from greybox.show.printers.text import table_lines
 from greybox.show.sentences.registry import register, renders
 
@@ -49,7 +50,7 @@ def report_line(path: Path) -> str:
 
 def study_line(path: Path, command: str) -> str:
     """The line of a command that has written a study file."""
-    return f"written: {path}; run it with: greybox {command} {path}"
+    return f"written: {path}; run it with: greybox {command} {to_word(str(path))}"
 
 
 # The list of models.
@@ -87,7 +88,7 @@ def demo_answer(demo: Demo, folder: Path) -> str:
             "to repeat the demonstration step by step:",
             f"  greybox fit {demo.arguments}",
             f"  greybox discover {demo.arguments}",
-            f"  greybox export {folder / 'fit.json'} --to control",
+            f"  greybox export {to_word(str(folder / 'fit.json'))} --to control",
         ]
     )
 

@@ -33,7 +33,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from greybox.base import GreyboxError, write_file
+from greybox.base import GreyboxError, shorten, write_file
 
 
 @dataclass(frozen=True)
@@ -591,5 +591,4 @@ def _kill_group(process: subprocess.Popen[str]) -> None:
 def summarise_errors(run: subprocess.CompletedProcess[str]) -> str:
     """The first lines in which a compiler tells of errors, without characters that would steer a terminal."""
     lines = [line for line in run.stderr.splitlines() if "error" in line.lower()] or run.stderr.splitlines()
-    plain = ("".join(c if c.isprintable() else " " for c in line).strip()[:300] for line in lines[:3])
-    return f"({'; '.join(plain)})" if lines else "without a message"
+    return f"({'; '.join(shorten(line, 300) for line in lines[:3])})" if lines else "without a message"
