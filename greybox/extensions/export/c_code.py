@@ -43,12 +43,13 @@ def write_step(interval: DiscreteStep) -> str:
         "COLUMNS": max(columns, 1),
         "SUBSTEPS": step.substeps,
     }
+    # The functions of a model end in _start, _outputs and _step, none of these does: no name of a model is that of one here.
     routines = [
         # Without tangents, which need vector types, and without fused products: the text is plain C99.
         CRoutine("advance", read_tape(step.advance, varying=(0, 1, 2)), ADVANCE, (), 0),
-        CRoutine("outputs", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
+        CRoutine("sensors", read_tape(step.outputs, varying=(0, 1)), OUTPUTS, (), 0),
         # The state at rest may follow from constants that somebody changes in the source.
-        CRoutine("start", read_tape(interval.start), ("p",), (), 0),
+        CRoutine("rest", read_tape(interval.start), ("p",), (), 0),
     ]
     return "\n".join(
         [
@@ -73,16 +74,28 @@ def write_constants(plant: ExportedModel, interval: DiscreteStep) -> list[str]:
     return ["static const double constants[] = {", *(lines or ["    0"]), "};"]
 
 
-KEYWORDS = frozenset(
+# Keywords of C and C++, and what headers and compilers define in small letters: a macro replaces the name of a member as well.
+RESERVED = frozenset(
     re.findall(
         r"\w+",
         """
         auto break case char const continue default do double else enum extern float for goto if inline int long
         register restrict return short signed sizeof static struct switch typedef union unsigned void volatile
-        while
+        while alignas alignof asm atomic_cancel atomic_commit atomic_noexcept bool catch class co_await co_return co_yield
+        concept const_cast consteval constexpr constinit char8_t char16_t char32_t decltype delete dynamic_cast explicit export
+        false friend mutable namespace new noexcept nullptr operator private protected public reflexpr reinterpret_cast
+        requires static_assert static_cast synchronized template this thread_local throw true try typeid typename typeof
+        typeof_unqual using virtual wchar_t and and_eq bitand bitor compl not not_eq or or_eq xor xor_eq
+        alloca arm assert cdecl complex environ errno far huge i386 imaginary interface linux major makedev max min minor
+        mips near noreturn pascal powerpc small sparc stderr stdin stdout sun unix vax
+        sa_handler sa_sigaction st_atime st_ctime st_mtime si_pid si_uid si_value si_addr si_status si_band
+        s_addr s6_addr h_addr d_fileno ru_first ru_last setjmp va_arg va_copy va_end va_start offsetof
+        I NULL
         """,
     )
 )
+# How macros are written: a name of this shape may be one of any header, so none of ours is.
+MACRO = re.compile(r"[A-Z][A-Z0-9_]*[A-Z0-9_]")
 
 
 def to_c(
@@ -225,7 +238,9 @@ def _struct(name: str, signals: Sequence[State | Input | Output], extra: Sequenc
 
 
 def _members(signals: Sequence[State | Input | Output], extra: Sequence[tuple[str, str]] = ()) -> list[str]:
-    return to_identifiers([*(s.name for s in signals), *(name for name, _ in extra)], KEYWORDS)
+    names = map(to_identifier, [*(s.name for s in signals), *(name for name, _ in extra)])
+    # An underscore at the end is no word of the language, of a library or of a system.
+    return to_identifiers(f"{n}_" if n in RESERVED or MACRO.fullmatch(n) else n for n in names)
 
 
 def _past_members(interval: DiscreteStep) -> list[tuple[str, str]]:

@@ -58,11 +58,11 @@ static fmi2Status refuse(fmi2Component c, const char *why)
 
 static void begin(Run *run)
 {
-    struct start_once once;
+    struct rest_once once;
     double x[NX];
 
-    prepare_start(&once, run->p);
-    start(&once, run->p, x);
+    prepare_rest(&once, run->p);
+    rest(&once, run->p, x);
     for (int i = 0; i < NX; i++)
         if (!run->set[i])
             run->x[i] = x[i];
@@ -129,11 +129,11 @@ FMI fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_
 
     if (!run->running)
         begin(run);
-    read_outputs(run->x, run->past, run->u, run->p, DT, y);
+    read_sensors(run->x, run->past, run->u, run->p, DT, y);
     for (size_t k = 0; k < n; k++) {
-        const int r = (int)vr[k];
-        if (r >= END)
+        if (vr[k] >= END) /* before it becomes an int, which may be negative */
             return refuse(c, "unknown value reference");
+        const int r = (int)vr[k];
         value[k] = r < OUTPUT ? run->u[r] : r < STATE ? y[r - OUTPUT] : r < CONSTANT ? run->x[r - STATE] : run->p[r - CONSTANT];
     }
     return fmi2OK;
@@ -144,14 +144,16 @@ FMI fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_
     Run *run = AS(c);
 
     for (size_t k = 0; k < n; k++) {
+        if (vr[k] >= END)
+            return refuse(c, "unknown value reference");
         const int r = (int)vr[k];
         if (r < OUTPUT)
             run->u[r] = value[k];
         else if (r >= STATE && r < CONSTANT && !run->running)
             run->x[r - STATE] = value[k], run->set[r - STATE] = 1;
-        else if (r >= CONSTANT && r < END && !FIXED[r - CONSTANT])
+        else if (r >= CONSTANT && !FIXED[r - CONSTANT])
             run->p[r - CONSTANT] = value[k];
-        else if (r >= CONSTANT && r < END && value[k] == run->p[r - CONSTANT])
+        else if (r >= CONSTANT && value[k] == run->p[r - CONSTANT])
             continue;
         else
             return refuse(c, "this variable cannot be set: an output, a state after initialisation, or a constant of a delay");
@@ -159,16 +161,22 @@ FMI fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_
     return fmi2OK;
 }
 
+/* Sampling intervals in one step: a second of computing, and far from the largest int. */
+#define MOST_PARTS 1e7
+
 FMI fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real length, fmi2Boolean final)
 {
     Run *run = AS(c);
     const double ratio = length / DT, whole = floor(ratio + 0.5);
     const int even = whole >= 1 && fabs(ratio - whole) <= 1e-6;
-    const int parts = even ? (int)whole : (int)ceil(ratio);
+    int parts;
 
     (void)now, (void)final;
-    if (length < 0)
+    if (!(length >= 0))
         return refuse(c, "a step back in time");
+    if (!(ratio <= MOST_PARTS))
+        return refuse(c, "a step of more than ten million times " DT_TEXT " s: take shorter steps");
+    parts = even ? (int)whole : (int)ceil(ratio);
     if (PAST && !even && length > 0)
         return refuse(c, "the delay of an input needs communication steps that are whole multiples of " DT_TEXT " s");
     for (int k = 0; k < parts; k++)
@@ -191,6 +199,8 @@ FMI fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 }
 FMI fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
+    if (!state)
+        return refuse(c, "no state is given");
     memcpy(AS(c), state, sizeof(Run));
     return fmi2OK;
 }

@@ -7,11 +7,11 @@ $step
 $constants
 ${coefficients}void ${name}_start(struct ${name}_state *state)
 {
-    struct start_once once;
+    struct rest_once once;
     double x[NX];
 
-    prepare_start(&once, constants);
-    start(&once, constants, x);
+    prepare_rest(&once, constants);
+    rest(&once, constants, x);
 ${begin}}
 
 void ${name}_outputs(const struct ${name}_state *state, const struct ${name}_input *input, struct ${name}_output *output)
@@ -20,7 +20,7 @@ void ${name}_outputs(const struct ${name}_state *state, const struct ${name}_inp
     const double u[] = {$inputs};
     double y[NY];
 
-${unused}    read_outputs(x, past, u, constants, ${NAME}_SAMPLING_TIME, y);
+${unused}    read_sensors(x, past, u, constants, ${NAME}_SAMPLING_TIME, y);
 ${show}}
 
 void ${name}_step(struct ${name}_state *state, const struct ${name}_input *input)

@@ -5,6 +5,10 @@ $about
 #ifndef ${NAME}_H
 #define ${NAME}_H
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define ${NAME}_SAMPLING_TIME $dt /* s */
 
 $structures
@@ -16,5 +20,9 @@ void ${name}_outputs(const struct ${name}_state *state, const struct ${name}_inp
 
 /* The state $interval s later, the input held. */
 void ${name}_step(struct ${name}_state *state, const struct ${name}_input *input);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -35,12 +35,12 @@ static void interval(double *x, double *past, const double *u, const double *q, 
         past[0] = u[LATE];
 }
 
-static void read_outputs(const double *x, const double *past, const double *u, const double *p, double length, double *y)
+static void read_sensors(const double *x, const double *past, const double *u, const double *p, double length, double *y)
 {
-    struct outputs_once once;
+    struct sensors_once once;
     double row[COLUMNS];
 
     fill(row, u, past, 0, length);
-    prepare_outputs(&once, x, row, p);
-    outputs(&once, x, row, p, y);
+    prepare_sensors(&once, x, row, p);
+    sensors(&once, x, row, p, y);
 }

@@ -73,6 +73,11 @@ class CRoutine:
             for i, (_, tangent) in enumerate(self.tape.outputs[0])
             for b in range(self.blocks)
         ]
+        # Compilers warn of arguments that no line needs, and which these are depends on the model.
+        spare = [
+            [f"    (void){name};" for name in ("c", *self.inputs) if not re.search(rf"\b{name}\b", "\n".join(lines))]
+            for lines in (once, [*each, *outputs])
+        ]
         arguments = ", ".join(
             f"const double *{name}" + (f", const vu *d{name}" if i in self.active else "")
             for i, name in enumerate(self.inputs)
@@ -87,11 +92,13 @@ class CRoutine:
                 "",
                 f"static void prepare_{self.name}(struct {self.name}_once *c, {arguments})",
                 "{",
+                *spare[0],
                 *once,
                 "}",
                 "",
                 f"INLINE void {self.name}(const struct {self.name}_once *c, {arguments}, {results})",
                 "{",
+                *spare[1],
                 *each,
                 *outputs,
                 "}",
